@@ -1,0 +1,35 @@
+"""Files that ship with the package: MJCF models and the nominal vehicle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vpptwin.errors import InputError
+
+
+def models_dir() -> Path:
+    """Folder of the shipped models: inside the package when installed, at the top of a checkout otherwise."""
+    package = Path(__file__).resolve().parent
+    installed = package / "models"
+    return installed if installed.is_dir() else package.parent / "models"
+
+
+def find_model_file(name: str, relative_to: Path | None = None) -> Path:
+    """Resolve a file named in a twin YAML.
+
+    Args:
+        name: a path, relative to the file that names it, or the name of a shipped model file.
+        relative_to: folder of the file that names it; None for the current folder.
+
+    Returns:
+        The existing file's absolute path; a file of the user's wins over a shipped one.
+
+    Raises:
+        InputError: if there is no such file.
+    """
+    candidates = [(relative_to or Path.cwd()) / name, models_dir() / name]
+    for path in candidates:
+        if path.is_file():
+            return path.resolve()
+    shipped = ", ".join(sorted(p.name for p in models_dir().glob("*.*")))
+    raise InputError(f"no file {name}", f"a file relative to {candidates[0].parent} or one of {shipped}", "check the name")

@@ -1,0 +1,147 @@
+"""The nominal numbers of a vehicle on its rig, read from YAML and validated. SI units throughout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from vpptwin.errors import InputError
+from vpptwin.resources import find_model_file
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+
+
+class Section(BaseModel):
+    """A section of the vehicle file: immutable, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Airframe(Section):
+    """The craft itself: mass [kg], half_length hinge to rotor axis [m], inertia about the hinge [kg m^2]."""
+
+    mass: Positive
+    half_length: Positive
+    inertia: Positive
+
+
+class Rig(Section):
+    """The slide rail: masses [kg], rail_height, bearing_spacing and travel [m]."""
+
+    carriage_mass: NonNegative
+    slider_mass: NonNegative
+    rail_height: float
+    bearing_spacing: Positive
+    travel_x: tuple[float, float]
+    travel_z: tuple[float, float]
+
+
+class Rotor(Section):
+    """Propeller: governed speed [rad/s], k_t [N s/rad^2], k_d1 [N m s^2], k_d2, k_d3, inertia [kg m^2], pitch_max [rad]."""
+
+    speed: Positive
+    k_t: Positive
+    k_d1: NonNegative
+    k_d2: NonNegative
+    k_d3: NonNegative
+    inertia: Positive
+    pitch_max: Positive
+
+
+class Motor(Section):
+    """Motor: k_v [rad/s/V], k_q [A/(N m)], resistance [ohm], no_load_current [A], battery [V]."""
+
+    k_v: Positive
+    k_q: Positive
+    resistance: Positive
+    no_load_current: NonNegative
+    battery: Positive
+
+
+class Servo(Section):
+    """Pitch servo: time_constant [s] of the first-order lag."""
+
+    time_constant: Positive
+
+
+class Control(Section):
+    """Loops: rates [Hz], thrust_max [N], rate_max [rad/s], PD gains [N m s/rad, N m s^2/rad], gyro_filter per inner step."""
+
+    policy_rate: Positive
+    inner_rate: Positive
+    thrust_max: Positive
+    rate_max: Positive
+    rate_kp: NonNegative
+    rate_kd: NonNegative
+    gyro_filter: Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class MocapSensor(Section):
+    """Motion capture: rate [Hz], position_std [m], angle_std [rad]."""
+
+    rate: Positive
+    position_std: Positive
+    angle_std: Positive
+
+
+class ImuSensor(Section):
+    """IMU at the hinge: rate [Hz], gyro_std [rad/s], accel_std [m/s^2]."""
+
+    rate: Positive
+    gyro_std: Positive
+    accel_std: Positive
+
+
+class RotorSensor(Section):
+    """Rotor telemetry: rate [Hz], speed_std [rad/s], current_std [A]."""
+
+    rate: Positive
+    speed_std: Positive
+    current_std: Positive
+
+
+class Sensors(Section):
+    """Noise and rate of every sensor."""
+
+    mocap: MocapSensor
+    imu: ImuSensor
+    rotor: RotorSensor
+
+
+class Vehicle(Section):
+    """All nominal numbers of one vehicle; the believed values that control and scaling may use."""
+
+    gravity: Positive
+    airframe: Airframe
+    rig: Rig
+    rotor: Rotor
+    motor: Motor
+    servo: Servo
+    control: Control
+    sensors: Sensors
+
+
+def load_vehicle(path: Path | str | None = None) -> Vehicle:
+    """Read a vehicle file.
+
+    Args:
+        path: a YAML file; None for the shipped nominal vehicle.
+
+    Raises:
+        InputError: if the file is missing, is not YAML, or a number is absent, unknown or out of range.
+    """
+    file = find_model_file("vehicle.yaml") if path is None else Path(path)
+    try:
+        return Vehicle.model_validate(yaml.safe_load(file.read_text()))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{file}: {error}", "a vehicle YAML", "see models/vehicle.yaml for an example") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"])) or "the file"
+        raise InputError(
+            f"{file}: {key} = {first['input']!r}", first["msg"].lower(), "see models/vehicle.yaml for every key"
+        ) from error
