@@ -1,0 +1,22 @@
+"""The catalogue of physical effects: what the world may do that a simulation leaves out.
+
+One list serves the model, the identification's unknowns, the randomization's axes, the suspects of a diagnosis and
+the makers of hidden test data. This package imports nothing else of vpptwin.
+"""
+
+from vpptwin.effects.base import Effect, Site, Stage
+from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT, effects_for_rig, find_effect
+from vpptwin.effects.parameter import Parameter, Prior
+
+__all__ = [
+    "CATALOGUE",
+    "GENERIC_ACTUATOR",
+    "GENERIC_JOINT",
+    "Effect",
+    "Parameter",
+    "Prior",
+    "Site",
+    "Stage",
+    "effects_for_rig",
+    "find_effect",
+]

@@ -1,0 +1,62 @@
+"""The list of effects: one for the drone on its rig, and factories that give any joint and actuator its own."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+
+from vpptwin.effects import actuator, airframe, joint, rotor, timing
+from vpptwin.effects.base import Effect
+
+CATALOGUE: tuple[Effect, ...] = (
+    joint.coulomb("rail_x", "on the horizontal rail"),
+    joint.coulomb("rail_z", "on the vertical guide"),
+    joint.viscous("rail_x", "on the horizontal rail", others=("air.drag",)),
+    joint.viscous("rail_z", "on the vertical guide", others=("air.drag",)),
+    joint.bias("rail_x", "along the horizontal rail"),
+    joint.bias("rail_z", "along the vertical guide", others=("airframe.mass", "rotor.thrust_gain")),
+    *airframe.EFFECTS,
+    *rotor.EFFECTS,
+    *timing.EFFECTS,
+)
+"""Every effect of the drone on its rail rig (SPEC 5)."""
+
+GENERIC_JOINT: tuple[Callable[..., Effect], ...] = (joint.coulomb, joint.viscous, joint.bias)
+"""Factories that give joint j of any rig the effects j.coulomb, j.viscous and j.bias."""
+
+GENERIC_ACTUATOR: tuple[Callable[..., Effect], ...] = (actuator.gain, actuator.delay, actuator.lag)
+"""Factories that give actuator a of any rig the effects a.gain, a.delay and a.lag."""
+
+
+def effects_for_rig(
+    joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str], velocity_scale: float = 1.0
+) -> tuple[Effect, ...]:
+    """The generic effects of a rig that is not ours.
+
+    Args:
+        joints: name, whether it is rotary, and a typical force [N] or torque [N m] for each joint.
+        actuators: names.
+        velocity_scale: typical velocity [m/s or rad/s], which turns a typical force into a typical damping.
+    """
+    effects: list[Effect] = []
+    for name, rotary, scale in joints:
+        where = f"on joint {name}"
+        effects.append(joint.coulomb(name, where, rotary, scale))
+        effects.append(joint.viscous(name, where, rotary, scale / velocity_scale))
+        effects.append(joint.bias(name, where, rotary, scale))
+    for name in actuators:
+        effects.extend(factory(name, f"of actuator {name}") for factory in GENERIC_ACTUATOR)
+    return tuple(effects)
+
+
+def find_effect(effects: Iterable[Effect], effect_id: str) -> Effect:
+    """The effect of that id.
+
+    Raises:
+        KeyError: whose text names the closest ids there are.
+    """
+    known = {effect.id: effect for effect in effects}
+    if effect_id in known:
+        return known[effect_id]
+    close = difflib.get_close_matches(effect_id, known, n=3, cutoff=0.4) or sorted(known)
+    raise KeyError(", ".join(close))

@@ -1,0 +1,77 @@
+"""A physical parameter: what the fit bounds, the randomization draws and the diagnosis compares with its off value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Where a parameter is expected before any data, in the parameter's unit.
+
+    Attributes:
+        kind: `normal` (a = mean, b = standard deviation), `uniform` (a = low, b = high) or
+            `halfnormal` (a = start, b = scale; values lie at or above a).
+        a: first number of the distribution.
+        b: second number of the distribution.
+    """
+
+    kind: Literal["normal", "uniform", "halfnormal"]
+    a: float
+    b: float
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw `count` values, (count,)."""
+        if self.kind == "uniform":
+            return rng.uniform(self.a, self.b, count)
+        deviation = self.b * rng.standard_normal(count)
+        return self.a + (np.abs(deviation) if self.kind == "halfnormal" else deviation)
+
+    def __str__(self) -> str:
+        return f"{self.kind}({self.a:g}, {self.b:g})"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: the key in a twin YAML and in verdict.json.
+        unit: SI unit in plain text, "" for none.
+        off: value at which the effect does nothing: a rollout there is bit-equal to one without the effect.
+        low: physical lower bound.
+        high: physical upper bound.
+        prior: expectation before any data; the randomization draws from it.
+        size: step for secants and scale for optimizers: a physically typical size, not a numerical epsilon.
+        tolerance: deviation from off that a well-built rig may show unremarked; below it nothing is named.
+        nominal: dotted key of the vehicle file that holds the off value, "" when off is a constant.
+    """
+
+    name: str
+    unit: str
+    off: float
+    low: float
+    high: float
+    prior: Prior
+    size: float
+    tolerance: float = 0.0
+    nominal: str = ""
+
+    def with_off(self, off: float) -> Parameter:
+        """The same parameter with its off value taken from a vehicle file; a prior centred on it moves along."""
+        shift = off - self.off
+        prior = replace(
+            self.prior, a=self.prior.a + shift, b=self.prior.b + (shift if self.prior.kind == "uniform" else 0)
+        )
+        return replace(self, off=off, prior=prior, high=max(self.high, 2.0 * off))
+
+    def clip(self, value: np.ndarray) -> np.ndarray:
+        """Move values into the physical bounds."""
+        return np.clip(value, self.low, self.high)
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draw values from the prior inside the bounds, (count,)."""
+        return self.clip(self.prior.draw(rng, count))

@@ -1,0 +1,103 @@
+"""The MuJoCo model of a twin: compiled from MJCF with the vehicle's numbers applied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from vpptwin.effects import Effect, Site
+from vpptwin.errors import InputError
+from vpptwin.vehicle import Vehicle
+
+CRAFT_JOINTS = ("rail_x", "rail_z", "pitch")
+"""Joints of the drone in the order of its generalized coordinates x, z, θ."""
+
+
+def read_nominal(vehicle: Vehicle, key: str) -> float:
+    """The vehicle's number at a dotted key, e.g. `servo.time_constant`."""
+    value: object = reduce(getattr, key.split("."), vehicle)
+    if not isinstance(value, float):
+        raise KeyError(key)
+    return value
+
+
+def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
+    """Compile an MJCF, with masses, inertia, geometry, travel and gravity from the vehicle where there is one.
+
+    Raises:
+        InputError: if MuJoCo refuses the file, or a vehicle is given and the model lacks the drone's joints.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if vehicle is not None:
+            apply_vehicle(spec, vehicle, path)
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(
+            f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer"
+        ) from error
+    if model.nv == 0:
+        raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
+    return model
+
+
+def apply_vehicle(spec: mujoco.MjSpec, vehicle: Vehicle, path: Path) -> None:
+    """Write the vehicle's numbers into the specification of vpp_planar.xml, rail_rig.xml or a model like them."""
+    joints = {joint.name: joint for joint in spec.joints}
+    missing = [name for name in CRAFT_JOINTS if name not in joints]
+    if missing:
+        raise InputError(f"{path}: no joint {missing[0]}", "joints rail_x, rail_z and pitch", "leave out `vehicle`")
+    spec.option.gravity = [0.0, 0.0, -vehicle.gravity]
+    spec.option.timestep = 1.0 / vehicle.control.inner_rate
+    bodies = {body.name: body for body in spec.bodies}
+    craft = bodies["craft"]
+    craft.mass = vehicle.airframe.mass
+    craft.inertia = [craft.inertia[0], vehicle.airframe.inertia, craft.inertia[2]]
+    for site in spec.sites:
+        if site.name in ("rotor_1", "rotor_2"):
+            side = -1.0 if site.name == "rotor_1" else 1.0
+            site.pos = [side * vehicle.airframe.half_length, site.pos[1], site.pos[2]]
+    if "carriage" in bodies and "slider" in bodies:
+        bodies["carriage"].mass = vehicle.rig.carriage_mass
+        bodies["slider"].mass = vehicle.rig.slider_mass
+        joints["rail_x"].range = list(vehicle.rig.travel_x)
+        joints["rail_z"].range = list(vehicle.rig.travel_z)
+
+
+def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
+    """Name, whether rotary, and a typical force or torque of every joint with one degree of freedom.
+
+    The typical force accelerates what the joint carries by 10 m/s² or 30 rad/s²: an order of magnitude for bounds and
+    first steps of a fit, nothing finer.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    described = []
+    for i in range(model.njnt):
+        kind = model.jnt_type[i]
+        if kind not in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
+            continue
+        rotary = kind == mujoco.mjtJoint.mjJNT_HINGE
+        dof = model.jnt_dofadr[i]
+        described.append((model.joint(i).name, bool(rotary), float(inertia[dof, dof]) * (30.0 if rotary else 10.0)))
+    return described
+
+
+def locate_effect(model: mujoco.MjModel, effect: Effect, drone: bool) -> Site:
+    """Indices of the place in this model where an effect acts."""
+    joint_dof: Callable[[str], int] = lambda name: int(model.joint(name).dofadr[0])  # noqa: E731
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    actuators = {model.actuator(i).name: i for i in range(model.nu)}
+    craft = dict(zip(("x", "z", "pitch"), (joint_dof(name) for name in CRAFT_JOINTS))) if drone else {}
+    return Site(
+        dof=joint_dof(effect.target) if effect.target in joints else -1,
+        actuator=actuators.get(effect.target, -1),
+        body=int(model.body("craft").id) if drone else -1,
+        **craft,
+    )

@@ -1,0 +1,165 @@
+"""A twin on disk: a YAML file that names an MJCF, a vehicle, effects and, for other rigs, the signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
+from vpptwin.errors import InputError
+from vpptwin.resources import find_model_file
+from vpptwin.twin.model import compile_model, describe_joints, read_nominal
+from vpptwin.vehicle import Vehicle, load_vehicle
+
+EffectValues = dict[str, dict[str, float]]
+
+
+class Signals(BaseModel):
+    """Topics that carry a rig's joints and control inputs, by MJCF name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    joints: dict[str, str]
+    actuators: dict[str, str] = {}
+
+
+class TwinFile(BaseModel):
+    """The keys of a twin YAML (SPEC 4)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    model: str
+    vehicle: str | None = None
+    effects: dict[str, dict[str, float]] = {}
+    signals: Signals | None = None
+    provenance: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class TwinSpec:
+    """A validated twin: what to simulate, not yet a simulation.
+
+    Attributes:
+        name: how the user named it.
+        model_file: the MJCF.
+        model: the compiled model with the vehicle's numbers applied.
+        vehicle: nominal numbers of the drone; None for other rigs.
+        catalogue: every effect this rig can have, off values bound to the vehicle.
+        effects: what is switched on, id → parameter → value.
+        signals: topics of joints and actuators; None for the drone.
+    """
+
+    name: str
+    model_file: Path
+    model: mujoco.MjModel = field(repr=False)
+    vehicle: Vehicle | None
+    catalogue: tuple[Effect, ...] = field(repr=False)
+    effects: EffectValues
+    signals: Signals | None = None
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> TwinSpec:
+        """The same rig with other effects switched on."""
+        checked = check_effects(effects, self.catalogue, self.name)
+        return TwinSpec(self.name, self.model_file, self.model, self.vehicle, self.catalogue, checked, self.signals)
+
+    def value(self, effect: Effect, parameter: str) -> float:
+        """Value of a parameter in this twin: its off value when the effect is not switched on."""
+        return self.effects.get(effect.id, {}).get(parameter, effect.parameter(parameter).off)
+
+
+def check_effects(
+    effects: Mapping[str, Mapping[str, float]], catalogue: tuple[Effect, ...], source: str
+) -> EffectValues:
+    """Check ids, parameters and bounds; complete missing parameters with their off values.
+
+    Raises:
+        InputError: on an unknown id or parameter, or a value outside its physical bounds.
+    """
+    checked: EffectValues = {}
+    for effect_id, values in effects.items():
+        try:
+            effect = find_effect(catalogue, effect_id)
+        except KeyError as error:
+            raise InputError(
+                f"{source}: unknown effect {effect_id!r}",
+                f"an id such as {error.args[0]}",
+                "`vpptwin effects` lists all",
+            ) from error
+        names = [p.name for p in effect.parameters]
+        for name, value in values.items():
+            if name not in names:
+                raise InputError(f"{source}: {effect_id} has no parameter {name!r}", ", ".join(names), "rename it")
+            parameter = effect.parameter(name)
+            if not parameter.low <= value <= parameter.high:
+                bounds = f"{parameter.low:g} to {parameter.high:g} {parameter.unit}"
+                raise InputError(
+                    f"{source}: {effect_id}.{name} = {value:g} {parameter.unit}",
+                    f"{bounds} ({effect.equation}; off is {parameter.off:g})",
+                    "correct the value",
+                )
+        checked[effect_id] = {p.name: float(values.get(p.name, p.off)) for p in effect.parameters}
+    return checked
+
+
+def load_twin(name: str | Path = "nominal") -> TwinSpec:
+    """Read a twin.
+
+    Args:
+        name: `nominal` (the shipped rig, no effect switched on) or the path of a twin YAML.
+
+    Raises:
+        InputError: if the file, the MJCF or the vehicle is missing or wrong, or an effect is unknown or out of bounds.
+    """
+    if str(name) == "nominal":
+        return build_twin("nominal", TwinFile(model="rail_rig.xml", vehicle="vehicle.yaml"), Path.cwd())
+    path = Path(name)
+    try:
+        content = yaml.safe_load(path.read_text())
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: no YAML mapping", "keys model, vehicle, effects, signals", "see docs/twin.md")
+        return build_twin(str(name), TwinFile.model_validate(content), path.parent)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"no readable twin {path}", "`nominal` or a twin YAML", "check the path") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not YAML ({error})", "a twin YAML", "check its syntax") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"])) or "the file"
+        raise InputError(
+            f"{path}: {key}: {first['msg'].lower()}", "keys model, vehicle, effects, signals", "see docs/twin.md"
+        ) from error
+
+
+def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
+    """Resolve the files that a twin names, compile the model and check the effects."""
+    model_file = find_model_file(file.model, folder)
+    vehicle = load_vehicle(find_model_file(file.vehicle, folder)) if file.vehicle else None
+    model = compile_model(model_file, vehicle)
+    if vehicle is not None:
+        catalogue = tuple(effect.bind(lambda key: read_nominal(vehicle, key)) for effect in CATALOGUE)
+    else:
+        check_signals(name, model, file.signals)
+        actuators = [model.actuator(i).name for i in range(model.nu)]
+        catalogue = effects_for_rig(describe_joints(model), actuators)
+    return TwinSpec(
+        name, model_file, model, vehicle, catalogue, check_effects(file.effects, catalogue, name), file.signals
+    )
+
+
+def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
+    """Check that every signal names a joint or actuator of the MJCF."""
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    if signals is None:
+        raise InputError(
+            f"{name}: neither vehicle nor signals",
+            "signals that map joints and actuators to topics, as the rig is not ours",
+            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
+        )
+    for kind, given, known in (("joint", signals.joints, joints), ("actuator", signals.actuators, actuators)):
+        for key in given:
+            if key not in known:
+                raise InputError(f"{name}: signals name {kind} {key!r}", f"one of {', '.join(known)}", "rename it")
