@@ -57,12 +57,9 @@ format: $(STAMP) ## let ruff format and fix what it can
 	$(BIN)/ruff format .
 
 lock: $(STAMP) ## write constraints.txt anew from what .venv holds now
-	@{ sed '/^#/!d' constraints.txt; \
-		$(BIN)/python -m pip freeze --all --exclude-editable --exclude pip | sed -E 's/^(torch==[0-9.]+)\+.*$$/\1/'; \
-	} > constraints.txt.new
-	@mv constraints.txt.new constraints.txt
+	$(BIN)/python .ci/lock.py > constraints.txt.new
+	mv constraints.txt.new constraints.txt
 	@touch $(STAMP)
-	@git --no-pager diff --stat constraints.txt
 
 clean: ## remove what runs leave behind, keep .venv
 	rm -rf out runs outputs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis constraints.txt.new
