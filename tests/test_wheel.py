@@ -1,0 +1,100 @@
+"""The wheel, installed into an environment of its own: what a user gets from `pip install vpptwin`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import venv
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DEPENDENCIES = Path(np.__file__).parents[1]  # site-packages of this environment
+FIRST_EFFECTS = (
+    *(f"{joint}.{kind}" for joint in ("rail_x", "rail_z") for kind in ("coulomb", "viscous", "bias")),
+    *("airframe.mass", "airframe.inertia", "air.drag", "rotor.thrust_gain", "rotor.asymmetry"),
+    *("servo.lag", "command.delay", "mocap.delay"),
+)
+
+needs_cli = pytest.mark.skipif(not (ROOT / "vpptwin" / "cli.py").is_file(), reason="vpptwin/cli.py is not written yet")
+
+
+@dataclass(frozen=True)
+class Installation:
+    """A virtual environment that holds the wheel, and borrows every other package from the environment of the tests."""
+
+    folder: Path
+
+    def run(self, *command: str) -> subprocess.CompletedProcess[str]:
+        """Run a program of the environment from a folder outside the checkout."""
+        program = self.folder / "bin" / command[0]
+        clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+        return subprocess.run([program, *command[1:]], cwd=self.folder, env=clean, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel built from this checkout."""
+    out = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installation(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installation:
+    """A new environment with the wheel in it."""
+    folder = tmp_path_factory.mktemp("user") / "venv"
+    venv.create(folder, with_pip=False)
+    python = str(folder / "bin" / "python")
+    install = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*install, str(wheel)], check=True, capture_output=True)
+    # A path in a .pth file is searched last, and the .pth files that lie there (our editable install) are not read.
+    (site_packages,) = folder.glob("lib/python*/site-packages")
+    (site_packages / "dependencies.pth").write_text(f"{DEPENDENCIES}\n")
+    return Installation(folder)
+
+
+def test_wheel_holds_models_and_package(wheel: Path) -> None:
+    """The models and every module and data file of the package are in the wheel, and nothing of the tests."""
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {f"vpptwin/models/{name}" for name in ("rail_rig.xml", "vpp_planar.xml", "vehicle.yaml")} <= names
+    files = (path for path in (ROOT / "vpptwin").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    assert {path.relative_to(ROOT).as_posix() for path in files} <= names
+    assert all(name.startswith("vpptwin") for name in names)
+
+
+def test_wheel_runs_its_own_code(installation: Installation) -> None:
+    """Package and models come from the new environment, not from this checkout."""
+    script = "import vpptwin, vpptwin.resources as r; print(vpptwin.__file__, r.models_dir(), sep='\\n')"
+    done = installation.run("python", "-c", script)
+    assert done.returncode == 0, done.stderr
+    for path in done.stdout.split("\n")[:2]:
+        assert Path(path).is_relative_to(installation.folder)
+
+
+@needs_cli
+def test_installed_command_prints_the_catalogue(installation: Installation) -> None:
+    """`vpptwin effects` lists the effects."""
+    done = installation.run("vpptwin", "effects")
+    assert done.returncode == 0, done.stderr
+    missing = [effect for effect in FIRST_EFFECTS if effect not in done.stdout]
+    assert not missing
+
+
+@needs_cli
+def test_catalogue_needs_no_torch(installation: Installation) -> None:
+    """Who only diagnoses does not wait for torch: the command line works where it cannot be imported."""
+    script = (
+        "import sys; sys.modules['torch'] = None; sys.argv = ['vpptwin', 'effects']\n"
+        "from vpptwin.cli import main; sys.exit(main())"
+    )
+    done = installation.run("python", "-c", script)
+    assert done.returncode == 0, done.stderr
+    assert FIRST_EFFECTS[0] in done.stdout
