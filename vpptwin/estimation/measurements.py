@@ -1,0 +1,171 @@
+"""The measurements of one flight, sorted by the degree of freedom they measure, on any rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.spec import TwinSpec
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples of one quantity.
+
+    Attributes:
+        name: what it is, e.g. `x` or `pitch rate`.
+        unit: SI unit.
+        time: (n,) s, increasing.
+        value: (n,) or (n, k).
+        std: sensor noise of one sample, 1 sigma, in the unit.
+    """
+
+    name: str
+    unit: str
+    time: np.ndarray
+    value: np.ndarray
+    std: float
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What was measured and commanded on one flight.
+
+    Attributes:
+        name: file the flight came from.
+        positions: degree of freedom → position [m or rad].
+        velocities: degree of freedom → velocity [m/s or rad/s].
+        specific_force: accelerometer in body axes x, z, (n, 2) m/s²; None without one.
+        command: actuator commands (n, nu): blade pitch [rad] on the drone, control inputs elsewhere.
+        rotor_speed: measured speed (n, 2) rad/s; None where it was not measured.
+        delayed: degrees of freedom whose position comes from the motion capture.
+        start, end: span in which everything needed is there [s].
+    """
+
+    name: str
+    positions: dict[int, Series]
+    velocities: dict[int, Series]
+    specific_force: Series | None
+    command: Series
+    rotor_speed: Series | None
+    delayed: tuple[int, ...]
+    start: float
+    end: float
+
+    @property
+    def duration(self) -> float:
+        """Usable length of the flight [s]."""
+        return self.end - self.start
+
+
+def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
+    """Sort a flight's streams by degree of freedom.
+
+    Raises:
+        InputError: if the log lacks a topic, joint or actuator that the twin needs.
+    """
+    return read_drone(spec, flight) if spec.vehicle is not None else read_joints(spec, flight)
+
+
+def read_drone(spec: TwinSpec, flight: Flight) -> Measurements:
+    """Measurements of the drone on its rig (SPEC 3)."""
+    assert spec.vehicle is not None
+    flight.require("/mocap/pose", "/rotor/command")
+    sensors = spec.vehicle.sensors
+    pose, command = flight.streams["/mocap/pose"], flight.streams["/rotor/command"]
+    positions = {
+        0: Series("x", "m", pose.time, pose["x"], sensors.mocap.position_std),
+        1: Series("z", "m", pose.time, pose["z"], sensors.mocap.position_std),
+        2: Series("θ", "rad", pose.time, pose["theta"], sensors.mocap.angle_std),
+    }
+    velocities: dict[int, Series] = {}
+    specific_force = None
+    if (imu := flight.streams.get("/imu/data")) is not None:
+        velocities[2] = Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)
+        force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
+        specific_force = Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
+    rotor_speed = None
+    if (rotor := flight.streams.get("/rotor/state")) is not None:
+        rotor_speed = Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std)
+    commands = Series("blade pitch", "rad", command.time, command["blade_pitch"], 0.0)
+    series = [*positions.values(), *velocities.values(), commands, *([rotor_speed] if rotor_speed else [])]
+    start, end = common_span(series)
+    return Measurements(
+        flight.path.name, positions, velocities, specific_force, commands, rotor_speed, (0, 1, 2), start, end
+    )
+
+
+def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
+    """Measurements of another rig: the joint states and control inputs that the twin's `signals` name."""
+    assert spec.signals is not None
+    positions: dict[int, Series] = {}
+    velocities: dict[int, Series] = {}
+    for joint, topic in spec.signals.joints.items():
+        stream = find_joint(flight, topic, joint)
+        dof = int(spec.model.joint(joint).dofadr[0])
+        rotary = int(spec.model.joint(joint).type[0]) == 3
+        length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
+        if "position" not in stream.values:
+            raise InputError(
+                f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+            )
+        position = stream["position"]
+        positions[dof] = Series(joint, length, stream.time, position, estimate_noise(position, length))
+        if "velocity" in stream.values:
+            velocity = stream["velocity"]
+            velocities[dof] = Series(f"{joint} rate", unit, stream.time, velocity, estimate_noise(velocity, unit))
+    command = read_efforts(spec, flight, spec.signals.actuators)
+    start, end = common_span([*positions.values(), command])
+    return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end)
+
+
+def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
+    """Control inputs of all actuators on one time axis, held between samples; unlogged actuators stay at zero."""
+    streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
+    if not streams:
+        return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)
+    time = np.unique(np.concatenate([s.time for s in streams.values()]))
+    time = time[time >= max(s.time[0] for s in streams.values())]
+    value = np.zeros((len(time), spec.model.nu))
+    for name, stream in streams.items():
+        if "effort" not in stream.values:
+            raise InputError(
+                f"{flight.path}: no effort of actuator {name!r} on {actuators[name]}",
+                "`effort` = control input in the JointState", "record it or correct `signals`",
+            )  # fmt: skip
+        held = np.searchsorted(stream.time, time, side="right") - 1
+        value[:, spec.model.actuator(name).id] = stream["effort"][held]
+    return Series("control", "", time, value, 0.0)
+
+
+def find_joint(flight: Flight, topic: str, name: str) -> Stream:
+    """The stream of a joint or actuator on a JointState topic."""
+    joints = flight.joints.get(topic)
+    if joints is None:
+        known = ", ".join(flight.joints) or "no JointState topic at all"
+        raise InputError(f"{flight.path}: no topic {topic}", f"it in the log, which has {known}", "correct `signals`")
+    if name not in joints:
+        raise InputError(f"{flight.path}: {topic} has no {name!r}", f"one of {', '.join(joints)}", "correct `signals`")
+    return joints[name]
+
+
+def common_span(series: list[Series]) -> tuple[float, float]:
+    """Span in which all series have samples [s]."""
+    return max(float(s.time[0]) for s in series), min(float(s.time[-1]) for s in series)
+
+
+def estimate_noise(value: np.ndarray, unit: str) -> float:
+    """Noise of one sample from third differences, which remove what is smooth; floors keep quantised signals sane.
+
+    Args:
+        value: samples, (n,).
+        unit: m, rad, m/s or rad/s.
+    """
+    floor = {"m": 2e-4, "rad": 5e-4, "m/s": 2e-3, "rad/s": 5e-3}[unit]
+    if len(value) < 8:
+        return floor
+    spread = np.median(np.abs(np.diff(value, 3))) / 0.6745 / np.sqrt(20.0)
+    return float(max(spread, floor))

@@ -1,0 +1,79 @@
+"""A whole flight replayed in the twin: driven by the log's commands, restarted every so often from an estimated state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.estimation.measurements import read_measurements
+from vpptwin.estimation.windows import cut_windows, simulate_windows
+from vpptwin.logs.flight import Flight
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
+
+RATE = 100.0
+"""Samples per second of a prediction [Hz]."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the twin did under a log's commands.
+
+    Attributes:
+        time: (T,) s on the flight's clock.
+        qpos: (T, nv) m, rad.
+        qvel: (T, nv) m/s, rad/s.
+        blade_pitch: command as the servos see it, (T, nu) rad (control input on other rigs).
+        rotor_speed: (T, nu) rad/s; nominal where it was not measured.
+        restarts: (R,) s, instants at which the twin was put back to the estimated state.
+    """
+
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    blade_pitch: np.ndarray
+    rotor_speed: np.ndarray
+    restarts: np.ndarray
+
+
+def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5) -> Prediction:
+    """Drive the twin with a flight's logged commands.
+
+    Args:
+        spec: the twin.
+        flight: the log.
+        restart: seconds between restarts from a state estimated without looking ahead; None runs freely from the start.
+
+    Raises:
+        InputError: if the flight is shorter than one restart interval.
+    """
+    measurements = read_measurements(spec, flight)
+    begin = measurements.start + 0.2
+    available = measurements.end - begin
+    length = available if restart is None else restart
+    if available < length or available < 0.1:
+        raise InputError(
+            f"{flight.path}: {measurements.duration:.2f} s of usable flight",
+            f"at least {length + 0.2:.2f} s",
+            "log longer",
+        )
+    starts = begin + length * np.arange(int(available / length + 1e-9))
+    windows = cut_windows(spec, measurements, starts, length, causal=True)
+    twin = Twin(spec, len(windows))
+    pose, velocity = simulate_windows(twin, windows)
+    every = max(round(1.0 / (RATE * windows.dt)), 1)
+    picked = slice(0, windows.steps, every)
+    time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]
+    nominal = spec.vehicle.rotor.speed if spec.vehicle is not None else 0.0
+    speed = np.full_like(windows.command, nominal) if windows.rotor_speed is None else windows.rotor_speed
+    nv, nu = spec.model.nv, spec.model.nu
+    return Prediction(
+        time=time.reshape(-1),
+        qpos=pose[:, :-1][:, picked].reshape(-1, nv),
+        qvel=velocity[:, :-1][:, picked].reshape(-1, nv),
+        blade_pitch=windows.command[:, picked].reshape(-1, nu),
+        rotor_speed=speed[:, picked].reshape(-1, nu),
+        restarts=starts,
+    )

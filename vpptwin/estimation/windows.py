@@ -1,0 +1,149 @@
+"""Short stretches of a flight, each with the commands that drive the twin through it and the state it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vpptwin.estimation.initial import estimate_states
+from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
+
+WARM_UP = 0.15
+"""Past commands run through the actuators before a window, so that they start where they were [s]."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """K windows of equal length, possibly from several flights.
+
+    Attributes:
+        flight: index of each window's flight, (K,).
+        start: start time on its flight's clock, (K,) s.
+        steps: inner steps in a window.
+        dt: inner step [s].
+        warm: past commands, (K, warm steps, nu).
+        command: actuator commands, mean over each step, (K, steps, nu).
+        rotor_speed: measured rotor speed, mean over each step, (K, steps, 2); None where it was not measured.
+        pose: estimated pose at the start, (K, nv).
+        velocity: estimated velocity at the start, (K, nv).
+    """
+
+    flight: np.ndarray
+    start: np.ndarray
+    steps: int
+    dt: float
+    warm: np.ndarray
+    command: np.ndarray
+    rotor_speed: np.ndarray | None
+    pose: np.ndarray
+    velocity: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of windows."""
+        return len(self.start)
+
+    def take(self, ids: np.ndarray) -> Windows:
+        """Some of the windows; repeats are allowed."""
+        speed = None if self.rotor_speed is None else self.rotor_speed[ids]
+        return replace(
+            self,
+            flight=self.flight[ids],
+            start=self.start[ids],
+            warm=self.warm[ids],
+            command=self.command[ids],
+            rotor_speed=speed,
+            pose=self.pose[ids],
+            velocity=self.velocity[ids],
+        )
+
+
+def average_held(series: Series, edges: np.ndarray) -> np.ndarray:
+    """Mean over each cell between neighbouring `edges` (K, n + 1) of a value held from sample to sample, (K, n, nu)."""
+    value = series.value[:, None] if series.value.ndim == 1 else series.value
+    steps = np.diff(series.time)[:, None] * value[:-1]
+    area = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(steps, axis=0)])
+    index = np.clip(np.searchsorted(series.time, edges, side="right") - 1, 0, len(series.time) - 1)
+    until = area[index] + (edges - series.time[index])[..., None] * value[index]
+    return np.diff(until, axis=1) / np.diff(edges, axis=1)[..., None]
+
+
+def average_sampled(series: Series, edges: np.ndarray) -> np.ndarray:
+    """Mean over each cell of a quantity sampled at instants, by the trapezoid between samples, (K, n, k)."""
+    columns = [np.interp(edges, series.time, series.value[:, i]) for i in range(series.value.shape[1])]
+    at_edges = np.stack(columns, axis=-1)
+    return 0.5 * (at_edges[:, 1:] + at_edges[:, :-1])
+
+
+def cut_windows(
+    spec: TwinSpec,
+    measurements: Measurements,
+    starts: np.ndarray,
+    length: float,
+    causal: bool,
+    flight: int = 0,
+) -> Windows:
+    """Cut windows out of one flight.
+
+    Args:
+        spec: the twin that will be driven through them.
+        measurements: the flight.
+        starts: (K,) s on the flight's clock.
+        length: s.
+        causal: estimate the starting states from the past only.
+        flight: index to remember the flight by.
+    """
+    dt = float(spec.model.opt.timestep)
+    steps, warm = round(length / dt), round(WARM_UP / dt)
+    edges = starts[:, None] + dt * np.arange(-warm, steps + 1)
+    command = average_held(measurements.command, edges)
+    speed = None
+    if measurements.rotor_speed is not None:
+        speed = average_sampled(measurements.rotor_speed, edges[:, warm:])
+    gravity = -float(spec.model.opt.gravity[2])
+    pose, velocity = estimate_states(measurements, starts, spec.model.nv, gravity, causal)
+    return Windows(
+        flight=np.full(len(starts), flight),
+        start=starts,
+        steps=steps,
+        dt=dt,
+        warm=command[:, :warm],
+        command=command[:, warm:],
+        rotor_speed=speed,
+        pose=pose,
+        velocity=velocity,
+    )
+
+
+def join_windows(parts: list[Windows]) -> Windows:
+    """All windows of several flights as one set."""
+    speeds = [part.rotor_speed for part in parts]
+    known = [speed for speed in speeds if speed is not None]
+    return replace(
+        parts[0],
+        flight=np.concatenate([p.flight for p in parts]),
+        start=np.concatenate([p.start for p in parts]),
+        warm=np.concatenate([p.warm for p in parts]),
+        command=np.concatenate([p.command for p in parts]),
+        rotor_speed=np.concatenate(known) if len(known) == len(parts) else None,
+        pose=np.concatenate([p.pose for p in parts]),
+        velocity=np.concatenate([p.velocity for p in parts]),
+    )
+
+
+def simulate_windows(twin: Twin, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Drive a twin of len(windows) simulations through the windows.
+
+    Returns:
+        Pose and velocity at the start and after every step, both at that very time, (K, steps + 1, nv).
+    """
+    start = twin.initial_state(qpos=twin.pose_for_engine(windows.pose, windows.velocity), qvel=windows.velocity)
+    layer = replace(start.actuators, output=windows.warm[:, 0].copy())
+    history = np.repeat(windows.warm[:, :1], layer.history.shape[1], axis=1)
+    start = replace(start, actuators=twin.warm_up(replace(layer, history=history), windows.warm))
+    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed)
+    velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
+    pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
+    return pose, velocity
