@@ -1,0 +1,149 @@
+"""Checkpoints: one torch file of tensors and plain data that `weights_only` loading accepts, written atomically."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.trainers import Trainer, TrainerHookBase
+
+import vpptwin
+from vpptwin.errors import InputError
+from vpptwin.train.config import TrainConfig, to_config, to_plain
+from vpptwin.train.env import VppEnv
+from vpptwin.train.networks import Policy
+from vpptwin.train.observe import observation_size
+
+KIND, FORMAT = "vpptwin policy", 1
+FILE_NAME = "checkpoint.pt"
+RECORDED = ("vpptwin", "torch", "torchrl", "tensordict", "mujoco", "numpy")
+TRAIN_AGAIN = "train one with `vpptwin train task=hover`"
+
+
+def find_commit() -> str:
+    """Commit of the checkout this package runs from; "unknown" for an installed one."""
+    folder = Path(vpptwin.__file__).resolve().parent.parent
+    if not (folder / ".git").exists():
+        return "unknown"
+    command = ["git", "-C", str(folder), "rev-parse", "HEAD"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def find_versions() -> dict[str, str]:
+    """Versions of the packages that a run depends on."""
+    versions = {}
+    for name in RECORDED:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "unknown"
+    return versions
+
+
+def write_checkpoint(
+    path: Path, config: TrainConfig, policy: Policy, steps: int, training: dict[str, Any] | None = None
+) -> None:
+    """Write a policy and, for resuming, the state of its training; the old file stays until the new one is complete."""
+    content = {
+        "kind": KIND, "format": FORMAT, "commit": find_commit(), "versions": find_versions(), "config": to_plain(config),
+        "steps": steps, "policy": policy.state_dict(), "training": training,
+    }  # fmt: skip
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        torch.save(content, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_checkpoint(path: Path | str) -> dict[str, Any]:
+    """Content of a checkpoint file, or of the one in a run's folder.
+
+    Raises:
+        InputError: if there is none, it is damaged, something else, or of another format.
+    """
+    file = Path(path)
+    file = file / FILE_NAME if file.is_dir() else file
+    if not file.is_file():
+        raise InputError(f"no checkpoint {file}", "a checkpoint or the folder of a run", TRAIN_AGAIN)
+    try:
+        content = torch.load(file, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises half a dozen unrelated types on foreign bytes
+        raise InputError(f"{file} is not a checkpoint", "a file that `vpptwin train` wrote", TRAIN_AGAIN) from error
+    if not isinstance(content, dict) or content.get("kind") != KIND:
+        raise InputError(f"{file} is another kind of torch file", "a file that `vpptwin train` wrote", TRAIN_AGAIN)
+    if content.get("format") != FORMAT:
+        by = content.get("versions", {}).get("vpptwin", "unknown")
+        found = f"{file} has checkpoint format {content.get('format')} of vpptwin {by}"
+        raise InputError(found, f"format {FORMAT}", f"use that version, or {TRAIN_AGAIN}")
+    return content
+
+
+def build_policy(content: dict[str, Any], source: object) -> tuple[Policy, TrainConfig]:
+    """The policy in a checkpoint's content and the configuration it was trained with.
+
+    Raises:
+        InputError: if the weights do not fit the network that the configuration describes.
+    """
+    config = to_config(content["config"])
+    policy = make_policy(config)
+    try:
+        policy.load_state_dict(content["policy"])
+    except RuntimeError as error:
+        found = f"{source}: weights of another architecture than hidden={config.hidden}"
+        raise InputError(found, "the network that its configuration describes", TRAIN_AGAIN) from error
+    return policy.eval(), config
+
+
+def make_policy(config: TrainConfig) -> Policy:
+    """An untrained policy of the configured size."""
+    return Policy(observation_size(config.paper_inputs), (config.hidden[0], config.hidden[1]))
+
+
+class SaveCheckpoint(TrainerHookBase):
+    """Writes a checkpoint every so many steps and after the last one.
+
+    Args:
+        path: of the file.
+        config: of the run.
+        policy: what is trained.
+        env: whose simulations are saved too, so that a resumed run continues as if never interrupted.
+    """
+
+    def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: VppEnv) -> None:
+        self.path, self.config, self.policy, self.env = path, config, policy, env
+        self.trainer: Trainer | None = None
+        self.saved = 0
+
+    def __call__(self, batch: object = None) -> None:
+        """Save if it is time."""
+        assert self.trainer is not None
+        steps = self.trainer.collected_frames
+        if steps - self.saved < self.config.checkpoint_every and steps < self.trainer.total_frames:
+            return
+        self.saved = steps
+        training = {
+            "trainer": self.trainer.state_dict(), "env": self.env.snapshot(), "torch_random": torch.get_rng_state(),
+        }  # fmt: skip
+        write_checkpoint(self.path, self.config, self.policy, steps, training)
+
+    def register(self, trainer: Trainer, name: str = "save_checkpoint") -> None:
+        """Run as the last thing of every batch."""
+        self.trainer = trainer
+        trainer.register_op("post_steps_log", self)
+        trainer.register_module(name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """When it last saved."""
+        return {"saved": self.saved}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continue counting from a saved run."""
+        self.saved = state_dict["saved"]

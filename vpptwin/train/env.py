@@ -1,0 +1,263 @@
+"""The twin as a batched TorchRL environment. Stepping copies in and out; nothing of it is shared with its outputs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from vpptwin.errors import InputError
+from vpptwin.actuators.layer import ActuatorState
+from vpptwin.train.config import TrainConfig
+from vpptwin.train.observe import accumulate_error, observation_size, observe, sensor_noise
+from vpptwin.train.randomize import randomize
+from vpptwin.train.reward import compute_reward
+from vpptwin.train.tasks import Task
+from vpptwin.twin import Twin, TwinState, load_twin
+from vpptwin.twin.spec import check_effects
+
+
+@dataclass
+class Episodes:
+    """What evolves besides the twin, one row per simulation; arrays are replaced or written by row, never handed out.
+
+    Attributes:
+        target: x, z, θ, (N, 3) m, m, rad.
+        integral: Γ, (N, 2) m.
+        elapsed: (N,) s.
+        switch: when the target's angle changes next, (N,) s.
+        total: sum of rewards so far, (N,).
+        observation: last one given out, (N, 11) or (N, 9).
+    """
+
+    target: np.ndarray
+    integral: np.ndarray
+    elapsed: np.ndarray
+    switch: np.ndarray
+    total: np.ndarray
+    observation: np.ndarray
+
+
+class VppEnv(EnvBase):
+    """N drones on their rails flying one task, at the policy rate.
+
+    Besides observation, reward and the done flags every step reports `position_error` [m] and `episode_return`, (N, 1).
+    An action (thrust, rate) in [-1, 1] is scaled with the vehicle's believed limits.
+
+    Args:
+        twin: simulates the N rigs; `randomized` effects have to be switched on in it.
+        task: what to fly.
+        seed: of initial states, targets, noise and randomization.
+        noise: multiplies the standard deviations of the vehicle's sensors; 0 for perfect ones.
+        randomized: ids of effects whose parameters are drawn from their priors at every reset.
+        paper_inputs: observe the paper's nine inputs, without the target's angle.
+        desynchronize: start the first episodes at random clock times, so that not all end together.
+
+    Attributes:
+        faults: number of simulations so far that went non-finite and were started afresh.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        twin: Twin,
+        task: Task,
+        seed: int = 0,
+        noise: float = 0.0,
+        randomized: Sequence[str] = (),
+        paper_inputs: bool = False,
+        desynchronize: bool = False,
+    ) -> None:
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
+        self.twin, self.task, self.faults = twin, task, 0
+        self.noise, self.randomized, self.paper_inputs = noise, tuple(randomized), paper_inputs
+        control = twin.vehicle.control
+        self._scale = np.array([control.thrust_max, control.rate_max])
+        self._period = 1.0 / control.policy_rate
+        self._noise_std = sensor_noise(twin.vehicle)
+        self._desynchronize = self._first = desynchronize
+        self._restored = False
+        self._rng = np.random.default_rng(seed)
+        n = twin.num_sims
+        self.state = twin.initial_state()
+        self.episodes = Episodes(
+            *(np.zeros((n, k)) for k in (3, 2)),
+            *(np.zeros(n) for _ in range(3)),
+            np.zeros((n, observation_size(paper_inputs)), np.float32),
+        )
+        self._make_specs(n)
+
+    def _make_specs(self, n: int) -> None:
+        def scalar(dtype: torch.dtype) -> Unbounded:
+            return Unbounded(shape=(n, 1), dtype=dtype)
+
+        self.observation_spec = Composite(
+            observation=Unbounded(shape=(n, observation_size(self.paper_inputs)), dtype=torch.float32),
+            position_error=scalar(torch.float32),
+            episode_return=scalar(torch.float32),
+            shape=(n,),
+        )
+        self.action_spec = Bounded(-1.0, 1.0, shape=(n, 2), dtype=torch.float32)
+        self.reward_spec = scalar(torch.float32)
+        flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(**flags, shape=(n,))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything that evolves here as tensors and plain data, for `restore`."""
+        records = {"state": self.state, "actuators": self.state.actuators, "episodes": self.episodes}
+        drawn = {e: {p.name: self.twin.parameter(e, p.name) for p in self.twin.effects[e].parameters} for e in self.randomized}
+        return {
+            **{name: to_tensors(vars(record)) for name, record in records.items()},
+            "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
+            "random": json.dumps(self._rng.bit_generator.state),
+            "faults": self.faults,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Continue from a snapshot: the next full reset hands out its observation instead of drawing new episodes."""
+        for effect, values in snapshot["parameters"].items():
+            for name, value in values.items():
+                self.twin.set_parameter(effect, name, value.numpy())
+        actuators = ActuatorState(**to_arrays(snapshot["actuators"]))
+        self.state = TwinState(**to_arrays(snapshot["state"]), actuators=actuators)
+        self.episodes = Episodes(**to_arrays(snapshot["episodes"]))
+        self._rng.bit_generator.state = json.loads(snapshot["random"])
+        self.faults, self._first, self._restored = snapshot["faults"], False, True
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._first = self._desynchronize
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        false = np.zeros(self.twin.num_sims, dtype=bool)
+        mask = tensordict.get("_reset", None) if tensordict is not None else None
+        if self._restored and mask is None:
+            self._restored = False
+            return self._pack(false, false)
+        ids = np.arange(self.twin.num_sims) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
+        self._begin(ids)
+        if self._first:
+            self._first = False
+            self.episodes.elapsed[ids] = self._rng.uniform(0.0, self.task.episode, len(ids))
+            self.episodes.switch[ids] += self.episodes.elapsed[ids]
+        return self._pack(false, false)
+
+    def _begin(self, ids: np.ndarray) -> None:
+        """Start new episodes in the rows `ids`; the other rows stay as they are."""
+        rng, episodes, task = self._rng, self.episodes, self.task
+        if self.randomized:
+            randomize(self.twin, self.randomized, ids, rng)
+        target = task.target.draw(rng, len(ids))
+        pose, velocity = task.start.draw(rng, target)
+        qpos, qvel = np.zeros_like(self.state.qpos), np.zeros_like(self.state.qvel)
+        qpos[ids], qvel[ids] = pose, velocity
+        self.state = self.state.replace_rows(ids, self.twin.initial_state(qpos, qvel).take(ids))
+        episodes.target[ids] = target
+        episodes.switch[ids] = task.target.draw_dwell(rng, len(ids))
+        episodes.integral[ids] = episodes.elapsed[ids, None] = episodes.total[ids] = 0.0
+        self._measure(ids)
+
+    def _measure(self, ids: np.ndarray) -> None:
+        """Advance the integral and take a fresh observation in the rows `ids`."""
+        episodes = self.episodes
+        pose, velocity = self.state.qpos[ids], self.state.qvel[ids]
+        if self.noise:
+            pose = pose + self.noise * self._noise_std[0] * self._rng.standard_normal(pose.shape)
+            velocity = velocity + self.noise * self._noise_std[1] * self._rng.standard_normal(velocity.shape)
+        target = episodes.target[ids]
+        integral = accumulate_error(episodes.integral[ids], (target - pose)[:, :2])
+        episodes.integral[ids] = integral
+        episodes.observation[ids] = observe(pose, velocity, target, integral, self.paper_inputs)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = np.clip(tensordict.get("action").detach().numpy().astype(np.float64), -1.0, 1.0)
+        self.state = self.twin.step_policy(self.state, action * self._scale, self._period)
+        broken = ~finite_rows(self.state)
+        if broken.any():
+            self.faults += int(broken.sum())
+            self._begin(np.flatnonzero(broken))
+        episodes, task = self.episodes, self.task
+        episodes.elapsed += self._period
+        self._switch_targets()
+        self._measure(np.flatnonzero(~broken))
+        pose, velocity = self.state.qpos, self.state.qvel
+        reward = compute_reward(task.weights, episodes.target - pose, velocity, episodes.integral)
+        reward[broken] = 0.0
+        episodes.total += reward
+        terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
+        truncated = (episodes.elapsed > task.episode - 0.5 * self._period) & ~terminated
+        result = self._pack(terminated, truncated)
+        result["reward"] = as_column(reward)
+        return result
+
+    def _switch_targets(self) -> None:
+        episodes, target = self.episodes, self.task.target
+        ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
+        if len(ids):
+            episodes.target[ids, 2] = target.draw_other_angle(self._rng, episodes.target[ids, 2])
+            episodes.switch[ids] += target.draw_dwell(self._rng, len(ids))
+
+    def _pack(self, terminated: np.ndarray, truncated: np.ndarray) -> TensorDict:
+        """Fresh tensors of what an agent sees now."""
+        error = np.linalg.norm((self.episodes.target - self.state.qpos)[:, :2], axis=1)
+        return TensorDict(
+            {
+                "observation": torch.from_numpy(self.episodes.observation.copy()),
+                "position_error": as_column(error),
+                "episode_return": as_column(self.episodes.total),
+                "terminated": torch.from_numpy(terminated[:, None].copy()),
+                "truncated": torch.from_numpy(truncated[:, None].copy()),
+                "done": torch.from_numpy((terminated | truncated)[:, None]),
+            },
+            batch_size=self.batch_size,
+        )
+
+
+def as_column(values: np.ndarray) -> torch.Tensor:
+    """(N,) numbers as a fresh (N, 1) float32 tensor."""
+    return torch.from_numpy(values.astype(np.float32)[:, None])
+
+
+def finite_rows(state: TwinState) -> np.ndarray:
+    """Which simulations hold only finite numbers, (N,) bool."""
+    finite = np.ones(len(state.time), dtype=bool)
+    for record in (state, state.actuators):
+        for field in fields(record):
+            values = getattr(record, field.name)
+            if isinstance(values, np.ndarray):
+                finite &= np.isfinite(values).reshape(len(finite), -1).all(axis=1)
+    return finite
+
+
+def to_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Copies of the arrays among the values, as tensors."""
+    return {name: torch.tensor(value) for name, value in arrays.items() if isinstance(value, np.ndarray)}
+
+
+def to_arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """Copies as arrays."""
+    return {name: value.numpy().copy() for name, value in tensors.items()}
+
+
+def make_env(config: TrainConfig) -> VppEnv:
+    """The environment of a run.
+
+    Raises:
+        InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
+    """
+    spec = load_twin(config.twin)
+    if spec.vehicle is None:
+        raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
+    check_effects({effect: {} for effect in config.randomize}, spec.catalogue, "randomize")
+    twin = Twin(spec, config.num_envs, active=config.randomize, num_threads=config.threads)
+    return VppEnv(
+        twin, config.task, config.seed, config.noise, config.randomize, config.paper_inputs, config.desynchronize
+    )

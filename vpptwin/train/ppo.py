@@ -1,0 +1,100 @@
+"""PPO assembled from TorchRL: collector, clipped loss, generalized advantages, trainer and its hooks."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.collectors import Collector
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from torchrl.record import CSVLogger
+from torchrl.trainers import LRSchedulerHook
+from torchrl.trainers.algorithms import PPOTrainer
+
+from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, make_policy
+from vpptwin.train.config import TrainConfig
+from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
+from vpptwin.train.observe import observation_size
+from vpptwin.train.progress import EpisodeStatistics, ProgressBar
+from vpptwin.train.updates import Advantages, ExplorationRamp, Minibatches
+
+VALUE_SCALE = 10.0
+"""Value of resting on the target for ever, in the critic's units: rewards are scaled to it."""
+
+
+@dataclass
+class Training:
+    """The parts of a run that are put together.
+
+    Attributes:
+        trainer: TorchRL's trainer, ready to `train()`.
+        env: what it collects from.
+        policy: what it trains.
+        statistics: running means of finished episodes.
+        bar: the progress bar.
+    """
+
+    trainer: PPOTrainer
+    env: VppEnv
+    policy: Policy
+    statistics: EpisodeStatistics
+    bar: ProgressBar
+
+
+def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | None = None) -> Training:
+    """Put a run together.
+
+    Args:
+        config: of the run.
+        folder: where logs and checkpoints go.
+        saved: content of the checkpoint to continue from.
+
+    Raises:
+        InputError: if the twin or an effect is unknown, or `saved` does not fit the configuration.
+    """
+    torch.set_num_threads(config.threads)
+    torch.manual_seed(config.seed)
+    env = make_env(config)
+    policy = make_policy(config)
+    exploration = Exploration(policy, config.exploration.at(0.0))
+    actor = make_actor(exploration)
+    critic = make_critic(observation_size(config.paper_inputs), tuple(config.critic_hidden))
+    if saved is not None:
+        # Before the collector exists, which resets the environment as it is made.
+        env.restore(saved["training"]["env"])
+    batch = config.num_envs * config.rollout
+    collector = Collector(env, actor, frames_per_batch=batch, total_frames=-1)
+    loss = ClipPPOLoss(
+        actor, critic, clip_epsilon=config.clip, entropy_bonus=False, critic_coeff=config.critic_weight,
+        loss_critic_type="l2", functional=False,
+    )  # fmt: skip
+    optimizer = torch.optim.Adam(loss.parameters(), lr=config.learning_rate.start)
+    ramp, batches = config.learning_rate, -(-config.total_steps // batch)
+    scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: ramp.at(n / batches) / ramp.start)
+    gae = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=critic, average_gae=True, vectorized=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PPOTrainer announces that it is a prototype
+        trainer = PPOTrainer(
+            collector=collector, total_frames=config.total_steps, frame_skip=1, optim_steps_per_batch=None,
+            loss_module=loss, optimizer=optimizer, num_epochs=config.epochs, clip_norm=config.max_grad_norm,
+            gae=Advantages(gae, (1.0 - config.gamma) * VALUE_SCALE / config.task.weights.best),
+            logger=CSVLogger("log", log_dir=str(folder)), log_interval=0, enable_logging=False, progress_bar=False,
+        )  # fmt: skip
+    statistics = EpisodeStatistics(env)
+    bar = ProgressBar(statistics, config.progress)
+    Minibatches(config.minibatch).register(trainer)
+    statistics.register(trainer)
+    LRSchedulerHook(scheduler).register(trainer)
+    ExplorationRamp(exploration, config.exploration).register(trainer)
+    bar.register(trainer)
+    SaveCheckpoint(folder / FILE_NAME, config, policy, env).register(trainer)
+    if saved is not None:
+        trainer.load_state_dict(saved["training"]["trainer"])
+        exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))
+        torch.set_rng_state(saved["training"]["torch_random"])
+    return Training(trainer, env, policy, statistics, bar)

@@ -1,0 +1,119 @@
+"""Hooks that tell how training goes: statistics of finished episodes and a progress bar."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.trainers import Trainer, TrainerHookBase
+from tqdm import tqdm
+
+from vpptwin.train.env import VppEnv
+
+MEMORY = 200
+"""Episodes that the running statistics cover."""
+
+
+class EpisodeStatistics(TrainerHookBase):
+    """Running means over the last finished episodes, logged with every batch.
+
+    Logs `return` (reward per step of whole episodes), `error_m` (distance at the end of those that did not fail),
+    `failures` (share) and `faults` (simulations gone non-finite, counted from the start).
+
+    Args:
+        env: whose faults are reported.
+    """
+
+    def __init__(self, env: VppEnv) -> None:
+        self.env = env
+        self.returns: deque[float] = deque(maxlen=MEMORY)
+        self.errors: deque[float] = deque(maxlen=MEMORY)
+        self.failed: deque[float] = deque(maxlen=MEMORY)
+
+    def __call__(self, batch: TensorDictBase) -> dict[str, float]:
+        """Statistics up to and including the batch (N, T)."""
+        last = batch["next"]
+        done, terminated = last["done"], last["terminated"]
+        self.returns.extend(last["episode_return"][done].tolist())
+        self.failed.extend(terminated[done].float().tolist())
+        self.errors.extend(last["position_error"][done & ~terminated].tolist())
+        return {
+            "reward": float(last["reward"].mean()),
+            "return": mean(self.returns),
+            "error_m": mean(self.errors),
+            "failures": mean(self.failed),
+            "faults": float(self.env.faults),
+        }
+
+    def register(self, trainer: Trainer, name: str = "episode_statistics") -> None:
+        """Run on every collected batch."""
+        trainer.register_op("pre_steps_log", self)
+        trainer.register_module(name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The episodes remembered."""
+        return {key: list(getattr(self, key)) for key in ("returns", "errors", "failed")}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Remember the episodes of a saved run."""
+        for key, values in state_dict.items():
+            setattr(self, key, deque(values, maxlen=MEMORY))
+
+
+class ProgressBar(TrainerHookBase):
+    """One line on stderr: steps, return, position error, failures, steps per second, time left.
+
+    Args:
+        statistics: where the numbers come from.
+        shown: whether to show it.
+    """
+
+    def __init__(self, statistics: EpisodeStatistics, shown: bool = True) -> None:
+        self.statistics, self.shown = statistics, shown
+        self.trainer: Trainer | None = None
+        self.bar: tqdm | None = None
+
+    def open(self) -> None:
+        """Start at the steps already collected, which a resumed run has."""
+        assert self.trainer is not None
+        total, done = self.trainer.total_frames, self.trainer.collected_frames
+        self.bar = tqdm(
+            total=total, initial=done, unit=" steps", unit_scale=True, disable=not self.shown, mininterval=0.5,
+            dynamic_ncols=True, bar_format="{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {remaining}]{postfix}",
+        )  # fmt: skip
+
+    def __call__(self) -> None:
+        """Advance to the trainer's count."""
+        assert self.bar is not None
+        assert self.trainer is not None
+        known = self.statistics
+        text = f"return {mean(known.returns):.0f}, error {mean(known.errors) * 100:.1f} cm, failures {mean(known.failed):.1%}"
+        self.bar.set_postfix_str(text, refresh=False)
+        self.bar.update(self.trainer.collected_frames - self.bar.n)
+
+    def close(self) -> None:
+        """Leave the last line standing."""
+        if self.bar is not None:
+            self.bar.close()
+
+    def register(self, trainer: Trainer, name: str = "progress_bar") -> None:
+        """Hook into start, batches and end of training."""
+        self.trainer = trainer
+        trainer.register_op("setup", self.open)
+        trainer.register_op("post_steps", self)
+        trainer.register_op("shutdown", self.close)
+        trainer.register_module(name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: the count is the trainer's."""
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Nothing to restore."""
+
+
+def mean(values: deque[float]) -> float:
+    """Mean, NaN of nothing."""
+    return float(torch.tensor(list(values)).mean()) if values else float("nan")

@@ -1,0 +1,56 @@
+"""The paper's reward (Eq. reward_design), as a pure function."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class RewardWeights:
+    """Weights of the five terms; the defaults are those of the paper's flip.
+
+    Attributes:
+        position: w_p.
+        orientation: w_o.
+        velocity: w_v.
+        rate: w_ω.
+        integral: w_i.
+    """
+
+    position: float = 0.8
+    orientation: float = 0.8
+    velocity: float = 0.2
+    rate: float = 0.2
+    integral: float = 0.2
+
+    @property
+    def best(self) -> float:
+        """Reward of a step at rest on the target, the most there is."""
+        return self.position + self.orientation + self.velocity + self.rate + self.integral
+
+
+def compute_reward(
+    weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray
+) -> np.ndarray:
+    """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i.
+
+    As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.
+
+    Args:
+        weights: of the task.
+        delta: target - state: Δx, Δz, Δθ, (N, 3) m, m, rad.
+        velocity: v_x, v_z, q, (N, 3) m/s, m/s, rad/s.
+        integral: Γ, (N, 2) m.
+
+    Returns:
+        (N,), between 0 and `weights.best`.
+    """
+    r_p = 1.0 / (1.0 + 10.0 * (delta[:, 0] ** 2 + delta[:, 1] ** 2))
+    r_o = 0.5 * (1.0 + np.cos(delta[:, 2]))
+    r_v = r_p / (1.0 + velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
+    r_w = r_p / (1.0 + velocity[:, 2] ** 2)
+    r_i = 1.0 / (1.0 + integral[:, 0] ** 2 + integral[:, 1] ** 2)
+    shaped = weights.orientation * r_o + weights.velocity * r_v + weights.rate * r_w
+    return weights.position * r_p + r_p * shaped + weights.integral * r_i
