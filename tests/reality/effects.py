@@ -1,0 +1,144 @@
+"""What the real rig may do that the twin does not know: ids, parameters, sizes to draw hidden tests from.
+
+Written from SPEC 5 alone, apart from the catalogue of vpptwin, so that a slip in one is not repeated in the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Effects = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Size:
+    """Sizes that a hidden parameter may take.
+
+    Attributes:
+        unit: SI unit of the parameter.
+        off: Value at which the effect does nothing (NaN: the vehicle's nominal value).
+        spans: Intervals to draw from, negative ones included, each equally likely.
+    """
+
+    unit: str
+    off: float
+    spans: tuple[tuple[float, float], ...]
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw one size, rounded to five digits so that a printed failure can be flown again."""
+        low, high = self.spans[rng.integers(len(self.spans))]
+        return float(f"{rng.uniform(low, high):.5g}")
+
+
+def _either_sign(low: float, high: float) -> tuple[tuple[float, float], ...]:
+    return ((-high, -low), (low, high))
+
+
+CORE: dict[str, dict[str, Size]] = {
+    "rail_x.coulomb": {"force": Size("N", 0.0, ((0.10, 0.50),))},
+    "rail_z.coulomb": {"force": Size("N", 0.0, ((0.10, 0.50),))},
+    "rail_x.viscous": {"damping": Size("N s/m", 0.0, ((0.15, 0.80),))},
+    "rail_z.viscous": {"damping": Size("N s/m", 0.0, ((0.15, 0.80),))},
+    "rail_x.bias": {"force": Size("N", 0.0, _either_sign(0.12, 0.50))},
+    "rail_z.bias": {"force": Size("N", 0.0, _either_sign(0.12, 0.50))},
+    "airframe.mass": {"mass": Size("kg", 0.0, ((-0.06, -0.025), (0.025, 0.08)))},
+    "airframe.inertia": {"inertia": Size("kg m^2", 0.0, _either_sign(0.00048, 0.0015))},
+    "air.drag": {"k_d": Size("N s^2/m^2", 0.0, ((0.05, 0.25),))},
+    "rotor.thrust_gain": {"gain": Size("1", 1.0, ((0.85, 0.95), (1.05, 1.15)))},
+    "rotor.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.02, 0.08))},
+    "servo.lag": {"time_constant": Size("s", float("nan"), ((0.028, 0.050),))},
+    "command.delay": {"delay": Size("s", 0.0, ((0.004, 0.015),))},
+    "mocap.delay": {"delay": Size("s", 0.0, ((0.005, 0.020),))},
+}
+
+EXTENDED: dict[str, dict[str, Size]] = {
+    "rail_x.stiction": {"force": Size("N", 0.0, ((0.15, 0.40),)), "velocity": Size("m/s", 0.05, ((0.03, 0.10),))},
+    "rail_z.stiction": {"force": Size("N", 0.0, ((0.15, 0.40),)), "velocity": Size("m/s", 0.05, ((0.03, 0.10),))},
+    "rail_x.jamming": {"mu": Size("1", 0.0, ((0.01, 0.03),))},
+    "rail_z.jamming": {"mu": Size("1", 0.0, ((0.15, 0.40),))},
+    "rail_x.spring": {"stiffness": Size("N/m", 0.0, ((0.3, 1.2),)), "rest": Size("m", 0.0, ((-0.3, 0.3),))},
+    "rail_x.tight_spot": {
+        "force": Size("N", 0.0, ((0.3, 0.8),)),
+        "place": Size("m", 0.0, ((-0.5, 0.5),)),
+        "width": Size("m", 0.1, ((0.08, 0.20),)),
+    },
+    "pitch.viscous": {"damping": Size("N m s/rad", 0.0, ((0.004, 0.012),))},
+    "pitch.coulomb": {"torque": Size("N m", 0.0, ((0.01, 0.04),))},
+    "pitch.bias": {"force": Size("N m", 0.0, _either_sign(0.03, 0.10))},
+    "rail.tilt": {"angle": Size("rad", 0.0, _either_sign(0.02, 0.07))},
+    "carriage.mass": {"mass": Size("kg", 0.0, ((-0.04, -0.02), (0.03, 0.12)))},
+    "airframe.com": {"offset": Size("m", 0.0, _either_sign(0.005, 0.02))},
+    "airframe.com_height": {"offset": Size("m", 0.0, _either_sign(0.006, 0.02))},
+    "air.ground_effect": {"gain": Size("1", 0.0, ((0.15, 0.40),)), "height": Size("m", 0.3, ((0.2, 0.4),))},
+    "rotor.negative_thrust": {"loss": Size("1", 0.0, ((0.08, 0.25),))},
+    "rotor.stall": {"onset": Size("rad", 1.0, ((0.08, 0.12),))},
+    "rotor.inflow": {"damping": Size("N s/(m rad)", 0.0, ((4e-4, 1.2e-3),))},
+    "rotor.in_plane": {"damping": Size("N s/(m rad)", 0.0, ((2e-4, 6e-4),))},
+    "rotor.drag": {"gain": Size("1", 1.0, ((0.75, 0.90), (1.10, 1.30)))},
+    "battery.sag": {"rate": Size("1/s", 0.0, ((0.003, 0.008),))},
+    "servo.rate_limit": {"rate": Size("rad/s", 1e9, ((1.5, 3.0),))},
+    "servo.backlash": {"gap": Size("rad", 0.0, ((0.006, 0.015),))},
+    "servo.trim": {
+        "offset_1": Size("rad", 0.0, _either_sign(0.004, 0.012)),
+        "offset_2": Size("rad", 0.0, _either_sign(0.004, 0.012)),
+    },
+    "mocap.misalignment": {"angle": Size("rad", 0.0, _either_sign(0.02, 0.06))},
+    "mocap.scale": {"scale": Size("1", 1.0, ((0.96, 0.985), (1.015, 1.04)))},
+    "gyro.bias": {"bias": Size("rad/s", 0.0, _either_sign(0.04, 0.15))},
+    "gyro.scale": {"scale": Size("1", 1.0, ((0.90, 0.96), (1.04, 1.10)))},
+}
+
+ALIEN: dict[str, dict[str, Size]] = {
+    # Outside SPEC 5: a diagnosis must say "unexplained" rather than name the nearest thing that it knows.
+    "alien.cogging": {"force": Size("N", 0.0, ((0.3, 0.8),)), "period": Size("m", 0.2, ((0.10, 0.30),))},
+    "alien.mass_drop": {"mass": Size("kg", 0.0, ((0.05, 0.10),)), "time": Size("s", 8.0, ((6.0, 12.0),))},
+    "alien.flutter": {"loss": Size("s/rad", 0.0, ((0.15, 0.40),))},  # thrust x (1 - loss |blade pitch rate|)
+    "alien.crosswind": {"gain": Size("N s^2/m^2", 0.0, ((0.15, 0.40),))},  # force along x = gain vx vz
+}
+
+EFFECTS: dict[str, dict[str, Size]] = CORE | EXTENDED | ALIEN
+
+# Acts only where there is friction already; not in the draw.
+COMPANIONS: dict[str, dict[str, Size]] = {
+    "rail_x.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.2, 0.5))},
+    "rail_z.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.2, 0.5))},
+}
+
+
+def draw_effect(rng: np.random.Generator, among: Sequence[str] = tuple(CORE)) -> dict[str, dict[str, float]]:
+    """Draw one hidden effect with its size and sign.
+
+    Args:
+        rng: Source of randomness.
+        among: Effect ids to choose from.
+
+    Returns:
+        {id: {parameter: value in SI}}.
+    """
+    effect = among[rng.integers(len(among))]
+    return {effect: {name: size.draw(rng) for name, size in EFFECTS[effect].items()}}
+
+
+def check_effects(effects: Effects) -> None:
+    """Refuse ids and parameters that this simulation does not have."""
+    known = EFFECTS | COMPANIONS
+    for effect, values in effects.items():
+        if effect not in known:
+            raise ValueError(f"unknown effect {effect!r}; there are {', '.join(known)}")
+        for name in values:
+            if name not in known[effect]:
+                raise ValueError(f"{effect} has no parameter {name!r}; it has {', '.join(known[effect])}")
+
+
+def parse_effect(text: str) -> tuple[str, dict[str, float]]:
+    """Read `rail_x.stiction:force=0.3,velocity=0.05`."""
+    effect, _, assignments = text.partition(":")
+    values = {}
+    for assignment in filter(None, assignments.split(",")):
+        name, _, value = assignment.partition("=")
+        values[name] = float(value)
+    check_effects({effect: values})
+    return effect, values

@@ -1,0 +1,186 @@
+"""Flights: the true plant, the craft's firmware and the scripted pilot in closed loop, many flights at once.
+
+At t_k = k ms the sensors are sampled from the state at t_k, then (each 10 ms) the pilot and then the firmware compute
+their commands, stamped t_k, which act until the next one. Currents are those under the voltage that acted up to t_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .control import Firmware
+from .effects import Effects
+from .manoeuvres import write_script
+from .pilot import Estimator, Pilot
+from .plant import Plant
+from .recording import Recording
+from .rig import PITCH, Rig, X, Z
+from .rotor import STEP, SUBSTEPS, Motor, Propeller, Servo
+from .sensors import (
+    ACCEL_LSB,
+    ANGLE_LSB,
+    CURRENT_LSB,
+    GYRO_LSB,
+    MOCAP_PERIOD,
+    POSITION_LSB,
+    SPEED_LSB,
+    draw_chances,
+    look_back,
+    quantise,
+)
+
+SETTLING = 1.5  # s flown before the log starts, so that it starts in flight
+_LATENCY = 8  # ms from a mocap frame to the pilot
+PERIOD_MARGIN = 0.02  # s of script beyond the end: the last step is at `duration` itself
+_DEFAULTS = {"effects": {}, "gusts": True, "jitter": True, "dropouts": True, "initial": None, "session": None}
+_GUST_WEIGHTS = ((np.arange(SUBSTEPS) + 0.5) / SUBSTEPS)[:, None, None]
+
+
+def fly(effects: Effects, manoeuvre: str, duration: float, seed: int, **options: Any) -> Recording:  # noqa: ANN401
+    """Fly one flight. Arguments and options as in `fly_many`."""
+    return fly_many([{"effects": effects, "manoeuvre": manoeuvre, "duration": duration, "seed": seed, **options}])[0]
+
+
+def fly_many(flights: Sequence[dict[str, Any]]) -> list[Recording]:
+    """Fly a batch of flights of equal duration at once.
+
+    Args:
+        flights: One dictionary per flight:
+            effects: {id: {parameter: value in SI}}, nothing by default.
+            manoeuvre: One of MANOEUVRES.
+            duration: s.
+            seed: Everything random about the flight.
+            session: Seed of the rig's tolerances; flights of one rig share it. By default `seed`.
+            gusts: Whether gusts blow.
+            jitter: Whether the rig differs from nominal within tolerance and mocap stamps jitter.
+            dropouts: Whether mocap frames go missing.
+            initial: x m, z m, theta rad and their rates at the start; by default the craft settles in hover first.
+
+    Returns:
+        A recording per flight. Row i does not depend on the other rows.
+    """
+    batch = [_DEFAULTS | flight for flight in flights]
+    if len({(flight["duration"], flight["initial"] is None) for flight in batch}) != 1:
+        raise ValueError("flights of one batch need the same duration, and all or none an initial state")
+    return _Batch(batch).run()
+
+
+class _Batch:
+    def __init__(self, flights: list[dict[str, Any]]) -> None:
+        self.flights = flights
+        self.count = len(flights)
+        self.all = np.arange(self.count)
+        settle = flights[0]["initial"] is None
+        self.lead = round(SETTLING / STEP) if settle else 0
+        self.steps = self.lead + round(flights[0]["duration"] / STEP)
+        sessions = [f["seed"] if f["session"] is None else f["session"] for f in flights]
+        self.rig = Rig([f["effects"] for f in flights], [s if f["jitter"] else None for f, s in zip(flights, sessions)])
+        nominal = self.rig.nominal
+        self.chances = draw_chances(flights, self.steps + 1, nominal)
+        scripts = [write_script(f["manoeuvre"], f["duration"] + PERIOD_MARGIN, f["seed"]) for f in flights]
+        self.pilot = Pilot(scripts, nominal)
+        state = np.zeros((6, self.count))
+        if settle:
+            state[:PITCH] = self.pilot.script["reference"][0]
+        else:
+            state[:] = np.array([f["initial"] for f in flights], dtype=float).T
+        self.plant = Plant(self.rig, state[:3], state[3:])
+        hover = self.rig.nominal["gravity"] * self.pilot.mass[Z, 0] / 2
+        self.firmware = Firmware(nominal, self.count)
+        trim = np.full((2, self.count), hover * self.firmware.per_newton)
+        self.servo, self.motor, self.propeller = Servo(self.rig, trim), Motor(self.rig), Propeller(self.rig)
+        self.propeller.pitch = trim.copy()
+        age = (-self.chances.phase - _LATENCY) % MOCAP_PERIOD + _LATENCY
+        self.age = age
+        self.estimator = Estimator(state[:3], state[3:], age.astype(float), self.rig.gravity)
+        self._allocate()
+
+    def _allocate(self) -> None:
+        shape, steps, frames = (self.steps + 1, 3, self.count), self.steps, self.steps // MOCAP_PERIOD + 1
+        self.position, self.velocity, self.accel = np.empty(shape), np.empty(shape), np.empty(shape)
+        self.blade, self.speed, self.current = (np.empty((steps + 1, 2, self.count)) for _ in range(3))
+        self.thrust = np.empty((steps + 1, 2, self.count))
+        self.pitch_command, self.throttle = (np.empty((steps + 1, 2, self.count)) for _ in range(2))
+        self.gyro = np.empty((steps + 1, self.count))
+        self.specific = np.zeros((steps + 1, 2, self.count))
+        self.speed_read = np.empty((steps + 1, 2, self.count))
+        self.frames = np.zeros((frames, 3, self.count))
+        self.policy = np.zeros((frames, 2, self.count))
+        hidden = self.rig.hidden
+        self.mocap_delay = hidden.get("mocap.delay", "delay")
+        self.misalignment = hidden.get("mocap.misalignment", "angle")
+        self.mocap_scale = hidden.get("mocap.scale", "scale")
+        self.gyro_bias, self.gyro_scale = hidden.get("gyro.bias", "bias"), hidden.get("gyro.scale", "scale")
+
+    def run(self) -> list[Recording]:
+        """Fly the batch."""
+        plant, chances = self.plant, self.chances
+        blade, speed = self.servo.horn + self.servo.trim, self.motor.speed
+        thrust = self.propeller.compute_thrust(blade[None], speed[None])[0]
+        command = (np.zeros(self.count), np.zeros(self.count))
+        for k in range(self.steps + 1):
+            plant.drop_ballast((k - self.lead) * STEP)
+            self._sample(k, blade, speed, thrust)
+            if k % MOCAP_PERIOD == 0:
+                command = self._pilot(k)
+            pitch, throttle = self.firmware.command(*command, self.gyro[k], self.speed_read[k])
+            self.pitch_command[k], self.throttle[k] = pitch, throttle
+            if k == self.steps:
+                break
+            path = self.servo.advance(pitch)
+            speeds = self.motor.advance(throttle, path, (k - self.lead) * STEP)
+            thrusts = self.propeller.compute_thrust(path, speeds)
+            gust = chances.gust[k] + _GUST_WEIGHTS * (chances.gust[k + 1] - chances.gust[k])
+            plant.advance(thrusts, speeds, gust)
+            blade, speed, thrust = path[-1], speeds[-1], thrusts[-1]
+        return [Recording.from_batch(self, index) for index in range(self.count)]
+
+    def _sample(self, k: int, blade: np.ndarray, speed: np.ndarray, thrust: np.ndarray) -> None:
+        """Read the sensors at step k."""
+        plant, chances = self.plant, self.chances
+        self.position[k], self.velocity[k] = plant.position, plant.velocity
+        self.accel[k] = plant.compute_acceleration(thrust, speed, chances.gust[k])
+        self.blade[k], self.speed[k], self.thrust[k] = blade, speed, thrust
+        rate = plant.velocity[PITCH]
+        self.gyro[k] = quantise(self.gyro_scale * rate + self.gyro_bias + chances.gyro[k], GYRO_LSB)
+        self.speed_read[k] = quantise(speed + chances.speed[k], SPEED_LSB)
+        self.current[k] = self.motor.compute_current()
+
+    def _read_accelerometer(self, span: slice) -> None:
+        angle, accel = self.position[span, PITCH], self.accel[span]
+        sine, cosine = np.sin(angle), np.cos(angle)
+        lift = accel[:, Z] + self.rig.gravity
+        force = np.stack([accel[:, X] * cosine + lift * sine, lift * cosine - accel[:, X] * sine], axis=1)
+        self.specific[span] = quantise(force + self.chances.accel[span], ACCEL_LSB)
+
+    def _pilot(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Estimate and command at policy tick k / 10."""
+        tick = k // MOCAP_PERIOD
+        self._read_accelerometer(slice(max(k - MOCAP_PERIOD + 1, 0), k + 1))
+        # Frame n of a flight is taken at 10 n + phase ms; the newest that has arrived is `age` ms old.
+        frame = (k - self.age - self.chances.phase) // MOCAP_PERIOD
+        arrived = frame >= 0
+        frame = np.maximum(frame, 0)
+        taken = frame * MOCAP_PERIOD + self.chances.phase
+        pose = look_back(self.position, self.velocity, np.minimum(taken, k), self.mocap_delay, self.all)
+        pose[:PITCH] *= self.mocap_scale
+        pose[PITCH] += self.misalignment
+        pose += self.chances.mocap[frame, :, self.all].T
+        pose[:PITCH] = quantise(pose[:PITCH], POSITION_LSB)
+        pose[PITCH] = quantise(pose[PITCH], ANGLE_LSB)
+        self.frames[frame[arrived], :, self.all[arrived]] = pose.T[arrived]
+        if k:
+            span = slice(k - MOCAP_PERIOD + 1, k + 1)
+            seen = arrived & self.chances.seen[frame, self.all]
+            self.estimator.update(self.gyro[span].mean(0), self.specific[span].mean(0), pose, seen)
+        lead = self.lead // MOCAP_PERIOD
+        thrust, rate = self.pilot.command(tick - lead, self.estimator.pose, self.estimator.speed)
+        self.policy[tick] = thrust, rate
+        return thrust, rate
+
+    def read_currents(self) -> np.ndarray:
+        """Measured motor currents, A. (steps + 1, 2, flights)."""
+        return quantise(self.current + self.chances.current, CURRENT_LSB)

@@ -1,0 +1,159 @@
+"""Servos, propellers and motors of the true rig (the paper's Eq. 5 and 6)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .rig import Rig
+
+STEP = 0.001  # s, inner loop
+SUBSTEPS = 4
+# Where within a millisecond blade pitch is needed: the substeps' midpoints, then the end. Shape (SUBSTEPS + 1,).
+NODES = np.append((np.arange(SUBSTEPS) + 0.5) / SUBSTEPS, 1.0) * STEP
+
+
+class Servo:
+    """First-order lag behind a pure delay, solved exactly for piecewise constant commands."""
+
+    def __init__(self, rig: Rig, blade_pitch: np.ndarray) -> None:
+        """Start settled at `blade_pitch` rad, (2, flights)."""
+        hidden = rig.hidden
+        self.trim = np.stack([hidden.get("servo.trim", "offset_1"), hidden.get("servo.trim", "offset_2")])
+        self.horn = blade_pitch.copy()
+        self.blade = blade_pitch.copy()
+        whole = np.floor(rig.command_delay / STEP + 1e-9).astype(int)
+        self.whole = whole
+        self.delayed = bool(rig.command_delay.any())
+        self.history = np.repeat(blade_pitch[None], whole.max() + 2, axis=0)
+        self.tick = 0
+        self.flight = np.arange(rig.count)
+        switch = np.maximum(rig.command_delay - whole * STEP, 0.0)
+        self.gains = self._solve(NODES[:, None], switch, rig.servo_lag)
+        self.rate = hidden.get("servo.rate_limit", "rate")
+        self.gap = hidden.get("servo.backlash", "gap") / 2
+        self.limited = hidden.any("servo.rate_limit", "servo.backlash")
+        self.spans = np.diff(NODES, prepend=0.0)
+        starts = (NODES - self.spans)[:, None]
+        self.increments = self._solve(self.spans[:, None], np.maximum(switch - starts, 0.0), rig.servo_lag)
+
+    @staticmethod
+    def _solve(time: np.ndarray, switch: np.ndarray, lag: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Weights of start value, command before `switch` and command after it, each (nodes, 1, flights)."""
+        before = np.exp(-np.minimum(time, switch) / lag)
+        after = np.exp(-np.maximum(time - switch, 0.0) / lag)
+        weights = before * after, (1 - before) * after, np.broadcast_to(1 - after, before.shape)
+        return tuple(np.ascontiguousarray(w)[:, None, :] for w in weights)
+
+    def advance(self, command: np.ndarray) -> np.ndarray:
+        """Advance one millisecond.
+
+        Args:
+            command: Blade pitch commanded at its start, rad. (2, flights).
+
+        Returns:
+            Blade pitch at NODES, rad. (nodes, 2, flights).
+        """
+        if self.delayed:
+            depth = len(self.history)
+            self.history[self.tick % depth] = command
+            late = (self.tick - self.whole) % depth
+            earlier = self.history[(late - 1) % depth, :, self.flight].T
+            command = self.history[late, :, self.flight].T
+            self.tick += 1
+        else:
+            earlier = command
+        if self.limited:
+            return self._advance_limited(earlier, command) + self.trim
+        keep, first, second = self.gains
+        path = keep * self.horn + first * earlier + second * command
+        self.horn = path[-1]
+        return path + self.trim
+
+    def _advance_limited(self, earlier: np.ndarray, command: np.ndarray) -> np.ndarray:
+        path = np.empty((len(NODES), *command.shape))
+        for node, (keep, first, second, span) in enumerate(zip(*self.increments, self.spans)):
+            reach = self.rate * span
+            wanted = keep * self.horn + first * earlier + second * command
+            self.horn = self.horn + np.clip(wanted - self.horn, -reach, reach)
+            self.blade = np.clip(self.blade, self.horn - self.gap, self.horn + self.gap)
+            path[node] = self.blade
+        return path
+
+
+class Propeller:
+    """Thrust from blade pitch and speed."""
+
+    def __init__(self, rig: Rig) -> None:
+        hidden = rig.hidden
+        self.k_t = rig.k_t
+        self.onset, self.stalls = hidden.get("rotor.stall", "onset"), hidden.any("rotor.stall")
+        self.loss, self.weak = hidden.get("rotor.negative_thrust", "loss"), hidden.any("rotor.negative_thrust")
+        self.flutter, self.flutters = hidden.get("alien.flutter", "loss"), hidden.any("alien.flutter")
+        self.pitch = np.zeros((2, rig.count))
+
+    def compute_thrust(self, pitch: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Thrust N at NODES from blade pitch rad and rotor speed rad/s, all (nodes, 2, flights)."""
+        useful = pitch
+        if self.stalls:
+            beyond = np.maximum(np.abs(pitch) - self.onset, 0.0)
+            useful = pitch - 0.75 * np.sign(pitch) * beyond
+        thrust = self.k_t * speed * useful
+        if self.weak:
+            thrust *= np.where(pitch < 0.0, 1 - self.loss, 1.0)
+        if self.flutters:
+            rate = np.abs(pitch[-1] - self.pitch) / STEP
+            thrust *= np.maximum(1 - self.flutter * rate, 0.3)
+            self.pitch = pitch[-1].copy()
+        return thrust
+
+
+class Motor:
+    """Brushless motor on the battery, midpoint rule over a millisecond (its time constant is 60 ms)."""
+
+    def __init__(self, rig: Rig) -> None:
+        rotor, motor = rig.nominal["rotor"], rig.nominal["motor"]
+        self.k_v, self.k_q, self.resistance = motor["k_v"], motor["k_q"], motor["resistance"]
+        self.no_load, self.battery = motor["no_load_current"], float(motor["battery"])
+        self.inertia, self.k_d = rotor["inertia"], (rotor["k_d1"], rotor["k_d2"], rotor["k_d3"])
+        self.drag_gain = rig.hidden.get("rotor.drag", "gain")
+        self.sag = rig.hidden.get("battery.sag", "rate")
+        self.speed = np.full((2, rig.count), float(rotor["speed"]))
+        self.voltage = np.full((2, rig.count), self.speed / self.k_v)
+        self.fraction = (NODES / STEP)[:, None, None]
+
+    def compute_drag(self, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+        """Drag torque N m from speed rad/s and blade pitch rad."""
+        k1, k2, k3 = self.k_d
+        twist = speed * np.abs(pitch)
+        return self.drag_gain * (k1 * speed * speed + (k2 * twist + k3) * twist)
+
+    def compute_current(self) -> np.ndarray:
+        """Current A under the voltage that has acted up to now. (2, flights)."""
+        return (self.voltage - self.speed / self.k_v) / self.resistance
+
+    def compute_supply(self, time: float) -> np.ndarray:
+        """Battery voltage V at `time` s after the start of the log. (flights,)."""
+        return self.battery * (1 - self.sag * max(time, 0.0))
+
+    def _accelerate(self, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+        current = (self.voltage - speed / self.k_v) / self.resistance
+        return ((current - self.no_load) / self.k_q - self.compute_drag(speed, pitch)) / self.inertia
+
+    def advance(self, throttle: np.ndarray, pitch: np.ndarray, time: float) -> np.ndarray:
+        """Advance one millisecond.
+
+        Args:
+            throttle: Share of battery voltage. (2, flights).
+            pitch: Blade pitch at NODES, rad. (nodes, 2, flights).
+            time: s after the start of the log.
+
+        Returns:
+            Rotor speed at NODES, rad/s. (nodes, 2, flights).
+        """
+        self.voltage = throttle * self.compute_supply(time)
+        middle = 0.5 * (pitch[SUBSTEPS // 2 - 1] + pitch[SUBSTEPS // 2])
+        half = self.speed + 0.5 * STEP * self._accelerate(self.speed, middle)
+        change = STEP * self._accelerate(half, middle)
+        path = self.speed + self.fraction * change
+        self.speed = path[-1]
+        return path

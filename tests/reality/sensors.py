@@ -1,0 +1,125 @@
+"""Everything random about a flight, drawn ahead from its seed: sensor noise, gusts, dropouts, stamp jitter.
+
+Readings are quantised to a power of two well under the noise, as real converters do, which also lets logs compress.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .rotor import STEP
+
+GYRO_LSB, ACCEL_LSB = 2.0**-8, 2.0**-6  # rad/s, m/s^2: a fifth of the noise
+SPEED_LSB, CURRENT_LSB = 2.0**-2, 2.0**-6  # rad/s, A
+POSITION_LSB, ANGLE_LSB = 2.0**-14, 2.0**-11  # m, rad
+MOCAP_PERIOD = 10  # ms
+STAMP_JITTER = 0.0002  # s
+GUST_TIME = 0.3  # s, correlation
+GUST_SHARE = 0.01  # of weight, and of weight times half the arm length
+DROPOUT_RATE, DROPOUT_TIME = 0.15, 0.05  # 1/s, s
+
+
+def quantise(value: np.ndarray, lsb: float) -> np.ndarray:
+    """Round to a whole number of least significant bits."""
+    return np.rint(value * (1.0 / lsb)) * lsb
+
+
+@dataclass
+class Chances:
+    """Random series of a batch. Time runs in steps of 1 ms (mocap: 10 ms), flights are the last axis.
+
+    Attributes:
+        gyro: rad/s, (steps, flights).
+        accel: m/s^2, (steps, 2, flights).
+        speed: rad/s, (steps, 2, flights).
+        current: A, (steps, 2, flights).
+        gust: N, N, N m at the whole milliseconds, (steps + 1, 3, flights).
+        mocap: m, m, rad, (frames, 3, flights).
+        jitter: s, error of mocap stamps, (frames, flights).
+        seen: Whether a frame arrives, (frames, flights).
+        phase: ms from a policy tick to the mocap frame that follows, (flights,).
+    """
+
+    gyro: np.ndarray
+    accel: np.ndarray
+    speed: np.ndarray
+    current: np.ndarray
+    gust: np.ndarray
+    mocap: np.ndarray
+    jitter: np.ndarray
+    seen: np.ndarray
+    phase: np.ndarray
+
+
+def _draw_gust(rng: np.random.Generator, steps: int, nominal: dict) -> np.ndarray:
+    """Ornstein-Uhlenbeck force and moment, N and N m. (steps, 3)."""
+    decay = np.exp(-STEP / GUST_TIME)
+    kicks = rng.standard_normal((steps, 3)) * np.sqrt(1 - decay**2)
+    kicks[0] /= np.sqrt(1 - decay**2)
+    path = np.empty_like(kicks)
+    path[0] = kicks[0]
+    for k in range(1, steps):
+        path[k] = decay * path[k - 1] + kicks[k]
+    weight = nominal["airframe"]["mass"] * nominal["gravity"]
+    return path * GUST_SHARE * weight * np.array([1.0, 1.0, nominal["airframe"]["half_length"]])
+
+
+def _draw_gaps(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """Mocap frames that arrive: all but a few gaps of some 50 ms. (frames,)."""
+    seen = np.ones(frames, dtype=bool)
+    for _ in range(rng.poisson(DROPOUT_RATE * frames * MOCAP_PERIOD * STEP)):
+        start = rng.integers(frames)
+        seen[start : start + max(1, round(rng.normal(DROPOUT_TIME, 0.015) / (MOCAP_PERIOD * STEP)))] = False
+    return seen
+
+
+def draw_chances(flights: list[dict], steps: int, nominal: dict) -> Chances:
+    """Draw the random series of a batch.
+
+    Args:
+        flights: Per flight `seed`, `gusts`, `jitter`, `dropouts`.
+        steps: ms.
+        nominal: Content of vehicle.yaml.
+    """
+    sensors = nominal["sensors"]
+    frames = steps // MOCAP_PERIOD + 1
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in Chances.__dataclass_fields__}
+    for flight in flights:
+        noise, gust, gaps, timing = (np.random.default_rng([flight["seed"], k]) for k in range(4))
+        rows["gyro"].append(sensors["imu"]["gyro_std"] * noise.standard_normal(steps))
+        rows["accel"].append(sensors["imu"]["accel_std"] * noise.standard_normal((steps, 2)))
+        rows["speed"].append(sensors["rotor"]["speed_std"] * noise.standard_normal((steps, 2)))
+        rows["current"].append(sensors["rotor"]["current_std"] * noise.standard_normal((steps, 2)))
+        spread = np.array([sensors["mocap"]["position_std"]] * 2 + [sensors["mocap"]["angle_std"]])
+        rows["mocap"].append(spread * noise.standard_normal((frames, 3)))
+        rows["gust"].append(_draw_gust(gust, steps + 1, nominal) if flight["gusts"] else np.zeros((steps + 1, 3)))
+        rows["seen"].append(_draw_gaps(gaps, frames) if flight["dropouts"] else np.ones(frames, dtype=bool))
+        jitter = STAMP_JITTER * timing.standard_normal(frames)
+        rows["jitter"].append(jitter if flight["jitter"] else np.zeros(frames))
+        rows["phase"].append(np.asarray(timing.integers(MOCAP_PERIOD) if flight["jitter"] else 0))
+    return Chances(**{name: np.ascontiguousarray(np.stack(series, axis=-1)) for name, series in rows.items()})
+
+
+def look_back(
+    position: np.ndarray, velocity: np.ndarray, step: int, delay: np.ndarray, flights: np.ndarray
+) -> np.ndarray:
+    """True pose `delay` s before step `step`, by cubic Hermite interpolation between the milliseconds.
+
+    Args:
+        position: (steps, 3, flights), filled up to `step`.
+        velocity: Likewise.
+        step: ms since the arrays' start; a whole number, one per flight or for all.
+        delay: s, (len(flights),).
+        flights: Indices of the flights looked at.
+
+    Returns:
+        (3, len(flights)).
+    """
+    when = np.maximum(step - delay / STEP, 0.0)
+    left = np.minimum(np.floor(when + 1e-9).astype(int), np.maximum(step - 1, 0))
+    u = when - left
+    p0, p1 = position[left, :, flights].T, position[left + 1, :, flights].T
+    v0, v1 = velocity[left, :, flights].T * STEP, velocity[left + 1, :, flights].T * STEP
+    return (1 + 2 * u) * (1 - u) ** 2 * p0 + u * (1 - u) ** 2 * v0 + u * u * (3 - 2 * u) * p1 + u * u * (u - 1) * v1
