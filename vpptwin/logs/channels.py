@@ -1,0 +1,164 @@
+"""The channel table: topics of SPEC 3, their message types, and how messages map to columns. Reader and writer share it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from vpptwin.logs.messages import shorten_type
+
+# Axis names of a rotation -> (quaternion component, sign). SPEC 1: theta turns about -y.
+AXES = {f"{sign}{name}": (name, -1.0 if sign else 1.0) for name in "xyz" for sign in ("", "-")}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a column lies in a message: column = scale * field + offset.
+
+    Attributes:
+        paths: one field, or one field per component.
+        scale: one factor, or one per component.
+        offset: added after scaling, in the unit of the column.
+        axis: for a quaternion, the axis whose rotation angle is read, one of AXES; otherwise None.
+    """
+
+    paths: tuple[str, ...]
+    scale: tuple[float, ...] = (1.0,)
+    offset: float = 0.0
+    axis: str | None = None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a stream.
+
+    Attributes:
+        name: column name.
+        unit: SI unit.
+        source: where messages of the canonical type hold it.
+        width: number of components; 1 for a plain column.
+        optional: may be absent from other people's messages, or NaN throughout.
+        limit: magnitude that no sane value exceeds, in `unit`.
+        mistake: what values beyond the limit look like.
+    """
+
+    name: str
+    unit: str
+    source: Source
+    width: int = 1
+    optional: bool = False
+    limit: float = math.inf
+    mistake: str = ""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One topic.
+
+    Attributes:
+        topic: canonical name.
+        message_type: ROS 2 type.
+        columns: what is read and written.
+        steady: messages come at a constant rate, so that gaps are worth a warning.
+        constants: field -> value written besides the columns; all others are written as zero.
+        frame_id: written to the header.
+    """
+
+    topic: str
+    message_type: str
+    columns: tuple[Column, ...]
+    steady: bool = True
+    constants: Mapping[str, float] = field(default_factory=dict)
+    frame_id: str = "world"
+
+
+def _plain(name: str, unit: str, path: str = "", **options: float | str | bool) -> Column:
+    return Column(name, unit, Source((path or name,)), **options)  # type: ignore[arg-type]
+
+
+def _pose(topic: str, steady: bool) -> Channel:
+    length = {"limit": 50.0, "mistake": "millimetres"}
+    columns = (
+        _plain("x", "m", "pose.position.x", **length),
+        _plain("z", "m", "pose.position.z", **length),
+        Column("theta", "rad", Source(("pose.orientation",), axis="-y")),
+    )
+    return Channel(topic, "geometry_msgs/msg/PoseStamped", columns, steady)
+
+
+_UNMEASURED = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
+_PAIR = {"width": 2}
+
+CHANNELS: dict[str, Channel] = {
+    channel.topic: channel
+    for channel in (
+        _pose("/mocap/pose", steady=True),
+        Channel(
+            "/imu/data",
+            "sensor_msgs/msg/Imu",
+            (
+                Column(
+                    "rate",
+                    "rad/s",
+                    Source(("angular_velocity.y",), scale=(-1.0,)),
+                    limit=200.0,
+                    mistake="degrees per second",
+                ),
+                _plain("accel_x", "m/s^2", "linear_acceleration.x", optional=True),
+                _plain("accel_z", "m/s^2", "linear_acceleration.z", optional=True),
+            ),
+            constants={"orientation.w": 1.0, "orientation_covariance[0]": -1.0},  # -1: the IMU estimates no orientation
+            frame_id="body",
+        ),
+        Channel(
+            "/cmd/rate_thrust",
+            "vpptwin_msgs/msg/RateThrust",
+            (_plain("thrust", "N"), _plain("rate", "rad/s", limit=200.0, mistake="degrees per second")),
+            frame_id="body",
+        ),
+        Channel(
+            "/rotor/command",
+            "vpptwin_msgs/msg/RotorCommand",
+            (
+                _plain("blade_pitch", "rad", limit=1.6, mistake="degrees", **_PAIR),
+                _plain("throttle", "1", limit=2.0, mistake="percent", **_PAIR),
+            ),
+            frame_id="body",
+        ),
+        Channel(
+            "/rotor/state",
+            "vpptwin_msgs/msg/RotorState",
+            (
+                _plain("speed", "rad/s", limit=2000.0, mistake="rpm", **_PAIR),
+                _plain("current", "A", optional=True, limit=1000.0, mistake="milliamperes", **_PAIR),
+            ),
+            frame_id="body",
+        ),
+        _pose("/setpoint/pose", steady=False),
+        Channel(
+            "/battery",
+            "sensor_msgs/msg/BatteryState",
+            (_plain("voltage", "V", optional=True, limit=1000.0, mistake="millivolts"),),
+            steady=False,
+            constants=dict.fromkeys(_UNMEASURED, math.nan) | {"present": 1},
+            frame_id="",
+        ),
+        Channel(
+            "/thrust_stand/wrench",
+            "geometry_msgs/msg/WrenchStamped",
+            (_plain("force_z", "N", "wrench.force.z"),),
+            steady=False,
+            frame_id="thrust_stand",
+        ),
+    )
+}
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINT_TOPICS = ("/joint_states", "/actuator_command")
+JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "control input, N or N m"}
+
+
+def is_joint_state(message_type: str) -> bool:
+    """Whether a message type is JointState, with or without its `msg` part."""
+    return shorten_type(message_type) == shorten_type(JOINT_STATE)

@@ -1,0 +1,75 @@
+"""Message fields to columns and back, by the channel table: sign, scale, and the angle of a planar rotation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from vpptwin.logs.channels import AXES, Column, Source
+
+_COMPONENTS = "xyzw"
+
+
+def list_fields(source: Source) -> list[str]:
+    """Numeric message fields that a column is made from; a rotation takes four."""
+    if source.axis is None:
+        return list(source.paths)
+    return [f"{source.paths[0]}.{component}" for component in _COMPONENTS]
+
+
+def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Column from message fields.
+
+    Args:
+        source: what the column is made from.
+        fields: path -> (n,) or (n, k).
+
+    Returns:
+        (n,), or (n, k) if there are several components. Angles are in [-pi, pi] before scale and offset.
+    """
+    if source.axis is None:
+        parts = [np.asarray(fields[path], dtype=float) for path in source.paths]
+        values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
+    else:
+        values = read_angle(*(fields[path] for path in list_fields(source)), axis=source.axis)
+    scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
+    values = values * scale
+    return values + source.offset if source.offset else values
+
+
+def read_angle(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray, axis: str) -> np.ndarray:
+    """Angle of a rotation about an axis, from its quaternion.
+
+    Args:
+        x, y, z, w: (n,) components, of any norm but zero.
+        axis: one of AXES.
+
+    Returns:
+        (n,) rad in [-pi, pi].
+    """
+    name, sign = AXES[axis]
+    sine = sign * {"x": x, "y": y, "z": z}[name]
+    upper = np.where(w < 0, -1.0, 1.0)  # a quaternion and its negative are one rotation
+    return 2.0 * np.arctan2(sine * upper, w * upper)
+
+
+def split_column(column: Column, value: float | np.ndarray) -> dict[str, float | np.ndarray]:
+    """Message fields that hold one sample of a column, the inverse of `convert_column` for one message.
+
+    Args:
+        column: of the channel table.
+        value: number, or (k,).
+
+    Returns:
+        Path -> number or (k,).
+    """
+    source = column.source
+    raw = (np.asarray(value, dtype=float) - source.offset) / np.asarray(source.scale[0])
+    if source.axis is None:
+        return {source.paths[0]: raw}
+    name, sign = AXES[source.axis]
+    fields: dict[str, float | np.ndarray] = {f"{source.paths[0]}.{component}": 0.0 for component in "xyz"}
+    fields[f"{source.paths[0]}.{name}"] = sign * np.sin(raw / 2.0)
+    fields[f"{source.paths[0]}.w"] = np.cos(raw / 2.0)
+    return fields

@@ -1,0 +1,203 @@
+"""Fields of many recorded messages at once, as arrays; one by one through mcap-ros2-support where that does not work."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from vpptwin.logs.container import Block, RawChannel
+from vpptwin.logs.layout import LITTLE_ENDIAN, Definitions, Layout, LayoutError, Leaf, locate_fields, parse_definition
+
+MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Messages of one shape.
+
+    Attributes:
+        number: (n,) record numbers in the file.
+        log_time: (n,) ns.
+        values: path -> (n,) or (n, k).
+        texts: path of a string sequence -> its strings, the same in all messages of the batch.
+    """
+
+    number: np.ndarray
+    log_time: np.ndarray
+    values: dict[str, np.ndarray]
+    texts: dict[str, tuple[str, ...]]
+
+
+class DecodeError(ValueError):
+    """Messages of a channel cannot be decoded, or lack a field."""
+
+
+def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[str] = ()) -> Iterator[Batch]:
+    """Decode fields of all messages of a channel.
+
+    Args:
+        channel: with its payloads.
+        paths: fields wanted, e.g. `pose.position.x`, `blade_pitch`, `blade_pitch[0]`.
+        texts: string sequences wanted; batches are split so that each is constant in a batch.
+
+    Yields:
+        Batches that together cover every message once.
+
+    Raises:
+        DecodeError: if a message does not fit its definition, or has no such field.
+    """
+    reference = _ReferenceDecoder(channel)
+    try:
+        definitions = parse_definition(channel.message_type, channel.definition)
+    except LayoutError:
+        definitions = None
+    for block in channel.blocks:
+        yield from _decode_block(channel.message_type, definitions, block, paths, texts, reference)
+
+
+def _decode_block(
+    name: str,
+    definitions: Definitions | None,
+    block: Block,
+    paths: Sequence[str],
+    texts: Sequence[str],
+    reference: _ReferenceDecoder,
+) -> Iterator[Batch]:
+    remaining = np.arange(len(block.number))
+    shapes = 0
+    while len(remaining):
+        first = block.payload[remaining[0]].tobytes()
+        try:
+            if definitions is None or shapes >= MAX_SHAPES:
+                raise LayoutError("too many shapes")
+            layout = locate_fields(definitions, name, first)
+        except LayoutError:
+            yield from reference.decode(_take(block, remaining), paths, texts)
+            return
+        shapes += 1
+        same = _match_shape(block.payload[remaining], layout, texts)
+        members, remaining = _take(block, remaining[same]), remaining[~same]
+        batch = _decode_same(members, layout, paths, texts)
+        ends = np.unique([0, len(members.number) - 1])
+        checks = list(reference.decode(_take(members, ends), paths, texts))
+        yield from [batch] if _agree(batch, ends, checks) else reference.decode(members, paths, texts)
+
+
+def _take(block: Block, rows: np.ndarray) -> Block:
+    return Block(block.number[rows], block.log_time[rows], block.payload[rows])
+
+
+def _match_shape(payload: np.ndarray, layout: Layout, texts: Sequence[str]) -> np.ndarray:
+    """Which messages have the encapsulation, the lengths and the wanted strings of the first. (n,) bool."""
+    fixed = [(0, 4), *((offset, 4) for offset in layout.counters)]
+    fixed += [span for path, span in layout.strings.items() if path.rsplit("[", 1)[0] in texts]
+    columns = np.concatenate([np.arange(start, start + length) for start, length in fixed])
+    return np.asarray((payload[:, columns] == payload[0, columns]).all(axis=1))
+
+
+def _decode_same(block: Block, layout: Layout, paths: Sequence[str], texts: Sequence[str]) -> Batch:
+    order = "<" if block.payload[0, 1] == LITTLE_ENDIAN else ">"
+    payload = np.ascontiguousarray(block.payload)
+    values = {}
+    for path in paths:
+        leaf = find_leaf(layout, path)
+        shape = () if leaf.count is None else (leaf.count,)
+        dtype = (
+            np.dtype(
+                {
+                    "names": ["v"],
+                    "formats": [(order + leaf.code, shape)],
+                    "offsets": [leaf.offset],
+                    "itemsize": payload.shape[1],
+                }
+            )
+            if leaf.count != 0
+            else None
+        )
+        values[path] = (
+            payload.view(dtype)["v"][:, 0].astype(leaf.code) if dtype is not None else np.zeros((len(payload), 0))
+        )
+    strings = {path: tuple(_read_strings(payload[0], layout, path)) for path in texts}
+    return Batch(block.number, block.log_time, values, strings)
+
+
+def find_leaf(layout: Layout, path: str) -> Leaf:
+    """Leaf of a path, which may index into an array.
+
+    Raises:
+        DecodeError: if the message has no such field.
+    """
+    if path in layout.leaves:
+        return layout.leaves[path]
+    match = re.fullmatch(r"(.*)\[(\d+)\]", path)
+    leaf = layout.leaves.get(match.group(1)) if match else None
+    if match and leaf and leaf.count is not None and int(match.group(2)) < leaf.count:
+        return Leaf(leaf.offset + int(match.group(2)) * int(leaf.code[1]), leaf.code, None)
+    raise DecodeError(f"no numeric field {path}, only {', '.join(list(layout.leaves)[:12])}")
+
+
+def _read_strings(message: np.ndarray, layout: Layout, path: str) -> Iterator[str]:
+    for name, (start, length) in layout.strings.items():
+        if name.rsplit("[", 1)[0] == path:
+            yield message[start : start + max(length - 1, 0)].tobytes().decode("utf-8", "replace")
+
+
+def _agree(batch: Batch, rows: np.ndarray, checks: Sequence[Batch]) -> bool:
+    """Whether rows of a batch equal what the reference decoder gives for them, bit by bit (NaN equals NaN)."""
+    for row, check in zip(rows, checks, strict=True):
+        for path, values in batch.values.items():
+            if not np.array_equal(values[row], check.values[path][0], equal_nan=True):
+                return False
+        if batch.texts != check.texts:
+            return False
+    return True
+
+
+class _ReferenceDecoder:
+    """mcap-ros2-support's decoder: slow, and the reference for the fast one."""
+
+    def __init__(self, channel: RawChannel) -> None:
+        self.channel = channel
+        self.function: Callable[[bytes], object] | None = None
+
+    def decode(self, block: Block, paths: Sequence[str], texts: Sequence[str]) -> Iterator[Batch]:
+        """Yield one batch per message."""
+        for row in range(len(block.number)):
+            message = self._decode_message(block.payload[row].tobytes())
+            values = {path: np.asarray([_follow_path(message, path)]) for path in paths}
+            strings = {path: tuple(_follow_path(message, path)) for path in texts}
+            yield Batch(block.number[row : row + 1], block.log_time[row : row + 1], values, strings)
+
+    def _decode_message(self, payload: bytes) -> object:
+        try:
+            if self.function is None:
+                schema = Schema(
+                    1, self.channel.definition.encode(), self.channel.schema_encoding, self.channel.message_type
+                )
+                with contextlib.redirect_stderr(io.StringIO()):  # the definition parser prints what it then raises
+                    self.function = DecoderFactory().decoder_for(self.channel.encoding, schema)
+            if self.function is None:
+                raise ValueError(
+                    f"no decoder for {self.channel.encoding} with {self.channel.schema_encoding} definitions"
+                )
+            return self.function(payload)
+        except Exception as error:  # the decoder raises whatever its struct calls raise
+            raise DecodeError(f"{len(payload)} bytes that do not decode ({error})") from None
+
+
+def _follow_path(message: object, path: str) -> object:
+    for name, index in re.findall(r"(\w+)((?:\[\d+\])*)", path):
+        try:
+            message = getattr(message, name)
+            for digits in re.findall(r"\d+", index):
+                message = message[int(digits)]  # type: ignore[index]
+        except (AttributeError, IndexError, TypeError):
+            raise DecodeError(f"no field {path}") from None
+    return list(message) if isinstance(message, bytes) else message

@@ -1,0 +1,82 @@
+"""A flight as arrays: what reading a log gives, whatever the log was called and in whatever order it was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from vpptwin.errors import InputError
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The samples of one topic, or of one joint.
+
+    Attributes:
+        time: (n,) s since Flight.start_ns, by header stamp, strictly increasing.
+        values: column name -> (n,) or (n, k), SI units.
+    """
+
+    time: np.ndarray
+    values: dict[str, np.ndarray]
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        """Samples of one column, (n,) or (n, k)."""
+        if column not in self.values:
+            raise KeyError(f"no column {column}, only {', '.join(self.values)}")
+        return self.values[column]
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One recording.
+
+    Attributes:
+        path: the file it was read from, the first of several.
+        start_ns: first header stamp of the log [ns since the epoch of its clock].
+        streams: canonical topic -> stream, for the topics of SPEC 3.
+        joints: JointState topic -> joint or actuator name -> stream of position, velocity, effort as far as recorded.
+        warnings: what was mended or looks odd, one line each.
+        sources: canonical topic -> the topic it was recorded as, where a topic map renamed it.
+    """
+
+    path: Path
+    start_ns: int
+    streams: dict[str, Stream]
+    joints: dict[str, dict[str, Stream]]
+    warnings: tuple[str, ...] = ()
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        every = [*self.streams.values(), *(stream for names in self.joints.values() for stream in names.values())]
+        return max((float(stream.time[-1]) for stream in every if len(stream)), default=0.0)
+
+    def require(self, *topics: str) -> None:
+        """Check that the log holds these topics.
+
+        Args:
+            topics: canonical topics of SPEC 3, or topics of JointState messages.
+
+        Raises:
+            InputError: naming the missing topics and those that the log holds.
+        """
+        present = {**self.streams, **self.joints}
+        missing = [topic for topic in topics if topic not in present]
+        if missing:
+            names = [
+                f"{topic} (mapped to {self.sources[topic]})" if topic in self.sources else topic for topic in missing
+            ]
+            raise InputError(
+                f"{self.path} has no messages on {', '.join(names)}, only on {', '.join(sorted(present)) or 'no topic'}",
+                f"a log with {', '.join(topics)}",
+                "record the missing topic, or name it in a topic map if it is recorded under another name",
+            )

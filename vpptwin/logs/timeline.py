@@ -1,0 +1,103 @@
+"""Header stamps put in order: late and repeated messages mended with a warning, clocks that run backwards refused."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.errors import InputError
+
+MAX_LATE = 0.5  # s, how late a message may come and still be sorted in
+MAX_CLOCK_DISTANCE = 3600.0  # s between two topics of one recording
+GAP_PERIODS = 5.0  # a gap is longer than this many median periods
+_STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
+
+
+def order_stamps(stamps: np.ndarray, label: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Order messages by their stamps.
+
+    Args:
+        stamps: (n,) ns, in record order.
+        label: file and topic, for messages.
+
+    Returns:
+        Indices that sort the stamps and drop repeated ones (the first recorded stays), and warnings.
+
+    Raises:
+        InputError: if stamps are not set, or run backwards.
+    """
+    _refuse_unset(stamps, label)
+    lateness = np.maximum.accumulate(stamps) - stamps
+    late = int(np.count_nonzero(lateness))
+    falling = int(np.count_nonzero(np.diff(stamps) < 0))
+    if lateness.max() > MAX_LATE * 1e9 or (len(stamps) > 2 and falling > len(stamps) // 2):
+        index = int(np.argmax(lateness))
+        raise InputError(
+            f"{label}: time runs backwards, message {index + 1} of {len(stamps)} is stamped {lateness[index] * 1e-9:.3f} s "
+            f"before an earlier one",
+            f"header stamps that increase, up to {MAX_LATE} s of disorder",
+            "look for a clock that was set, a recording that looped, or several recordings in one file",
+        )
+    order = np.argsort(stamps, kind="stable")
+    repeats = np.flatnonzero(np.diff(stamps[order]) == 0) + 1
+    if 2 * len(repeats) > len(stamps):
+        raise InputError(
+            f"{label}: {len(repeats)} of {len(stamps)} messages repeat a stamp", "one stamp per message", _STAMP_ADVICE
+        )
+    warnings = []
+    if late:
+        worst = lateness.max() * 1e-9
+        warnings.append(f"{late} of {len(stamps)} messages on {label} out of order by up to {worst:.3g} s, sorted")
+    if len(repeats):
+        warnings.append(f"{len(repeats)} of {len(stamps)} messages on {label} repeat a stamp, dropped")
+    return np.delete(order, repeats), tuple(warnings)
+
+
+def _refuse_unset(stamps: np.ndarray, label: str) -> None:
+    unset = int(np.count_nonzero(stamps == 0))
+    # One zero at the start of a simulated clock is a time, not a stamp left unset.
+    if unset > 1 or (unset and (len(stamps) == 1 or stamps.max() > MAX_CLOCK_DISTANCE * 1e9)):
+        raise InputError(
+            f"{label}: {unset} of {len(stamps)} messages have no header stamp (zero)", "header.stamp set", _STAMP_ADVICE
+        )
+
+
+def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
+    """Warn of gaps in a stream that should come at a constant rate.
+
+    Args:
+        time: (n,) s, increasing.
+        label: topic, for the warning.
+    """
+    if len(time) < 3:
+        return ()
+    steps = np.diff(time)
+    threshold = GAP_PERIODS * float(np.median(steps))
+    gaps = np.flatnonzero(steps > threshold)
+    if not len(gaps):
+        return ()
+    worst = gaps[np.argmax(steps[gaps])]
+    return (
+        f"{len(gaps)} {'gap' if len(gaps) == 1 else 'gaps'} over {threshold:.3g} s on {label}, "
+        f"the longest {steps[worst]:.3g} s at {time[worst]:.3f} s",
+    )
+
+
+def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
+    """Refuse topics stamped by clocks that have nothing to do with each other.
+
+    Args:
+        spans: topic -> first and last stamp [ns].
+        path: of the log, for the message.
+
+    Raises:
+        InputError: naming two topics that are hours apart.
+    """
+    early = min(spans, key=lambda topic: spans[topic][1], default="")
+    late = max(spans, key=lambda topic: spans[topic][0], default="")
+    distance = (spans[late][0] - spans[early][1]) * 1e-9 if spans else 0.0
+    if distance > MAX_CLOCK_DISTANCE:
+        raise InputError(
+            f"{path}: {late} is stamped {distance:.0f} s after {early} ends",
+            "one clock for all topics",
+            "stamp all topics by the same clock (all simulated time, or all wall time)",
+        )

@@ -1,0 +1,245 @@
+"""Writing flight logs that `ros2 bag`, Foxglove and PlotJuggler open."""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import LIBRARY_IDENTIFIER, Writer
+
+from vpptwin.errors import InputError
+from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE
+from vpptwin.logs.convert import split_column
+from vpptwin.logs.decode import find_leaf
+from vpptwin.logs.flight import Stream
+from vpptwin.logs.layout import Layout, Leaf, compose_message, parse_definition
+from vpptwin.logs.messages import compose_definition
+
+START_NS = (
+    1_700_000_000 * 10**9
+)  # time zero of logs that have no clock of their own: November 2023, and the same in every run
+STRUCT_CODES = {
+    "u1": "B",
+    "i1": "b",
+    "u2": "H",
+    "i2": "h",
+    "u4": "I",
+    "i4": "i",
+    "u8": "Q",
+    "i8": "q",
+    "f4": "f",
+    "f8": "d",
+}
+Value = float | Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True)
+class _Template:
+    """A message with everything filled in that does not change, and where the rest goes."""
+
+    message: bytearray
+    layout: Layout
+
+    def fill(self, path: str, value: Value) -> None:
+        leaf = find_leaf(self.layout, path)
+        pack_leaf(self.message, leaf, value)
+
+
+class FlightWriter:
+    """Writes a flight log. The file appears when the context closes without an exception, otherwise not at all."""
+
+    def __init__(
+        self, path: str | os.PathLike[str], start_ns: int = START_NS, metadata: Mapping[str, str] | None = None
+    ) -> None:
+        """Open a log for writing.
+
+        Args:
+            path: file to write; one that exists is replaced at the end.
+            start_ns: stamp of time zero [ns].
+            metadata: stored in the file as metadata record `vpptwin`, for instance seed and commit.
+
+        Raises:
+            InputError: if the folder cannot be written to.
+        """
+        self.path = Path(path)
+        self.start_ns = start_ns
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._templates: dict[tuple[str, tuple[str, ...], tuple[int, ...]], _Template] = {}
+        self._sequence: dict[str, int] = {}
+        try:
+            self._file: IO[bytes] = tempfile.NamedTemporaryFile(  # noqa: SIM115
+                dir=self.path.parent, prefix=f".{self.path.name}.", suffix=".part", delete=False
+            )
+        except OSError as error:
+            raise InputError(
+                f"cannot write to {self.path.parent} ({error.strerror})", "a writable folder", "choose another"
+            ) from None
+        self._writer = Writer(self._file)
+        self._writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
+        if metadata:
+            self._writer.add_metadata("vpptwin", dict(metadata))
+
+    def __enter__(self) -> Self:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Complete the file, or remove what was written if there was an exception."""
+        try:
+            if kind is None:
+                self._writer.finish()
+                self._file.close()
+                os.chmod(self._file.name, 0o666 & ~_read_umask())
+                os.replace(self._file.name, self.path)
+        finally:
+            self._file.close()
+            Path(self._file.name).unlink(missing_ok=True)
+
+    def write(self, topic: str, time: float, values: Mapping[str, Value], log_time: float | None = None) -> None:
+        """Write one message.
+
+        Args:
+            topic: one of SPEC 3.
+            time: of the header stamp [s since time zero].
+            values: column -> number or (k,), SI; all columns of the topic.
+            log_time: when it was recorded [s since time zero]; None for `time`.
+        """
+        channel = CHANNELS[topic]
+        names = {column.name for column in channel.columns}
+        if names != set(values):
+            raise ValueError(f"{topic} takes {', '.join(sorted(names))}, got {', '.join(sorted(values))}")
+        template = self._find_template(topic, channel.message_type, channel.frame_id, channel.constants)
+        for column in channel.columns:
+            for path, value in split_column(column, values[column.name]).items():
+                template.fill(path, value)
+        self._add(topic, channel.message_type, template, time, log_time)
+
+    def write_joints(
+        self, topic: str, time: float, joints: Mapping[str, Mapping[str, float]], log_time: float | None = None
+    ) -> None:
+        """Write one JointState message.
+
+        Args:
+            topic: e.g. `/joint_states`.
+            time: of the header stamp [s since time zero].
+            joints: joint or actuator name -> position, velocity, effort; all names with the same of the three.
+            log_time: when it was recorded [s since time zero]; None for `time`.
+        """
+        names = tuple(joints)
+        present = tuple(column for column in JOINT_COLUMNS if names and column in joints[names[0]])
+        if any(set(values) != set(present) for values in joints.values()):
+            raise ValueError(f"{topic}: all names need the same of {', '.join(JOINT_COLUMNS)}")
+        template = self._find_template(topic, JOINT_STATE, "", {}, names, present)
+        for column in present:
+            template.fill(column, [joints[name][column] for name in names])
+        self._add(topic, JOINT_STATE, template, time, log_time)
+
+    def _find_template(
+        self,
+        topic: str,
+        message_type: str,
+        frame_id: str,
+        constants: Mapping[str, float],
+        names: tuple[str, ...] = (),
+        present: tuple[str, ...] = (),
+    ) -> _Template:
+        key = (topic, names, present)
+        if key not in self._templates:
+            definitions = parse_definition(message_type, compose_definition(message_type))
+            strings = {"header.frame_id": frame_id} | {f"name[{index}]": name for index, name in enumerate(names)}
+            lengths = {"name": len(names)} | {column: len(names) for column in present}
+            template = _Template(*compose_message(definitions, message_type, strings, lengths))
+            for path, value in constants.items():
+                template.fill(path, value)
+            self._templates[key] = template
+        return self._templates[key]
+
+    def _add(self, topic: str, message_type: str, template: _Template, time: float, log_time: float | None) -> None:
+        stamp = self.start_ns + round(time * 1e9)
+        template.fill("header.stamp.sec", stamp // 10**9)
+        template.fill("header.stamp.nanosec", stamp % 10**9)
+        logged = stamp if log_time is None else self.start_ns + round(log_time * 1e9)
+        self._sequence[topic] = self._sequence.get(topic, 0) + 1
+        self._writer.add_message(
+            self._find_channel(topic, message_type), logged, bytes(template.message), stamp, self._sequence[topic]
+        )
+
+    def _find_channel(self, topic: str, message_type: str) -> int:
+        if topic not in self._channels:
+            if message_type not in self._schemas:
+                text = compose_definition(message_type).encode()
+                self._schemas[message_type] = self._writer.register_schema(message_type, SchemaEncoding.ROS2, text)
+            units = (
+                {column.name: column.unit for column in CHANNELS[topic].columns} if topic in CHANNELS else JOINT_COLUMNS
+            )
+            metadata = {
+                "offered_qos_profiles": "",
+                "units": ", ".join(f"{name} {unit}" for name, unit in units.items()),
+            }
+            self._channels[topic] = self._writer.register_channel(
+                topic, MessageEncoding.CDR, self._schemas[message_type], metadata
+            )
+        return self._channels[topic]
+
+
+def pack_leaf(message: bytearray, leaf: Leaf, value: Value) -> None:
+    """Put a number, or all elements of an array, into a little-endian message."""
+    code = STRUCT_CODES[leaf.code]
+    if leaf.count is None:
+        struct.pack_into(f"<{code}", message, leaf.offset, value)
+    else:
+        struct.pack_into(f"<{leaf.count}{code}", message, leaf.offset, *value)  # type: ignore[misc]
+
+
+def write_flight(
+    path: str | os.PathLike[str],
+    streams: Mapping[str, Stream],
+    joints: Mapping[str, Mapping[str, Stream]] | None = None,
+    start_ns: int = START_NS,
+    metadata: Mapping[str, str] | None = None,
+) -> None:
+    """Write whole streams, in order of time.
+
+    Args:
+        path: file to write.
+        streams: canonical topic -> samples.
+        joints: JointState topic -> name -> samples; one message per name and sample.
+        start_ns: stamp of time zero [ns].
+        metadata: stored in the file.
+    """
+    entries = [(stream.time, topic, "", stream) for topic, stream in streams.items()]
+    entries += [(s.time, topic, name, s) for topic, names in (joints or {}).items() for name, s in names.items()]
+    with FlightWriter(path, start_ns, metadata) as writer:
+        for index, row in _merge_times([entry[0] for entry in entries]):
+            time, topic, name, stream = entries[index]
+            sample = {column: values[row] for column, values in stream.values.items()}
+            if name:
+                writer.write_joints(topic, float(time[row]), {name: sample})
+            else:
+                writer.write(topic, float(time[row]), sample)
+
+
+def _merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:
+    if not times:
+        return
+    which = np.concatenate([np.full(len(time), index) for index, time in enumerate(times)])
+    row = np.concatenate([np.arange(len(time)) for time in times])
+    for place in np.argsort(np.concatenate(times), kind="stable"):
+        yield int(which[place]), int(row[place])
+
+
+def _read_umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
