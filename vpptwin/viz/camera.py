@@ -1,0 +1,61 @@
+"""Where the viewer looks from: x to the right, z up, a little above and beside the plane of flight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import meshcat.transformations as tf
+import numpy as np
+from meshcat import Visualizer
+
+from vpptwin.viz.scene import ROOT
+
+FIELD_OF_VIEW = 30.0  # degrees, vertical; narrow, so that perspective distorts little
+AZIMUTH, ELEVATION = np.radians(-8.0), np.radians(10.0)  # of the camera, seen from what it looks at
+MARGIN = 0.55  # m around what moves: the arm, a rotor and an arrow
+SMALLEST_HALF_HEIGHT = 0.85  # m
+SCREEN_ASPECT = 1.5  # width over height that the view is made for
+CAMERA = "/Cameras/default/rotated/<object>"
+
+
+@dataclass(frozen=True)
+class View:
+    """What the camera looks at: centre (3,) [m] in the world and the half height [m] that it sees there."""
+
+    centre: np.ndarray
+    half_height: float
+
+    @property
+    def distance(self) -> float:
+        """From the camera to the centre [m]."""
+        return self.half_height / float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
+
+
+def frame_view(positions: np.ndarray) -> View:
+    """The view that holds everything that moves.
+
+    Args:
+        positions: (n, 3) places visited [m].
+    """
+    low, high = positions.min(axis=0) - MARGIN, positions.max(axis=0) + MARGIN
+    half = 0.5 * (high - low)
+    centre = 0.5 * (low + high)
+    return View(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / SCREEN_ASPECT, SMALLEST_HALF_HEIGHT))
+
+
+def place_camera(vis: Visualizer, view: View) -> None:
+    """Aim meshcat's camera, which always looks at the origin: the rig is shifted there, nothing in it changes."""
+    vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
+    eye = view.distance * np.array(
+        [np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH) * np.cos(ELEVATION)]
+    )
+    vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
+    vis[CAMERA].set_property("position", eye.tolist())
+
+
+def set_backdrop(vis: Visualizer) -> None:
+    """A pale backdrop without meshcat's own grid and axes."""
+    vis["/Grid"].set_property("visible", False)
+    vis["/Axes"].set_property("visible", False)
+    vis["/Background"].set_property("top_color", [0.96, 0.97, 0.98])
+    vis["/Background"].set_property("bottom_color", [0.80, 0.84, 0.88])

@@ -1,0 +1,181 @@
+"""What moves on screen: logs and predictions sampled at the frames of an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from vpptwin.logs.flight import Flight, Stream
+    from vpptwin.twin.replay import Prediction
+
+FRAME_RATE = 50.0  # Hz
+MAX_FRAMES = 10_000  # keeps a page under 10 MB; a log longer than MAX_FRAMES / FRAME_RATE gets fewer frames per second
+CRAFT_JOINTS = {"rail_x": "x", "rail_z": "z", "pitch": "theta"}  # MJCF joint of our craft: column of /mocap/pose
+
+
+@dataclass(frozen=True)
+class Rotors:
+    """Both rotors at the frames, each (T, 2): angle turned [rad], blade pitch [rad], thrust along body z [N]."""
+
+    angle: np.ndarray
+    blade_pitch: np.ndarray
+    thrust: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One craft or rig at the frames of an animation.
+
+    Attributes:
+        qpos: (T, nq) joint positions in the model's order [m, rad].
+        shown: (T,) false where nothing is known.
+        rotors: None for rigs without rotors and logs without rotor channels.
+    """
+
+    qpos: np.ndarray
+    shown: np.ndarray
+    rotors: Rotors | None = None
+
+
+@dataclass(frozen=True)
+class Target:
+    """Setpoint at its changes: time (k,) [s], x, z [m] and theta [rad], each (k,)."""
+
+    time: np.ndarray
+    x: np.ndarray
+    z: np.ndarray
+    theta: np.ndarray
+
+
+def has_craft(flight: Flight, model: mujoco.MjModel) -> bool:
+    """Whether the log holds the pose of our craft and the model has its joints."""
+    return "/mocap/pose" in flight.streams and all(find_joint(model, name) >= 0 for name in CRAFT_JOINTS)
+
+
+def find_joint(model: mujoco.MjModel, name: str) -> int:
+    """Index of a joint by name, -1 if the model has none of that name."""
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
+
+
+def read_joints(
+    flight: Flight, model: mujoco.MjModel, topics: Mapping[str, str] | None
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Joint positions that the log holds.
+
+    Args:
+        flight: the log.
+        model: the MJCF whose joints are looked for.
+        topics: joint name -> JointState topic; None looks through every JointState topic.
+
+    Returns:
+        qpos index -> time (n,) [s], position (n,) [m or rad].
+
+    Raises:
+        InputError: if the log holds the position of none of the model's joints.
+    """
+    if has_craft(flight, model):
+        pose = flight.streams["/mocap/pose"]
+        return {
+            int(model.jnt_qposadr[find_joint(model, j)]): (pose.time, pose[column])
+            for j, column in CRAFT_JOINTS.items()
+        }
+    wanted = {model.joint(j).name: int(model.jnt_qposadr[j]) for j in range(model.njnt)}
+    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    for topic, streams in flight.joints.items():
+        for name, stream in streams.items():
+            asked = topics is None or topics.get(name, topic) == topic
+            if name in wanted and asked and "position" in stream.values:
+                found[wanted[name]] = (stream.time, stream["position"])
+    if not found:
+        raise InputError(
+            f"{flight.path}: no position to draw among topics {', '.join([*flight.streams, *flight.joints]) or 'none'}",
+            f"/mocap/pose or a JointState with the position of {' or '.join(wanted)}",
+            "record one, or rename topics with a topic map",
+        )
+    return found
+
+
+def choose_frames(start: float, end: float, rate: float = FRAME_RATE, max_frames: int = MAX_FRAMES) -> np.ndarray:
+    """Frame times (T,) [s] from start to end, at the given rate [Hz] or fewer where max_frames caps them."""
+    count = int(np.clip(round((end - start) * rate) + 1, 2, max_frames))
+    return np.linspace(start, end, count)
+
+
+def hold(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The value that acts at each time: the last one stamped at or before it, the first one before that."""
+    return values[np.clip(np.searchsorted(time, at, side="right") - 1, 0, None)]
+
+
+def interpolate(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Linear interpolation of (n,) or (n, k) values."""
+    if values.ndim == 1:
+        return np.interp(at, time, values)
+    return np.stack([np.interp(at, time, column) for column in values.T], -1)
+
+
+def sample_rotors(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> Rotors | None:
+    """Rotors of the log, at the governed speed where it has none; thrust follows from the commanded pitch."""
+    command: Stream | None = flight.streams.get("/rotor/command")
+    state: Stream | None = flight.streams.get("/rotor/state")
+    if command is None:
+        return None
+    pitch = hold(command.time, command["blade_pitch"], at)
+    if state is None:
+        return turn_rotors(at, np.full((len(at), 2), vehicle.rotor.speed), pitch, at, vehicle)
+    return turn_rotors(state.time, state["speed"], pitch, at, vehicle)
+
+
+def turn_rotors(time: np.ndarray, speed: np.ndarray, pitch: np.ndarray, at: np.ndarray, vehicle: Vehicle) -> Rotors:
+    """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]; thrust is k_t ω α."""
+    step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)[:, None]
+    angle = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+    return Rotors(interpolate(time, angle, at), pitch, vehicle.rotor.k_t * interpolate(time, speed, at) * pitch)
+
+
+def sample_flight(
+    flight: Flight,
+    model: mujoco.MjModel,
+    vehicle: Vehicle | None,
+    joints: Mapping[int, tuple[np.ndarray, np.ndarray]],
+    at: np.ndarray,
+) -> Motion:
+    """The log at the frame times at (T,) [s]; joints that it lacks stay where the model has them."""
+    qpos = np.tile(model.qpos0, (len(at), 1))
+    for address, (time, position) in joints.items():
+        qpos[:, address] = np.interp(at, time, position)
+    rotors = sample_rotors(flight, vehicle, at) if vehicle is not None and has_craft(flight, model) else None
+    return Motion(qpos, np.ones(len(at), dtype=bool), rotors)
+
+
+def sample_prediction(prediction: Prediction, vehicle: Vehicle | None, at: np.ndarray) -> Motion:
+    """The twin at the frame times; hidden outside the prediction and where it is not finite."""
+    known = np.isfinite(prediction.qpos).all(axis=1)
+    if not known.any():
+        raise InputError("a prediction without one finite state", "at least one", "check the twin and the log")
+    time, qpos = prediction.time[known], prediction.qpos[known]
+    gap = np.interp(at, prediction.time, known.astype(float)) < 1.0
+    shown = (at >= time[0] - 1e-6) & (at <= time[-1] + 1e-6) & ~gap
+    rotors = None
+    if vehicle is not None and getattr(prediction, "blade_pitch", None) is not None:
+        pitch = np.nan_to_num(interpolate(prediction.time, prediction.blade_pitch, at))
+        rotors = turn_rotors(prediction.time, np.nan_to_num(prediction.rotor_speed), pitch, at, vehicle)
+    return Motion(interpolate(time, qpos, at), shown, rotors)
+
+
+def read_target(flight: Flight, start: float, end: float) -> Target | None:
+    """The setpoint between start and end [s], times from start; None if the log has none."""
+    stream = flight.streams.get("/setpoint/pose")
+    if stream is None or len(stream.time) == 0 or stream.time[0] > end:
+        return None
+    first = max(int(np.searchsorted(stream.time, start, side="right")) - 1, 0)
+    inside = slice(first, int(np.searchsorted(stream.time, end, side="right")))
+    x, z, theta = (stream[column][inside] for column in ("x", "z", "theta"))
+    return Target(np.maximum(stream.time[inside] - start, 0.0), x, z, theta)

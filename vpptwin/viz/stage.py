@@ -1,0 +1,118 @@
+"""The scene of a show: rig, log, twin, target and trail, each drawn once and moved by tracks."""
+
+from __future__ import annotations
+
+import meshcat.geometry as mg
+import numpy as np
+from meshcat import Visualizer
+
+from vpptwin.vehicle import Vehicle
+from vpptwin.viz.camera import frame_view, place_camera, set_backdrop
+from vpptwin.viz.motion import Motion, Target
+from vpptwin.viz.palette import TARGET, TRAIL, TWIN, to_int
+from vpptwin.viz.rotors import draw_arrows, draw_rotors, track_arrows, track_rotors
+from vpptwin.viz.scene import (
+    ROOT,
+    draw_bodies,
+    draw_geom,
+    draw_grid,
+    draw_surroundings,
+    find_craft,
+    name_body,
+    pose_bodies,
+    track_bodies,
+)
+from vpptwin.viz.shapes import Paint, make_ribbon
+from vpptwin.viz.show import Show
+from vpptwin.viz.tracks import Track, make_track
+
+TRAIL_WIDTH = 0.012  # m
+TRAIL_DEPTH = 0.03  # m, the trail's y: just behind the craft
+GRID_DEPTH = 0.5  # m, the grid's y: behind the rig
+TWIN_PAINT = Paint(TWIN, 0.5, behind=True)
+TARGET_PAINT = Paint(TARGET, 0.4, behind=True)
+
+
+def draw_show(vis: Visualizer, show: Show) -> list[Track]:
+    """Draw everything, aim the camera, and return the tracks that move it."""
+    set_backdrop(vis)
+    draw_surroundings(vis[f"{ROOT}/world"], show.model)
+    tracks = draw_log(vis, show)
+    view = frame_view(find_places(show))
+    if show.twin is not None:
+        tracks += draw_twin(vis, show, show.twin)
+    if show.vehicle is not None:
+        draw_trail(vis, show)
+        if show.target is not None:
+            tracks += draw_target(vis, show, show.vehicle, show.target)
+    centre, reach = view.centre[[0, 2]], view.half_height * np.array([2.5, 1.5])
+    draw_grid(vis[f"{ROOT}/grid"], np.maximum(centre - reach, [-np.inf, 0.0]), centre + reach, GRID_DEPTH)
+    place_camera(vis, view)
+    return tracks
+
+
+def find_places(show: Show) -> np.ndarray:
+    """Places (n, 3) [m] that the view must hold: our craft's path, or every moving body of another rig."""
+    position, _ = pose_bodies(show.model, show.log.qpos)
+    if show.vehicle is not None:
+        return position[:, find_craft(show.model)]
+    return position[:, show.model.body_weldid != 0].reshape(-1, 3)
+
+
+def draw_log(vis: Visualizer, show: Show) -> list[Track]:
+    """Draw the log solid in the MJCF's colours, with rotors and thrust arrows where it has them."""
+    node = f"{ROOT}/log"
+    draw_bodies(vis[node], show.model)
+    tracks = track_bodies(node, show.model, show.time, show.log)
+    if show.vehicle is not None:
+        craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
+        draw_rotors(vis[craft], show.model, show.vehicle)
+        if show.log.rotors is not None:
+            draw_arrows(vis[craft])
+            tracks += track_rotors(craft, show.time, show.log.rotors)
+            tracks += track_arrows(craft, show.time, show.log.rotors, show.vehicle)
+    return tracks
+
+
+def draw_twin(vis: Visualizer, show: Show, motion: Motion) -> list[Track]:
+    """Draw the twin translucent in its own colour, without arrows."""
+    node = f"{ROOT}/twin"
+    draw_bodies(vis[node], show.model, TWIN_PAINT)
+    tracks = track_bodies(node, show.model, show.time, motion)
+    if show.vehicle is not None:
+        craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
+        draw_rotors(vis[craft], show.model, show.vehicle, TWIN_PAINT)
+        if motion.rotors is not None:
+            tracks += track_rotors(craft, show.time, motion.rotors)
+    return tracks
+
+
+def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -> list[Track]:
+    """Draw the craft once more as a ghost at the setpoint, hidden before the first one."""
+    node = f"{ROOT}/target"
+    for geom in np.flatnonzero(show.model.geom_bodyid == find_craft(show.model)):
+        draw_geom(vis[node], show.model, int(geom), TARGET_PAINT)
+    draw_rotors(vis[node], show.model, vehicle, TARGET_PAINT)
+    half = -0.5 * target.theta  # θ turns about -y
+    zero = np.zeros_like(half)
+    end = show.time[-1]
+    rows = np.append(np.arange(len(half)), len(half) - 1)  # the last setpoint stays until the end
+    time = np.append(target.time, end)
+    position = np.stack([target.x, zero, target.z], -1)[rows]
+    quaternion = np.stack([zero, np.sin(half), zero, np.cos(half)], -1)[rows]
+    tracks = [
+        make_track(node, "position", time, position, hold=True),
+        make_track(node, "quaternion", time, quaternion, hold=True),
+    ]
+    if target.time[0] > 0.0:
+        shown = np.array([False, True, True])
+        tracks.append(make_track(node, "visible", np.array([0.0, target.time[0], end]), shown))
+    return tracks
+
+
+def draw_trail(vis: Visualizer, show: Show) -> None:
+    """Draw the path of the log's craft as a ribbon; a page shows its last seconds only, which tracks cannot do."""
+    position, _ = pose_bodies(show.model, show.log.qpos)
+    path = position[:, find_craft(show.model)] + [0.0, TRAIL_DEPTH, 0.0]
+    material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.55, depthWrite=False)
+    vis[f"{ROOT}/trail"].set_object(make_ribbon(path, TRAIL_WIDTH), material)
