@@ -1,4 +1,4 @@
-"""The channel table: topics of SPEC 3, their message types, and how messages map to columns. Reader and writer share it."""
+"""The channel table, shared by reader and writer: topics of SPEC 3, their types, how messages map to columns."""
 
 from __future__ import annotations
 
@@ -73,22 +73,29 @@ class Channel:
     frame_id: str = "world"
 
 
-def _plain(name: str, unit: str, path: str = "", **options: float | str | bool) -> Column:
-    return Column(name, unit, Source((path or name,)), **options)  # type: ignore[arg-type]
+def _plain(
+    name: str,
+    unit: str,
+    path: str = "",
+    *,
+    limit: float = math.inf,
+    mistake: str = "",
+    width: int = 1,
+    optional: bool = False,
+) -> Column:
+    return Column(name, unit, Source((path or name,)), width, optional, limit, mistake)
 
 
 def _pose(topic: str, steady: bool) -> Channel:
-    length = {"limit": 50.0, "mistake": "millimetres"}
     columns = (
-        _plain("x", "m", "pose.position.x", **length),
-        _plain("z", "m", "pose.position.z", **length),
+        _plain("x", "m", "pose.position.x", limit=50.0, mistake="millimetres"),
+        _plain("z", "m", "pose.position.z", limit=50.0, mistake="millimetres"),
         Column("theta", "rad", Source(("pose.orientation",), axis="-y")),
     )
     return Channel(topic, "geometry_msgs/msg/PoseStamped", columns, steady)
 
 
 _UNMEASURED = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
-_PAIR = {"width": 2}
 
 CHANNELS: dict[str, Channel] = {
     channel.topic: channel
@@ -121,8 +128,8 @@ CHANNELS: dict[str, Channel] = {
             "/rotor/command",
             "vpptwin_msgs/msg/RotorCommand",
             (
-                _plain("blade_pitch", "rad", limit=1.6, mistake="degrees", **_PAIR),
-                _plain("throttle", "1", limit=2.0, mistake="percent", **_PAIR),
+                _plain("blade_pitch", "rad", limit=1.6, mistake="degrees", width=2),
+                _plain("throttle", "1", limit=2.0, mistake="percent", width=2),
             ),
             frame_id="body",
         ),
@@ -130,8 +137,8 @@ CHANNELS: dict[str, Channel] = {
             "/rotor/state",
             "vpptwin_msgs/msg/RotorState",
             (
-                _plain("speed", "rad/s", limit=2000.0, mistake="rpm", **_PAIR),
-                _plain("current", "A", optional=True, limit=1000.0, mistake="milliamperes", **_PAIR),
+                _plain("speed", "rad/s", limit=2000.0, mistake="rpm", width=2),
+                _plain("current", "A", optional=True, limit=1000.0, mistake="milliamperes", width=2),
             ),
             frame_id="body",
         ),

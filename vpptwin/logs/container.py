@@ -15,8 +15,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Header, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
+from numpy.lib.stride_tricks import sliding_window_view
+from zstandard import ZstdError
 
 from vpptwin.errors import InputError
 
@@ -56,7 +58,7 @@ class RawFile:
     log_time: tuple[int, int]
 
 
-class _Damage(Exception):
+class _DamageError(Exception):
     """The file ends or stops making sense at a byte offset."""
 
     def __init__(self, offset: int, reason: str) -> None:
@@ -74,76 +76,79 @@ class _Scan:
         self.channels: dict[int, RawChannel] = {}
         self.keep: set[int] = set()
         self.count = 0
-        self.first, self.last = 2**63, -1
+        self.log_time = (2**63, -1)
 
-    def take_channel(self, record: ChannelRecord) -> None:
+    def take_records(self, data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+        """Walk over records. Yields (opcode, start, end) of those that are neither schema, channel nor message."""
+        found: list[tuple[int, int, int, int]] = []
+        position, total = 0, len(data)
+        unpack_prefix, unpack_message = _PREFIX.unpack_from, _MESSAGE.unpack_from
+        message = int(Opcode.MESSAGE)
+        try:
+            while position < total:
+                begin, start = position, position + _PREFIX.size
+                opcode, length = unpack_prefix(data, begin) if start <= total else (0, total)
+                position = start + length
+                if position > total:
+                    raise _DamageError(begin, "ends inside a record")
+                if opcode == message:
+                    if length < _MESSAGE.size:
+                        raise _DamageError(begin, "holds a broken message")
+                    channel_id, _, log_time, _ = unpack_message(data, start)
+                    found.append((channel_id, length - _MESSAGE.size, start + _MESSAGE.size, log_time))
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self.take_declaration(opcode, _open_stream(data, start, position), begin)
+                else:
+                    self.store(data, found)
+                    found = []
+                    yield opcode, start, position
+        finally:
+            self.store(data, found)
+
+    def take_header(self, stream: ReadDataStream, offset: int) -> None:
+        """Note the profile."""
+        try:
+            self.profile = Header.read(stream).profile
+        except (McapError, ValueError, struct.error):
+            raise _DamageError(offset, "holds a broken header") from None
+
+    def take_declaration(self, opcode: int, stream: ReadDataStream, offset: int) -> None:
+        """Note a schema or a channel."""
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+                return
+            record = ChannelRecord.read(stream)
+        except (McapError, ValueError, struct.error):
+            raise _DamageError(offset, "holds a broken schema or channel") from None
         if record.id in self.channels:
             return
-        schema = self.schemas.get(record.schema_id)
-        text = schema.data.decode("utf-8", "replace") if schema else ""
-        channel = RawChannel(
-            record.topic,
-            schema.name if schema else "",
-            record.message_encoding,
-            schema.encoding if schema else "",
-            text,
-        )
+        known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
+        text = known.data.decode("utf-8", "replace")
+        channel = RawChannel(record.topic, known.name, record.message_encoding, known.encoding, text)
         self.channels[record.id] = channel
         if self.wanted(channel):
             self.keep.add(record.id)
 
-    def take_records(self, data: bytes | memoryview, base: int) -> Iterator[tuple[int, int, int]]:
-        """Walk over records. Yields (opcode, start, end) of those that are neither schema, channel nor message."""
-        found: list[tuple[int, int, int, int, int]] = []
-        position, total = 0, len(data)
-        unpack_prefix, unpack_message = _PREFIX.unpack_from, _MESSAGE.unpack_from
-        message, schema, channel = int(Opcode.MESSAGE), int(Opcode.SCHEMA), int(Opcode.CHANNEL)
-        keep, channels, number, first, last = self.keep, self.channels, self.count, self.first, self.last
-        try:
-            while position < total:
-                if position + 9 > total:
-                    raise _Damage(base + position, "ends inside a record")
-                opcode, length = unpack_prefix(data, position)
-                start = position + 9
-                position = start + length
-                if position > total:
-                    raise _Damage(base + start - 9, "ends inside a record")
-                if opcode == message:
-                    channel_id, _, log_time, _ = unpack_message(data, start)
-                    if channel_id in keep:
-                        found.append((channel_id, length - 22, start + 22, log_time, number))
-                    elif channel_id in channels:
-                        channels[channel_id].count += 1
-                    number += 1
-                    first = log_time if log_time < first else first
-                    last = log_time if log_time > last else last
-                elif opcode == schema:
-                    record = Schema.read(_open_stream(data, start, position))
-                    self.schemas[record.id] = record
-                elif opcode == channel:
-                    self.take_channel(ChannelRecord.read(_open_stream(data, start, position)))
-                else:
-                    yield opcode, start, position
-                    if opcode == Opcode.DATA_END:
-                        return
-        finally:
-            self.count, self.first, self.last = number, first, last
-            self.store(np.frombuffer(data, np.uint8), found)
-
-    def store(self, data: np.ndarray, found: list[tuple[int, int, int, int, int]]) -> None:
-        """Copy the messages found, grouped by channel and length."""
+    def store(self, data: bytes | memoryview, found: list[tuple[int, int, int, int]]) -> None:
+        """Count messages, given as (channel, length, start, log time), and copy those wanted, grouped by length."""
         if not found:
             return
-        table = np.array(found, dtype=np.uint64)
-        kinds, group = np.unique(table[:, :2], axis=0, return_inverse=True)
-        for index, (channel_id, length) in enumerate(kinds):
-            rows = table[group.reshape(-1) == index]
-            starts = rows[:, 2].astype(np.intp)
-            windows = np.lib.stride_tricks.sliding_window_view(data, int(length)) if length else data[:0].reshape(0, 0)
-            payload = windows[starts] if length else np.zeros((len(rows), 0), np.uint8)
-            channel = self.channels[int(channel_id)]
-            channel.count += len(rows)
-            channel.blocks.append(Block(rows[:, 4].astype(np.int64), rows[:, 3], payload))
+        channel, length, start, log_time = np.array(found, dtype=np.uint64).T
+        number = self.count + np.arange(len(found))
+        self.count += len(found)
+        self.log_time = (min(self.log_time[0], int(log_time.min())), max(self.log_time[1], int(log_time.max())))
+        content = np.frombuffer(data, np.uint8)
+        for identifier in np.unique(channel).tolist():
+            mine = channel == identifier
+            if identifier in self.channels:
+                self.channels[identifier].count += int(np.count_nonzero(mine))
+            for size in np.unique(length[mine]).tolist() if identifier in self.keep else ():
+                rows = np.flatnonzero(mine & (length == size))
+                windows = sliding_window_view(content, max(size, 1))
+                payload = windows[start[rows].astype(np.intp) - (size == 0), :size]
+                self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
 
 
 def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
@@ -157,55 +162,63 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
         All channels; those wanted with their payloads.
 
     Raises:
-        InputError: if the file is not MCAP, is damaged or ends early.
+        InputError: if the file is damaged or ends early.
     """
-    size = path.stat().st_size
     scan = _Scan(wanted)
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         view = memoryview(mapped)
+        body = view[len(MCAP0_MAGIC) :]
         try:
-            _read_records(view, scan)
-        except _Damage as damage:
-            raise _refuse_damaged(path, size, scan, damage) from None
+            _read_records(body, scan)
+        except _DamageError as damage:
+            raise _refuse_damaged(path, len(view), scan, damage) from None
         finally:
+            body.release()
             view.release()
-    return RawFile(path, scan.profile, list(scan.channels.values()), (scan.first, scan.last))
+    return RawFile(path, scan.profile, list(scan.channels.values()), scan.log_time)
 
 
-def _read_records(view: memoryview, scan: _Scan) -> None:
-    start = len(MCAP0_MAGIC)
-    body = view[start:]
-    ended = False
+def _read_records(body: memoryview, scan: _Scan) -> None:
+    for opcode, start, end in scan.take_records(body):
+        if opcode == Opcode.HEADER:
+            scan.take_header(_open_stream(body, start, end), start)
+        elif opcode == Opcode.CHUNK:
+            _read_chunk(_open_stream(body, start, end), start, scan)
+        elif opcode == Opcode.DATA_END:
+            break
+    else:
+        raise _DamageError(len(body), "ends without a summary")
+    if body[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
+        raise _DamageError(len(body), "ends inside its summary")
+
+
+def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:
     try:
-        for opcode, first, last in scan.take_records(body, start):
-            ended = opcode == Opcode.DATA_END
-            try:
-                if opcode == Opcode.HEADER:
-                    scan.profile = Header.read(_open_stream(body, first, last)).profile
-                elif opcode == Opcode.CHUNK:
-                    stream, length = get_chunk_data_stream(
-                        Chunk.read(_open_stream(body, first, last)), validate_crc=True
-                    )
-                    for _ in scan.take_records(stream.read(length), start + first):
-                        pass
-            except (McapError, CRCValidationError, ValueError, RuntimeError) as error:
-                raise _Damage(start + first, f"holds a broken chunk ({error})") from None
-    finally:
-        body.release()
-    if not ended or view[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
-        raise _Damage(len(view), "ends without the closing part of an MCAP file")
+        chunk = Chunk.read(stream)
+        if chunk.compression not in ("", "zstd", "lz4"):
+            raise _DamageError(offset, f"holds a chunk compressed by '{chunk.compression}'")
+        unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
+        records = unpacked.read(length)
+    except (McapError, ValueError, RuntimeError, MemoryError, struct.error, ZstdError):
+        raise _DamageError(offset, "holds a broken chunk") from None
+    try:
+        for _ in scan.take_records(records):
+            pass
+    except _DamageError:
+        raise _DamageError(offset, "holds a broken chunk") from None
 
 
 def _open_stream(data: bytes | memoryview, start: int, end: int) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(data[start:end]))
 
 
-def _refuse_damaged(path: Path, size: int, scan: _Scan, damage: _Damage) -> InputError:
+def _refuse_damaged(path: Path, size: int, scan: _Scan, damage: _DamageError) -> InputError:
     readable = f"{scan.count} messages"
-    if scan.last >= scan.first:
-        readable += f" over {(scan.last - scan.first) * 1e-9:.1f} s"
+    if scan.count:
+        readable += f" over {(scan.log_time[1] - scan.log_time[0]) * 1e-9:.1f} s"
+    offset = damage.offset + len(MCAP0_MAGIC)
     return InputError(
-        f"{path} {damage.reason} at byte {damage.offset} of {size}, {readable} before it are readable",
+        f"{path} {damage.reason} at byte {offset} of {size}, {readable} before it are readable",
         "a complete MCAP file",
         f"copy or record it again, or save the readable part with `mcap recover {path.name} -o recovered.mcap`",
     )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from vpptwin.logs.channels import AXES, Column, Source
 
 _COMPONENTS = "xyzw"
+Value = float | Sequence[float] | np.ndarray
 
 
 def list_fields(source: Source) -> list[str]:
@@ -32,29 +33,29 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
         parts = [np.asarray(fields[path], dtype=float) for path in source.paths]
         values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
     else:
-        values = read_angle(*(fields[path] for path in list_fields(source)), axis=source.axis)
+        values = read_angle(np.stack([fields[path] for path in list_fields(source)], axis=-1), source.axis)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
     values = values * scale
     return values + source.offset if source.offset else values
 
 
-def read_angle(x: np.ndarray, y: np.ndarray, z: np.ndarray, w: np.ndarray, axis: str) -> np.ndarray:
-    """Angle of a rotation about an axis, from its quaternion.
+def read_angle(quaternion: np.ndarray, axis: str) -> np.ndarray:
+    """Angle of a rotation about an axis.
 
     Args:
-        x, y, z, w: (n,) components, of any norm but zero.
+        quaternion: (n, 4) components x, y, z, w, of any norm but zero.
         axis: one of AXES.
 
     Returns:
         (n,) rad in [-pi, pi].
     """
     name, sign = AXES[axis]
-    sine = sign * {"x": x, "y": y, "z": z}[name]
-    upper = np.where(w < 0, -1.0, 1.0)  # a quaternion and its negative are one rotation
-    return 2.0 * np.arctan2(sine * upper, w * upper)
+    sine, cosine = sign * quaternion[:, _COMPONENTS.index(name)], quaternion[:, 3]
+    upper = np.where(cosine < 0, -1.0, 1.0)  # a quaternion and its negative are one rotation
+    return 2.0 * np.arctan2(sine * upper, cosine * upper)
 
 
-def split_column(column: Column, value: float | np.ndarray) -> dict[str, float | np.ndarray]:
+def split_column(column: Column, value: Value) -> dict[str, float | np.ndarray]:
     """Message fields that hold one sample of a column, the inverse of `convert_column` for one message.
 
     Args:

@@ -1,4 +1,4 @@
-"""Fields of many recorded messages at once, as arrays; one by one through mcap-ros2-support where that does not work."""
+"""Fields of many messages at once, as arrays; one by one by mcap-ros2-support where that does not work."""
 
 from __future__ import annotations
 
@@ -58,8 +58,15 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         definitions = parse_definition(channel.message_type, channel.definition)
     except LayoutError:
         definitions = None
-    for block in channel.blocks:
+    for block in _merge_blocks(channel.blocks):
         yield from _decode_block(channel.message_type, definitions, block, paths, texts, reference)
+
+
+def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:
+    """Join the blocks of all chunks by length of message, so that there are few."""
+    for length in sorted({block.payload.shape[1] for block in blocks}):
+        same = [block for block in blocks if block.payload.shape[1] == length]
+        yield Block(*(np.concatenate(parts) for parts in zip(*((b.number, b.log_time, b.payload) for b in same))))
 
 
 def _decode_block(
@@ -104,26 +111,16 @@ def _match_shape(payload: np.ndarray, layout: Layout, texts: Sequence[str]) -> n
 
 def _decode_same(block: Block, layout: Layout, paths: Sequence[str], texts: Sequence[str]) -> Batch:
     order = "<" if block.payload[0, 1] == LITTLE_ENDIAN else ">"
-    payload = np.ascontiguousarray(block.payload)
+    payload = block.payload
     values = {}
     for path in paths:
         leaf = find_leaf(layout, path)
-        shape = () if leaf.count is None else (leaf.count,)
-        dtype = (
-            np.dtype(
-                {
-                    "names": ["v"],
-                    "formats": [(order + leaf.code, shape)],
-                    "offsets": [leaf.offset],
-                    "itemsize": payload.shape[1],
-                }
-            )
-            if leaf.count != 0
-            else None
-        )
-        values[path] = (
-            payload.view(dtype)["v"][:, 0].astype(leaf.code) if dtype is not None else np.zeros((len(payload), 0))
-        )
+        if leaf.count == 0:
+            values[path] = np.zeros((len(payload), 0))
+            continue
+        end = leaf.offset + int(leaf.code[1]) * (leaf.count or 1)
+        data = np.ascontiguousarray(payload[:, leaf.offset : end]).view(order + leaf.code)
+        values[path] = (data[:, 0] if leaf.count is None else data).astype(leaf.code)
     strings = {path: tuple(_read_strings(payload[0], layout, path)) for path in texts}
     return Batch(block.number, block.log_time, values, strings)
 
@@ -172,7 +169,7 @@ class _ReferenceDecoder:
         for row in range(len(block.number)):
             message = self._decode_message(block.payload[row].tobytes())
             values = {path: np.asarray([_follow_path(message, path)]) for path in paths}
-            strings = {path: tuple(_follow_path(message, path)) for path in texts}
+            strings = {path: tuple(_list_strings(_follow_path(message, path))) for path in texts}
             yield Batch(block.number[row : row + 1], block.log_time[row : row + 1], values, strings)
 
     def _decode_message(self, payload: bytes) -> object:
@@ -190,6 +187,12 @@ class _ReferenceDecoder:
             return self.function(payload)
         except Exception as error:  # the decoder raises whatever its struct calls raise
             raise DecodeError(f"{len(payload)} bytes that do not decode ({error})") from None
+
+
+def _list_strings(value: object) -> list[str]:
+    if not isinstance(value, list):
+        raise DecodeError("a single value where a list of names was expected")
+    return [str(item) for item in value]
 
 
 def _follow_path(message: object, path: str) -> object:

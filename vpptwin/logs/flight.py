@@ -76,7 +76,7 @@ class Flight:
                 f"{topic} (mapped to {self.sources[topic]})" if topic in self.sources else topic for topic in missing
             ]
             raise InputError(
-                f"{self.path} has no messages on {', '.join(names)}, only on {', '.join(sorted(present)) or 'no topic'}",
+                f"{self.path} has no messages on {', '.join(names)}, only on {', '.join(sorted(present))}",
                 f"a log with {', '.join(topics)}",
                 "record the missing topic, or name it in a topic map if it is recorded under another name",
             )

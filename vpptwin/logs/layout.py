@@ -43,7 +43,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Leaf:
-    """A primitive inside a message: byte offset from the start of the payload, numpy type code, count (None: scalar)."""
+    """A primitive in a message: byte offset from the start of the payload, numpy type code, count (None: scalar)."""
 
     offset: int
     code: str
@@ -52,7 +52,7 @@ class Leaf:
 
 @dataclass
 class Layout:
-    """Fields of one message of given lengths. counters: byte offsets of the lengths that shape it; size: bytes in all."""
+    """Fields of one message. counters: byte offsets of the lengths that shape it; size: bytes in all."""
 
     leaves: dict[str, Leaf] = field(default_factory=dict)
     strings: dict[str, tuple[int, int]] = field(default_factory=dict)

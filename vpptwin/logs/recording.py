@@ -15,6 +15,7 @@ from mcap.writer import MCAP0_MAGIC
 from vpptwin.errors import InputError
 from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
+from vpptwin.logs.messages import shorten_type
 
 PathLike = str | os.PathLike[str]
 _EXPECTED = "a flight log in MCAP (ros2 profile, CDR messages)"
@@ -42,11 +43,28 @@ class Recording:
         """Topic -> message type, of all channels."""
         return {channel.topic: channel.message_type for file in self.files for channel in file.channels}
 
-    def find_channels(self, topic: str) -> list[tuple[int, RawChannel]]:
+    def count_messages(self) -> int:
+        """Messages in all files, on all topics."""
+        return sum(channel.count for file in self.files for channel in file.channels)
+
+    def check_type(self, topic: str) -> str:
+        """Message type of a topic.
+
+        Raises:
+            InputError: if it was recorded with several types.
+        """
+        types = {shorten_type(c.message_type): c.message_type for _, c in self._find_channels(topic)}
+        if len(types) > 1:
+            raise InputError(
+                f"{self.path}: {topic} is recorded as {' and as '.join(types.values())}",
+                "one type per topic",
+                "record again without the program that publishes the other type",
+            )
+        return next(iter(types.values()))
+
+    def _find_channels(self, topic: str) -> list[tuple[int, RawChannel]]:
         """Channels of a topic, each with the position of its file."""
-        return [
-            (i, channel) for i, file in enumerate(self.files) for channel in file.channels if channel.topic == topic
-        ]
+        return [(i, c) for i, file in enumerate(self.files) for c in file.channels if c.topic == topic]
 
     def decode(self, topic: str, paths: Sequence[str], texts: Sequence[str] = ()) -> list[Batch]:
         """Decode fields of all messages of a topic.
@@ -63,7 +81,7 @@ class Recording:
             InputError: if messages are no ROS 2 messages, or do not decode.
         """
         batches = []
-        for index, channel in self.find_channels(topic):
+        for index, channel in self._find_channels(topic):
             refuse_encoding(self.path, [channel])
             try:
                 for batch in decode_channel(channel, paths, texts):
@@ -90,9 +108,9 @@ def open_recording(path: PathLike | Sequence[PathLike], wanted: Callable[[RawCha
     paths = find_files(path)
     files = [_read_file(file, wanted) for file in paths]
     files.sort(key=lambda file: file.log_time[0])
-    channels = [channel for file in files for channel in file.channels]
-    if channels and not any(channel.encoding == MessageEncoding.CDR for channel in channels):
-        refuse_encoding(paths[0], channels)
+    for file in files:
+        if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
+            refuse_encoding(file.path, file.channels)
     return Recording(paths[0], tuple(files))
 
 

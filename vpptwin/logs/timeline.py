@@ -12,12 +12,13 @@ GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
 
 
-def order_stamps(stamps: np.ndarray, label: str) -> tuple[np.ndarray, tuple[str, ...]]:
+def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray, tuple[str, ...]]:
     """Order messages by their stamps.
 
     Args:
         stamps: (n,) ns, in record order.
-        label: file and topic, for messages.
+        path: of the log, for messages.
+        topic: for messages.
 
     Returns:
         Indices that sort the stamps and drop repeated ones (the first recorded stays), and warnings.
@@ -25,15 +26,15 @@ def order_stamps(stamps: np.ndarray, label: str) -> tuple[np.ndarray, tuple[str,
     Raises:
         InputError: if stamps are not set, or run backwards.
     """
-    _refuse_unset(stamps, label)
+    _refuse_unset(stamps, f"{path}: {topic}")
     lateness = np.maximum.accumulate(stamps) - stamps
     late = int(np.count_nonzero(lateness))
     falling = int(np.count_nonzero(np.diff(stamps) < 0))
     if lateness.max() > MAX_LATE * 1e9 or (len(stamps) > 2 and falling > len(stamps) // 2):
         index = int(np.argmax(lateness))
         raise InputError(
-            f"{label}: time runs backwards, message {index + 1} of {len(stamps)} is stamped {lateness[index] * 1e-9:.3f} s "
-            f"before an earlier one",
+            f"{path}: time runs backwards on {topic}, message {index + 1} of {len(stamps)} is stamped "
+            f"{lateness[index] * 1e-9:.3f} s before an earlier one",
             f"header stamps that increase, up to {MAX_LATE} s of disorder",
             "look for a clock that was set, a recording that looped, or several recordings in one file",
         )
@@ -41,14 +42,16 @@ def order_stamps(stamps: np.ndarray, label: str) -> tuple[np.ndarray, tuple[str,
     repeats = np.flatnonzero(np.diff(stamps[order]) == 0) + 1
     if 2 * len(repeats) > len(stamps):
         raise InputError(
-            f"{label}: {len(repeats)} of {len(stamps)} messages repeat a stamp", "one stamp per message", _STAMP_ADVICE
+            f"{path}: {topic}: {len(repeats)} of {len(stamps)} messages repeat a stamp",
+            "one stamp per message",
+            _STAMP_ADVICE,
         )
     warnings = []
     if late:
         worst = lateness.max() * 1e-9
-        warnings.append(f"{late} of {len(stamps)} messages on {label} out of order by up to {worst:.3g} s, sorted")
+        warnings.append(f"{late} of {len(stamps)} messages on {topic} out of order by up to {worst:.3g} s, sorted")
     if len(repeats):
-        warnings.append(f"{len(repeats)} of {len(stamps)} messages on {label} repeat a stamp, dropped")
+        warnings.append(f"{len(repeats)} of {len(stamps)} messages on {topic} repeat a stamp, dropped")
     return np.delete(order, repeats), tuple(warnings)
 
 

@@ -90,10 +90,11 @@ class Route:
         ]
         missing = [c.name for c in self.channel.columns if not (known or c.optional or c.name in self.sources)]
         if missing:
+            topic = self.channel.topic
             raise InputError(
                 f"{self.topic} is of type {message_type or 'unknown'}",
-                self.channel.message_type,
-                f"record that type, or say in a topic map where {', '.join(missing)} of {self.channel.topic} lie (fields: ...)",
+                f"{self.channel.message_type} for {topic}",
+                f"record that type, or say in a topic map where {', '.join(missing)} of {topic} lie (fields: ...)",
             )
         return tuple(chosen)
 
@@ -135,6 +136,8 @@ def load_topic_map(path: str | os.PathLike[str] | None) -> TopicMap:
             routes[canonical] = Route(channel, entry.topic, sources, stamp, str(path))
         else:
             raise InputError(f"{where}", f"one of {', '.join((*CHANNELS, *JOINT_TOPICS))} as key", "correct the key")
+    named = {route.topic for route in routes.values() if route.origin}
+    routes = {topic: route for topic, route in routes.items() if route.origin or route.topic not in named}
     return TopicMap(routes, joints)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from errno import EISDIR
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -17,7 +18,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE
-from vpptwin.logs.convert import split_column
+from vpptwin.logs.convert import Value, split_column
 from vpptwin.logs.decode import find_leaf
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.layout import Layout, Leaf, compose_message, parse_definition
@@ -38,7 +39,6 @@ STRUCT_CODES = {
     "f4": "f",
     "f8": "d",
 }
-Value = float | Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,15 @@ class FlightWriter:
         self.start_ns = start_ns
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._templates: dict[tuple[str, tuple[str, ...], tuple[int, ...]], _Template] = {}
+        self._templates: dict[tuple[str, tuple[str, ...], tuple[str, ...]], _Template] = {}
         self._sequence: dict[str, int] = {}
+        self._partial = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         try:
-            self._file: IO[bytes] = tempfile.NamedTemporaryFile(  # noqa: SIM115
-                dir=self.path.parent, prefix=f".{self.path.name}.", suffix=".part", delete=False
-            )
+            if self.path.is_dir():
+                raise IsADirectoryError(EISDIR, "is a folder")
+            self._file: IO[bytes] = self._partial.open("wb")
         except OSError as error:
-            raise InputError(
-                f"cannot write to {self.path.parent} ({error.strerror})", "a writable folder", "choose another"
-            ) from None
+            raise self._refuse(error) from None
         self._writer = Writer(self._file)
         self._writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
         if metadata:
@@ -100,11 +99,18 @@ class FlightWriter:
             if kind is None:
                 self._writer.finish()
                 self._file.close()
-                os.chmod(self._file.name, 0o666 & ~_read_umask())
-                os.replace(self._file.name, self.path)
+                os.replace(self._partial, self.path)
+        except OSError as failure:
+            raise self._refuse(failure) from failure
         finally:
-            self._file.close()
-            Path(self._file.name).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self._file.close()
+            self._partial.unlink(missing_ok=True)
+
+    def _refuse(self, error: OSError) -> InputError:
+        return InputError(
+            f"{self.path} cannot be written ({error.strerror})", "a path to write a log to", "choose another"
+        )
 
     def write(self, topic: str, time: float, values: Mapping[str, Value], log_time: float | None = None) -> None:
         """Write one message.
@@ -237,9 +243,3 @@ def _merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:
     row = np.concatenate([np.arange(len(time)) for time in times])
     for place in np.argsort(np.concatenate(times), kind="stable"):
         yield int(which[place]), int(row[place])
-
-
-def _read_umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -1,0 +1,142 @@
+"""Samples of one topic in record order, before they are sorted, checked and converted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.logs.channels import JOINT_COLUMNS, Column
+from vpptwin.logs.convert import list_fields
+from vpptwin.logs.recording import Recording
+from vpptwin.logs.topic_map import LOG_TIME, NANOSECONDS, Route, Stamp
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of one topic, or of one joint.
+
+    Attributes:
+        label: canonical topic, and name of the joint.
+        stamp: (n,) ns.
+        fields: message field -> (n,) or (n, k).
+        columns: what to make of the fields, for topics of the channel table.
+    """
+
+    label: str
+    stamp: np.ndarray
+    fields: dict[str, np.ndarray]
+    columns: tuple[Column, ...] = ()
+
+    def take(self, rows: np.ndarray) -> Samples:
+        """Samples of these rows, in this order."""
+        fields = {path: values[rows] for path, values in self.fields.items()}
+        return Samples(self.label, self.stamp[rows], fields, self.columns)
+
+
+def read_samples(recording: Recording, route: Route) -> Samples:
+    """Read a topic of the channel table.
+
+    Args:
+        recording: with the messages of the topic.
+        route: what to read, and where from.
+
+    Raises:
+        InputError: if the messages are of another type, or do not decode.
+    """
+    try:
+        columns = route.choose_columns(recording.check_type(route.topic))
+    except InputError as error:
+        raise InputError(f"{recording.path}: {error.found}", error.expected, error.action) from None
+    paths = [path for column in columns for path in list_fields(column.source)]
+    stamp_paths = _list_stamp_fields(route.stamp)
+    batches = recording.decode(route.topic, [*stamp_paths, *paths])
+    if not batches:
+        return Samples(route.channel.topic, np.zeros(0, np.int64), {}, columns)
+    order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
+    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
+    log_time = np.concatenate([batch.log_time for batch in batches])[order]
+    return Samples(route.channel.topic, _read_stamps(route.stamp, fields, log_time), fields, columns)
+
+
+def _list_stamp_fields(stamp: Stamp) -> list[str]:
+    if stamp.path == LOG_TIME:
+        return []
+    return [stamp.path] if stamp.unit else [f"{stamp.path}.sec", f"{stamp.path}.nanosec"]
+
+
+def _read_stamps(stamp: Stamp, fields: dict[str, np.ndarray], log_time: np.ndarray) -> np.ndarray:
+    """Stamps in ns, (n,)."""
+    if stamp.path == LOG_TIME:
+        return log_time.astype(np.int64)
+    parts = [fields[path] for path in _list_stamp_fields(stamp)]
+    if stamp.unit is None:
+        return parts[0].astype(np.int64) * 10**9 + parts[1].astype(np.int64)
+    factor = NANOSECONDS[stamp.unit]
+    if parts[0].dtype.kind != "f":
+        return parts[0].astype(np.int64) * factor
+    whole = np.floor(parts[0])  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
+    return whole.astype(np.int64) * factor + np.rint((parts[0] - whole) * factor).astype(np.int64)
+
+
+@dataclass
+class _Part:
+    """Samples of one joint from messages of one shape."""
+
+    number: np.ndarray
+    stamp: np.ndarray
+    values: dict[str, np.ndarray]
+
+
+def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[str, Samples], list[str]]:
+    """Read all joints of one JointState topic.
+
+    Args:
+        recording: with the messages of the topic.
+        topic: name in the log.
+        canonical: name for labels.
+
+    Returns:
+        Joint or actuator name -> samples of position, velocity, effort; warnings. Columns that are absent from most
+        messages, or NaN throughout, are left out.
+
+    Raises:
+        InputError: if a message has another number of values than names.
+    """
+    seconds, nanoseconds = _list_stamp_fields(Stamp())
+    parts: dict[str, list[_Part]] = {}
+    for batch in recording.decode(topic, (seconds, nanoseconds, *JOINT_COLUMNS), texts=("name",)):
+        names = batch.texts["name"]
+        stamp = _read_stamps(Stamp(), batch.values, batch.log_time)
+        widths = {column: batch.values[column].shape[1] for column in JOINT_COLUMNS}
+        for column, width in widths.items():
+            if width not in (0, len(names)):
+                raise InputError(
+                    f"{recording.path}: {topic} has {width} values of {column} for {len(names)} names, {names[:4]}",
+                    "one value per name, or none",
+                    "correct the program that publishes it",
+                )
+        for index, name in enumerate(names):
+            values = {column: batch.values[column][:, index].astype(float) for column, width in widths.items() if width}
+            parts.setdefault(name, []).append(_Part(batch.number, stamp, values))
+    warnings: list[str] = []
+    joined = {name: _join_parts(f"{canonical} {name}", items, warnings) for name, items in parts.items()}
+    return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
+
+
+def _join_parts(label: str, parts: list[_Part], warnings: list[str]) -> Samples:
+    total = sum(len(part.stamp) for part in parts)
+    counts = {column: sum(len(p.stamp) for p in parts if column in p.values) for column in JOINT_COLUMNS}
+    kept = [column for column, count in counts.items() if count > total / 2]
+    usable = [part for part in parts if kept and all(column in part.values for column in kept)]
+    if sum(len(part.stamp) for part in usable) < total:
+        lost = total - sum(len(part.stamp) for part in usable)
+        warnings.append(f"{lost} of {total} messages on {label} lack {' or '.join(kept) or 'values'}, left out")
+    if not usable:
+        return Samples(label, np.zeros(0, np.int64), {})
+    order = np.argsort(np.concatenate([part.number for part in usable]), kind="stable")
+    values = {column: np.concatenate([part.values[column] for part in usable])[order] for column in kept}
+    values = {column: data for column, data in values.items() if not np.isnan(data).all()}
+    stamp = np.concatenate([part.stamp for part in usable])[order]
+    return Samples(label, stamp if values else stamp[:0], values)

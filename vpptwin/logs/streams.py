@@ -1,0 +1,75 @@
+"""Samples turned into streams: times from stamps, columns from message fields, everything checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.logs.channels import Column
+from vpptwin.logs.check import check_finite, check_limits, check_rotation
+from vpptwin.logs.convert import convert_column, list_fields
+from vpptwin.logs.flight import Stream
+from vpptwin.logs.samples import Samples
+
+
+def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]) -> Stream:
+    """Stream of a topic of the channel table.
+
+    Args:
+        samples: in order of time.
+        start_ns: stamp of time zero [ns].
+        path: of the log, for messages.
+        warnings: those found are appended.
+
+    Raises:
+        InputError: if values are not finite, not planar, or in the wrong unit.
+    """
+    label = f"{path}: {samples.label}"
+    time = measure_time(samples, start_ns)
+    values: dict[str, np.ndarray] = {}
+    for column in samples.columns:
+        fields = {field: samples.fields[field] for field in list_fields(column.source)}
+        if column.optional and all(np.isnan(data).all() for data in fields.values()):
+            warnings.append(f"{column.name} on {samples.label} is NaN throughout, left out")
+            continue
+        values[column.name] = _build_column(label, time, column, fields)
+    return Stream(time, values)
+
+
+def build_joint_stream(samples: Samples, start_ns: int, path: str) -> Stream:
+    """Stream of one joint.
+
+    Args:
+        samples: in order of time.
+        start_ns: stamp of time zero [ns].
+        path: of the log, for messages.
+
+    Raises:
+        InputError: if values are not finite.
+    """
+    time = measure_time(samples, start_ns)
+    for column, data in samples.fields.items():
+        check_finite(f"{path}: {samples.label}", time, column, data)
+    return Stream(time, samples.fields)
+
+
+def measure_time(samples: Samples, start_ns: int) -> np.ndarray:
+    """Time since `start_ns`, (n,) s."""
+    return np.asarray((samples.stamp - start_ns) / 1e9)  # a division rounds correctly: 1000000 ns is exactly 0.001
+
+
+def _build_column(label: str, time: np.ndarray, column: Column, fields: dict[str, np.ndarray]) -> np.ndarray:
+    for field, data in fields.items():
+        check_finite(label, time, field, data)
+    if column.source.axis is not None:
+        check_rotation(label, time, column.source, fields)
+    values = convert_column(column.source, fields)
+    expected = (len(time),) if column.width == 1 else (len(time), column.width)
+    if values.shape != expected:
+        raise InputError(
+            f"{label}: {', '.join(column.source.paths)} has {values.shape[1:] or 'one'} values per message",
+            f"{column.width} for {column.name}",
+            "name single fields or array elements in the topic map",
+        )
+    check_limits(label, time, column, values)
+    return np.unwrap(values) if column.name == "theta" else values
