@@ -31,26 +31,21 @@ class View:
         return self.half_height / float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
 
 
-def frame_view(positions: np.ndarray) -> View:
-    """The view that holds everything that moves.
-
-    Args:
-        positions: (n, 3) places visited [m].
-    """
-    low, high = positions.min(axis=0) - MARGIN, positions.max(axis=0) + MARGIN
-    half = 0.5 * (high - low)
-    centre = 0.5 * (low + high)
+def frame_view(places: np.ndarray, margin: float = MARGIN) -> View:
+    """The view that holds all places (n, 3) [m] with a margin [m]."""
+    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    half, centre = 0.5 * (high - low), 0.5 * (low + high)
     return View(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / SCREEN_ASPECT, SMALLEST_HALF_HEIGHT))
 
 
 def place_camera(vis: Visualizer, view: View) -> None:
     """Aim meshcat's camera, which always looks at the origin: the rig is shifted there, nothing in it changes."""
     vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
-    eye = view.distance * np.array(
-        [np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH) * np.cos(ELEVATION)]
-    )
+    aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
     vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
-    vis[CAMERA].set_property("position", eye.tolist())
+    vis[CAMERA].set_property(
+        "position", [view.distance * c for c in (aside, above, float(np.cos(AZIMUTH) * np.cos(ELEVATION)))]
+    )
 
 
 def set_backdrop(vis: Visualizer) -> None:

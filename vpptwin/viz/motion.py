@@ -10,15 +10,17 @@ import mujoco
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.twin.model import CRAFT_JOINTS
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
 if TYPE_CHECKING:
+    from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight, Stream
-    from vpptwin.twin.replay import Prediction
 
 FRAME_RATE = 50.0  # Hz
 MAX_FRAMES = 10_000  # keeps a page under 10 MB; a log longer than MAX_FRAMES / FRAME_RATE gets fewer frames per second
-CRAFT_JOINTS = {"rail_x": "x", "rail_z": "z", "pitch": "theta"}  # MJCF joint of our craft: column of /mocap/pose
+LONGEST_GAP = 0.03  # s without a sample of the prediction after which the twin is hidden
 
 
 @dataclass(frozen=True)
@@ -55,50 +57,33 @@ class Target:
     theta: np.ndarray
 
 
-def has_craft(flight: Flight, model: mujoco.MjModel) -> bool:
-    """Whether the log holds the pose of our craft and the model has its joints."""
-    return "/mocap/pose" in flight.streams and all(find_joint(model, name) >= 0 for name in CRAFT_JOINTS)
-
-
-def find_joint(model: mujoco.MjModel, name: str) -> int:
-    """Index of a joint by name, -1 if the model has none of that name."""
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
-
-
-def read_joints(
-    flight: Flight, model: mujoco.MjModel, topics: Mapping[str, str] | None
-) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+def find_positions(flight: Flight, spec: TwinSpec) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Joint positions that the log holds.
-
-    Args:
-        flight: the log.
-        model: the MJCF whose joints are looked for.
-        topics: joint name -> JointState topic; None looks through every JointState topic.
 
     Returns:
         qpos index -> time (n,) [s], position (n,) [m or rad].
 
     Raises:
-        InputError: if the log holds the position of none of the model's joints.
+        InputError: if the log holds no position of our craft, or of any of the joints that the twin's signals name.
     """
-    if has_craft(flight, model):
+    model = spec.model
+    if spec.vehicle is not None:
+        flight.require("/mocap/pose")
         pose = flight.streams["/mocap/pose"]
-        return {
-            int(model.jnt_qposadr[find_joint(model, j)]): (pose.time, pose[column])
-            for j, column in CRAFT_JOINTS.items()
-        }
-    wanted = {model.joint(j).name: int(model.jnt_qposadr[j]) for j in range(model.njnt)}
+        return {model.joint(j).qposadr[0]: (pose.time, pose[c]) for j, c in zip(CRAFT_JOINTS, ("x", "z", "theta"))}
+    topics = spec.signals.joints if spec.signals is not None else {}
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-    for topic, streams in flight.joints.items():
-        for name, stream in streams.items():
-            asked = topics is None or topics.get(name, topic) == topic
-            if name in wanted and asked and "position" in stream.values:
-                found[wanted[name]] = (stream.time, stream["position"])
+    for joint, topic in topics.items():
+        stream = flight.joints.get(topic, {}).get(joint)
+        if stream is not None and "position" in stream.values:
+            found[model.joint(joint).qposadr[0]] = (stream.time, stream["position"])
     if not found:
+        named = " or ".join(f"{joint} on {topic}" for joint, topic in topics.items())
+        present = ", ".join([*flight.streams, *flight.joints]) or "none"
         raise InputError(
-            f"{flight.path}: no position to draw among topics {', '.join([*flight.streams, *flight.joints]) or 'none'}",
-            f"/mocap/pose or a JointState with the position of {' or '.join(wanted)}",
-            "record one, or rename topics with a topic map",
+            f"{flight.path}: no joint position to draw, topics {present}",
+            f"the position of {named or 'a joint'}",
+            "correct `signals` of the twin or use a topic map",
         )
     return found
 
@@ -144,30 +129,30 @@ def sample_flight(
     flight: Flight,
     model: mujoco.MjModel,
     vehicle: Vehicle | None,
-    joints: Mapping[int, tuple[np.ndarray, np.ndarray]],
+    positions: Mapping[int, tuple[np.ndarray, np.ndarray]],
     at: np.ndarray,
 ) -> Motion:
     """The log at the frame times at (T,) [s]; joints that it lacks stay where the model has them."""
     qpos = np.tile(model.qpos0, (len(at), 1))
-    for address, (time, position) in joints.items():
+    for address, (time, position) in positions.items():
         qpos[:, address] = np.interp(at, time, position)
-    rotors = sample_rotors(flight, vehicle, at) if vehicle is not None and has_craft(flight, model) else None
+    rotors = None if vehicle is None else sample_rotors(flight, vehicle, at)
     return Motion(qpos, np.ones(len(at), dtype=bool), rotors)
 
 
 def sample_prediction(prediction: Prediction, vehicle: Vehicle | None, at: np.ndarray) -> Motion:
-    """The twin at the frame times; hidden outside the prediction and where it is not finite."""
+    """The twin at the frame times; hidden where the prediction has no finite sample nearby."""
     known = np.isfinite(prediction.qpos).all(axis=1)
     if not known.any():
         raise InputError("a prediction without one finite state", "at least one", "check the twin and the log")
     time, qpos = prediction.time[known], prediction.qpos[known]
-    gap = np.interp(at, prediction.time, known.astype(float)) < 1.0
-    shown = (at >= time[0] - 1e-6) & (at <= time[-1] + 1e-6) & ~gap
+    after = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
+    nearest = np.minimum(np.abs(at - time[after - 1]), np.abs(at - time[np.minimum(after, len(time) - 1)]))
     rotors = None
-    if vehicle is not None and getattr(prediction, "blade_pitch", None) is not None:
-        pitch = np.nan_to_num(interpolate(prediction.time, prediction.blade_pitch, at))
-        rotors = turn_rotors(prediction.time, np.nan_to_num(prediction.rotor_speed), pitch, at, vehicle)
-    return Motion(interpolate(time, qpos, at), shown, rotors)
+    if vehicle is not None:
+        pitch = hold(time, prediction.blade_pitch[known], at)
+        rotors = turn_rotors(time, prediction.rotor_speed[known], pitch, at, vehicle)
+    return Motion(interpolate(time, qpos, at), nearest <= LONGEST_GAP, rotors)
 
 
 def read_target(flight: Flight, start: float, end: float) -> Target | None:

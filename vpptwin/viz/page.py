@@ -9,22 +9,23 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import jinja2
 import meshcat
+import numpy as np
 import umsgpack
 
 from vpptwin.errors import InputError
 from vpptwin.viz import palette
+from vpptwin.viz.camera import View, frame_view
 from vpptwin.viz.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
-from vpptwin.viz.scene import ROOT, find_craft, name_body
+from vpptwin.viz.scene import GRID_STEP, ROOT, find_corners, find_craft, name_body
 from vpptwin.viz.show import Show
-
-if TYPE_CHECKING:
-    from vpptwin.logs.flight import Flight
+from vpptwin.viz.stage import view_flight
 
 TRAIL_DURATION = 1.5  # s of the past that the trail shows
+FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("vpptwin.viz"), autoescape=True, undefined=jinja2.StrictUndefined
@@ -60,54 +61,72 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class PageText:
-    """What the page says: title, legend, a note on drawing, and the nodes whose poses it reads out.
+    """What the page says and knows around the scene.
 
     Attributes:
+        title: name of the log.
+        legend: what the colours mean.
+        note: what is not drawn to scale.
         start: log time of the first frame [s].
         frames: number of frames of the animation.
-        log_node, twin_node: scene paths of the bodies to read out, empty for none.
+        duration: time of the last frame from the first [s].
+        views: name -> centre x, z and distance of the camera [m]; "craft" follows the craft.
+        log_node: scene path of the body whose pose is read out, empty for none.
+        twin_node: the same body of the twin, empty without a twin.
     """
 
     title: str
     legend: tuple[LegendEntry, ...]
     note: str
     start: float
-    duration: float
     frames: int
+    duration: float
+    views: dict[str, tuple[float, float, float]]
     log_node: tuple[str, ...] = ()
     twin_node: tuple[str, ...] = ()
 
 
-def describe_show(show: Show, flight: Flight, twin_name: str) -> PageText:
-    """Legend, note and readouts for what a show holds."""
-    legend = [LegendEntry("#2A2C31", "solid", "the log")]
-    notes = ["Grid: 0.5 m."]
+def describe_show(show: Show, title: str, caption: str) -> PageText:
+    """Legend, note, views and readouts for what a show holds; caption is what the legend calls the twin."""
+    legend = [LegendEntry(palette.LOG, "solid", "the log")]
+    notes = [f"Grid: {GRID_STEP:g} m."]
+    views = {
+        "flight": lower_view(view_flight(show)),
+        "rig": lower_view(frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.1)),
+    }
     log_node: tuple[str, ...] = ()
     twin_node: tuple[str, ...] = ()
     if show.twin is not None:
-        legend.append(LegendEntry(palette.TWIN, "translucent", f"{twin_name}, given the log's commands"))
+        legend.append(LegendEntry(palette.TWIN, "translucent", caption))
     if show.vehicle is not None:
+        views["craft"] = (0.0, 0.0, View(np.zeros(3), FOLLOWED_HALF_HEIGHT).distance)
         craft = name_body(show.model, find_craft(show.model))
         log_node = (*split_path(ROOT), "log", craft)
         twin_node = (*split_path(ROOT), "twin", craft) if show.twin is not None else ()
-        legend.append(LegendEntry(palette.TRAIL, "line", "the log's path"))
+        legend.append(LegendEntry(palette.TRAIL, "line", f"the log's last {TRAIL_DURATION:g} s"))
     if show.target is not None:
         legend.append(LegendEntry(palette.TARGET, "translucent", "target"))
     if show.log.rotors is not None:
         legend.append(LegendEntry(palette.POSITIVE_THRUST, "solid", "thrust"))
         legend.append(LegendEntry(palette.NEGATIVE_THRUST, "solid", "negative thrust"))
-        notes.append(f"Rotors turn {TURN_SLOWDOWN:g} × slower and pitch {PITCH_EXAGGERATION:g} × further than real.")
+        notes.append(f"Rotors turn {TURN_SLOWDOWN:g} times slower and pitch {PITCH_EXAGGERATION:g} times further.")
         notes.append("Thrust: k_T × speed × commanded pitch.")
     return PageText(
-        Path(flight.path).name,
+        title,
         tuple(legend),
         " ".join(notes),
         float(show.frames[0]),
-        float(show.time[-1]),
         len(show.frames),
+        float(show.time[-1]),
+        views,
         log_node,
         twin_node,
     )
+
+
+def lower_view(view: View) -> tuple[float, float, float]:
+    """Centre x and z and distance of the camera [m]."""
+    return float(view.centre[0]), float(view.centre[2]), view.distance
 
 
 def split_path(path: str) -> list[str]:
@@ -133,6 +152,7 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
                 "frame": text.duration / (text.frames - 1),
                 "log": text.log_node,
                 "twin": text.twin_node,
+                "views": text.views,
                 "trail": round(TRAIL_DURATION * text.frames / text.duration),
             }
         ),

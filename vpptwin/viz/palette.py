@@ -11,13 +11,15 @@ VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#7F858C"
 
-TWIN = ORANGE
+LOG = "#26292E"
+TWIN = BLUE
 POSITIVE_THRUST = GREEN
 NEGATIVE_THRUST = VERMILION
 TARGET = PURPLE
-TRAIL = BLUE
+TRAIL = LOG
+DISC = GREY
 TOP_MARK = YELLOW
-BLADE = "#1B1D21"
+BLADE = LOG
 
 
 def to_int(colour: str) -> int:
@@ -28,3 +30,9 @@ def to_int(colour: str) -> int:
 def to_hex(rgb: tuple[float, float, float]) -> str:
     """Red, green, blue in 0..1 as "#RRGGBB"."""
     return "#" + "".join(f"{round(255 * min(max(c, 0.0), 1.0)):02X}" for c in rgb)
+
+
+def to_rgb(colour: str) -> tuple[float, float, float]:
+    """A "#RRGGBB" colour as red, green, blue in 0..1."""
+    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return red, green, blue

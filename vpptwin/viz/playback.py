@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from meshcat import Visualizer
 from meshcat.commands import SetAnimation
 
-from vpptwin.vehicle import Vehicle
+from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.viz.page import Recorder, describe_show, write_page
 from vpptwin.viz.show import prepare_show
 from vpptwin.viz.stage import draw_show
 from vpptwin.viz.tracks import Animation
 
 if TYPE_CHECKING:
+    from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
-    from vpptwin.twin.replay import Prediction
 
 FOREVER = float("inf")  # repetitions of a looping animation
 
@@ -28,10 +28,8 @@ def play_page(
     prediction: Prediction | None = None,
     out: Path = Path("flight.html"),
     *,
-    model: Path | None = None,
-    vehicle: Vehicle | None = None,
-    joint_topics: Mapping[str, str] | None = None,
-    twin_name: str = "twin",
+    spec: TwinSpec | None = None,
+    caption: str | None = None,
 ) -> Path:
     """Write one HTML page that plays a flight in a loop, offline, with play, pause, speed and scrubbing.
 
@@ -39,37 +37,44 @@ def play_page(
         flight: the log, drawn solid.
         prediction: the twin's answer to the log's commands, drawn translucent; None for the log alone.
         out: the page.
-        model: MJCF of the rig; None for ours.
-        vehicle: numbers of our craft; None for the nominal ones.
-        joint_topics: other rigs: joint name -> JointState topic; None finds joints by name.
-        twin_name: what the legend calls the twin.
+        spec: the twin whose rig is drawn; None for the nominal one.
+        caption: what the legend calls the twin; None for its name and how often it was restarted.
 
     Returns:
         The page's path.
 
     Raises:
-        InputError: if the log has nothing to draw, the MJCF does not compile or the page cannot be written.
+        InputError: if the log has nothing to draw or the page cannot be written.
     """
-    show = prepare_show(flight, prediction, model, vehicle, joint_topics)
+    spec = spec or load_twin()
+    show = prepare_show(flight, prediction, spec)
     recorder = Recorder()
     tracks = draw_show(Visualizer(window=recorder), show)
     recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
-    return write_page(recorder.commands, describe_show(show, flight, twin_name), Path(out))
+    if caption is None and prediction is not None:
+        caption = name_twin(spec, prediction)
+    return write_page(recorder.commands, describe_show(show, flight.path.name, caption or ""), Path(out))
+
+
+def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
+    """What the legend calls the twin."""
+    restarts = prediction.restarts
+    if len(restarts) < 2:
+        return f"twin {spec.name}, free-running"
+    return f"twin {spec.name}, set back to the log every {np.median(np.diff(restarts)):.3g} s"
 
 
 def play_live(
     flight: Flight,
     prediction: Prediction | None = None,
     *,
-    model: Path | None = None,
-    vehicle: Vehicle | None = None,
-    joint_topics: Mapping[str, str] | None = None,
+    spec: TwinSpec | None = None,
 ) -> None:
     """Serve a flight with meshcat, which prints its address, and play it in a loop until Ctrl-C.
 
     The arguments are those of play_page.
     """
-    show = prepare_show(flight, prediction, model, vehicle, joint_topics)
+    show = prepare_show(flight, prediction, spec or load_twin())
     vis = Visualizer()
     try:
         tracks = draw_show(vis, show)

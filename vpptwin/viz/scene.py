@@ -12,7 +12,7 @@ from meshcat import Visualizer
 
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.motion import Motion
-from vpptwin.viz.palette import GREY
+from vpptwin.viz.palette import DISC, GREY, to_int, to_rgb
 from vpptwin.viz.shapes import PLANE_THICKNESS, Paint, make_geom, read_paint
 from vpptwin.viz.tracks import Track, make_track
 
@@ -72,7 +72,7 @@ def draw_grid(node: Visualizer, low: np.ndarray, high: np.ndarray, depth: float)
     for z in np.arange(first[1], last[1] + 1e-9, GRID_STEP):
         ends += [(first[0], depth, z), (last[0], depth, z)]
     lines = mg.PointsGeometry(np.array(ends, dtype=np.float32).T)
-    node.set_object(mg.LineSegments(lines, mg.LineBasicMaterial(color=int(GREY[1:], 16), opacity=0.35)))
+    node.set_object(mg.LineSegments(lines, mg.LineBasicMaterial(color=to_int(GREY), opacity=0.35)))
 
 
 def name_body(model: mujoco.MjModel, body: int) -> str:
@@ -95,15 +95,32 @@ def make_matrix(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def fit_craft(model: mujoco.MjModel, vehicle: Vehicle) -> None:
-    """Stretch the drawn arm so that the rotors sit at the vehicle's half length, whatever the MJCF drew."""
-    rotor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "rotor_2")
-    if rotor < 0:
+    """Stretch the drawn arm to the vehicle's half length and grey the discs, since colours have other meanings here."""
+    disc = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "disc_2")
+    if disc < 0:
         return
-    stretch = vehicle.airframe.half_length / model.site_pos[rotor, 0]
+    stretch = vehicle.airframe.half_length / model.geom_pos[disc, 0]
     on_craft = model.geom_bodyid == find_craft(model)
-    arm = on_craft & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
+    boxes = on_craft & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
     model.geom_pos[on_craft, 0] *= stretch
-    model.geom_size[arm, 0] *= stretch
+    model.geom_size[boxes, 0] *= stretch
+    discs = on_craft & (model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER)
+    model.geom_rgba[discs, :3] = to_rgb(DISC)
+
+
+def find_corners(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Corners (n, 3) [m] of the boxes around all drawn geoms but planes, with the joints at qpos (nq,)."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    drawn = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group < FIRST_HIDDEN_GROUP)
+    corners = [
+        data.geom_xpos[geom]
+        + (model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]) @ data.geom_xmat[geom].reshape(3, 3).T
+        for geom in np.flatnonzero(drawn)
+    ]
+    return np.concatenate(corners) if corners else np.zeros((1, 3))
 
 
 def pose_bodies(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.resources import find_model_file
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.vehicle import Vehicle
 from vpptwin.viz.motion import (
     Motion,
     Target,
     choose_frames,
-    has_craft,
-    read_joints,
+    find_positions,
     read_target,
     sample_flight,
     sample_prediction,
@@ -26,8 +24,8 @@ from vpptwin.viz.motion import (
 from vpptwin.viz.scene import fit_craft
 
 if TYPE_CHECKING:
+    from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
-    from vpptwin.twin.replay import Prediction
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,8 @@ class Show:
         model: the rig.
         vehicle: numbers of our craft, None for other rigs.
         frames: (T,) frame times [s of the log].
-        log, twin: motions at the frames.
+        log: the log's motion at the frames.
+        twin: the prediction's motion at the frames.
         target: the setpoint, if the log has one.
     """
 
@@ -55,38 +54,31 @@ class Show:
         return self.frames - self.frames[0]
 
 
-def prepare_show(
-    flight: Flight,
-    prediction: Prediction | None,
-    model: Path | None,
-    vehicle: Vehicle | None,
-    joint_topics: Mapping[str, str] | None,
-) -> Show:
-    """Load the rig and sample log and prediction at the frames; arguments as vpptwin.viz.playback.play_page."""
-    rig = load_model(find_model_file("rail_rig.xml") if model is None else model)
-    craft = has_craft(flight, rig)
-    joints = read_joints(flight, rig, joint_topics)
-    start = min(float(time[0]) for time, _ in joints.values())
-    end = max(float(time[-1]) for time, _ in joints.values())
+def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> Show:
+    """Sample a log and a prediction at the frames of an animation.
+
+    Args:
+        flight: the log.
+        prediction: the twin's motion under the log's commands; None for the log alone.
+        spec: the rig to draw.
+
+    Raises:
+        InputError: if the log lacks the positions of the rig, or is too short to play.
+    """
+    model, vehicle = copy.deepcopy(spec.model), spec.vehicle
+    positions = find_positions(flight, spec)
+    start = min(float(time[0]) for time, _ in positions.values())
+    end = max(float(time[-1]) for time, _ in positions.values())
     if end <= start:
         raise InputError(f"{flight.path}: a single position", "at least two to play", "record a longer log")
-    vehicle = (vehicle or load_vehicle()) if craft else None
     if vehicle is not None:
-        fit_craft(rig, vehicle)
+        fit_craft(model, vehicle)
     frames = choose_frames(start, end)
     return Show(
-        rig,
+        model,
         vehicle,
         frames,
-        sample_flight(flight, rig, vehicle, joints, frames),
+        sample_flight(flight, model, vehicle, positions, frames),
         None if prediction is None else sample_prediction(prediction, vehicle, frames),
-        read_target(flight, start, end) if craft else None,
+        None if vehicle is None else read_target(flight, start, end),
     )
-
-
-def load_model(path: Path) -> mujoco.MjModel:
-    """Compile an MJCF, with an InputError when it does not."""
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise InputError(f"{path}: {error}", "an MJCF that compiles", "open it in MuJoCo's simulate") from error

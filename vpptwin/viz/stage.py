@@ -7,7 +7,7 @@ import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.vehicle import Vehicle
-from vpptwin.viz.camera import frame_view, place_camera, set_backdrop
+from vpptwin.viz.camera import View, frame_view, place_camera, set_backdrop
 from vpptwin.viz.motion import Motion, Target
 from vpptwin.viz.palette import TARGET, TRAIL, TWIN, to_int
 from vpptwin.viz.rotors import draw_arrows, draw_rotors, track_arrows, track_rotors
@@ -38,7 +38,7 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
     set_backdrop(vis)
     draw_surroundings(vis[f"{ROOT}/world"], show.model)
     tracks = draw_log(vis, show)
-    view = frame_view(find_places(show))
+    view = view_flight(show)
     if show.twin is not None:
         tracks += draw_twin(vis, show, show.twin)
     if show.vehicle is not None:
@@ -51,12 +51,12 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
     return tracks
 
 
-def find_places(show: Show) -> np.ndarray:
-    """Places (n, 3) [m] that the view must hold: our craft's path, or every moving body of another rig."""
+def view_flight(show: Show) -> View:
+    """The view that holds our craft's path, or every moving body of another rig."""
     position, _ = pose_bodies(show.model, show.log.qpos)
     if show.vehicle is not None:
-        return position[:, find_craft(show.model)]
-    return position[:, show.model.body_weldid != 0].reshape(-1, 3)
+        return frame_view(position[:, find_craft(show.model)])
+    return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3))
 
 
 def draw_log(vis: Visualizer, show: Show) -> list[Track]:
@@ -114,5 +114,5 @@ def draw_trail(vis: Visualizer, show: Show) -> None:
     """Draw the path of the log's craft as a ribbon; a page shows its last seconds only, which tracks cannot do."""
     position, _ = pose_bodies(show.model, show.log.qpos)
     path = position[:, find_craft(show.model)] + [0.0, TRAIL_DEPTH, 0.0]
-    material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.55, depthWrite=False)
+    material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.45, depthWrite=False)
     vis[f"{ROOT}/trail"].set_object(make_ribbon(path, TRAIL_WIDTH), material)
