@@ -17,6 +17,7 @@ from vpptwin.train.config import TrainConfig, to_config, to_plain
 from vpptwin.train.env import VppEnv
 from vpptwin.train.networks import Policy
 from vpptwin.train.observe import observation_size
+from vpptwin.train.snapshot import take_snapshot
 
 KIND, FORMAT = "vpptwin policy", 1
 FILE_NAME = "checkpoint.pt"
@@ -52,8 +53,8 @@ def write_checkpoint(
 ) -> None:
     """Write a policy and, for resuming, the state of its training; the old file stays until the new one is complete."""
     content = {
-        "kind": KIND, "format": FORMAT, "commit": find_commit(), "versions": find_versions(), "config": to_plain(config),
-        "steps": steps, "policy": policy.state_dict(), "training": training,
+        "kind": KIND, "format": FORMAT, "commit": find_commit(), "versions": find_versions(),
+        "config": to_plain(config), "steps": steps, "policy": policy.state_dict(), "training": training,
     }  # fmt: skip
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -130,7 +131,7 @@ class SaveCheckpoint(TrainerHookBase):
             return
         self.saved = steps
         training = {
-            "trainer": self.trainer.state_dict(), "env": self.env.snapshot(), "torch_random": torch.get_rng_state(),
+            "trainer": self.trainer.state_dict(), "env": take_snapshot(self.env), "torch_random": torch.get_rng_state(),
         }  # fmt: skip
         write_checkpoint(self.path, self.config, self.policy, steps, training)
 

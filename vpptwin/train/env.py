@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,7 +13,6 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from vpptwin.errors import InputError
-from vpptwin.actuators.layer import ActuatorState
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.observe import accumulate_error, observation_size, observe, sensor_noise
 from vpptwin.train.randomize import randomize
@@ -58,9 +56,13 @@ class VppEnv(EnvBase):
         noise: multiplies the standard deviations of the vehicle's sensors; 0 for perfect ones.
         randomized: ids of effects whose parameters are drawn from their priors at every reset.
         paper_inputs: observe the paper's nine inputs, without the target's angle.
-        desynchronize: start the first episodes at random clock times, so that not all end together.
+        desynchronize: start at random clock times when all are reset at once, so that not all end together.
 
     Attributes:
+        state: of the twin.
+        episodes: what evolves besides.
+        rng: source of every random number here.
+        restored: the next full reset hands out the present observation instead of drawing new episodes.
         faults: number of simulations so far that went non-finite and were started afresh.
     """
 
@@ -77,21 +79,19 @@ class VppEnv(EnvBase):
         desynchronize: bool = False,
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
-        self.twin, self.task, self.faults = twin, task, 0
+        self.twin, self.task, self.faults, self.restored = twin, task, 0, False
         self.noise, self.randomized, self.paper_inputs = noise, tuple(randomized), paper_inputs
         control = twin.vehicle.control
         self._scale = np.array([control.thrust_max, control.rate_max])
         self._period = 1.0 / control.policy_rate
         self._noise_std = sensor_noise(twin.vehicle)
-        self._desynchronize = self._first = desynchronize
-        self._restored = False
-        self._rng = np.random.default_rng(seed)
+        self.desynchronize = desynchronize
+        self.rng = np.random.default_rng(seed)
         n = twin.num_sims
         self.state = twin.initial_state()
+        observation = np.zeros((n, observation_size(paper_inputs)), np.float32)
         self.episodes = Episodes(
-            *(np.zeros((n, k)) for k in (3, 2)),
-            *(np.zeros(n) for _ in range(3)),
-            np.zeros((n, observation_size(paper_inputs)), np.float32),
+            np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n), np.full(n, np.inf), np.zeros(n), observation
         )
         self._make_specs(n)
 
@@ -110,49 +110,25 @@ class VppEnv(EnvBase):
         flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(**flags, shape=(n,))
 
-    def snapshot(self) -> dict[str, Any]:
-        """Everything that evolves here as tensors and plain data, for `restore`."""
-        records = {"state": self.state, "actuators": self.state.actuators, "episodes": self.episodes}
-        drawn = {e: {p.name: self.twin.parameter(e, p.name) for p in self.twin.effects[e].parameters} for e in self.randomized}
-        return {
-            **{name: to_tensors(vars(record)) for name, record in records.items()},
-            "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
-            "random": json.dumps(self._rng.bit_generator.state),
-            "faults": self.faults,
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Continue from a snapshot: the next full reset hands out its observation instead of drawing new episodes."""
-        for effect, values in snapshot["parameters"].items():
-            for name, value in values.items():
-                self.twin.set_parameter(effect, name, value.numpy())
-        actuators = ActuatorState(**to_arrays(snapshot["actuators"]))
-        self.state = TwinState(**to_arrays(snapshot["state"]), actuators=actuators)
-        self.episodes = Episodes(**to_arrays(snapshot["episodes"]))
-        self._rng.bit_generator.state = json.loads(snapshot["random"])
-        self.faults, self._first, self._restored = snapshot["faults"], False, True
-
     def _set_seed(self, seed: int | None) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._first = self._desynchronize
+        self.rng = np.random.default_rng(seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
         false = np.zeros(self.twin.num_sims, dtype=bool)
         mask = tensordict.get("_reset", None) if tensordict is not None else None
-        if self._restored and mask is None:
-            self._restored = False
+        if self.restored and mask is None:
+            self.restored = False
             return self._pack(false, false)
         ids = np.arange(self.twin.num_sims) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
         self._begin(ids)
-        if self._first:
-            self._first = False
-            self.episodes.elapsed[ids] = self._rng.uniform(0.0, self.task.episode, len(ids))
+        if self.desynchronize and mask is None:
+            self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.task.episode, len(ids))
             self.episodes.switch[ids] += self.episodes.elapsed[ids]
         return self._pack(false, false)
 
     def _begin(self, ids: np.ndarray) -> None:
         """Start new episodes in the rows `ids`; the other rows stay as they are."""
-        rng, episodes, task = self._rng, self.episodes, self.task
+        rng, episodes, task = self.rng, self.episodes, self.task
         if self.randomized:
             randomize(self.twin, self.randomized, ids, rng)
         target = task.target.draw(rng, len(ids))
@@ -170,8 +146,8 @@ class VppEnv(EnvBase):
         episodes = self.episodes
         pose, velocity = self.state.qpos[ids], self.state.qvel[ids]
         if self.noise:
-            pose = pose + self.noise * self._noise_std[0] * self._rng.standard_normal(pose.shape)
-            velocity = velocity + self.noise * self._noise_std[1] * self._rng.standard_normal(velocity.shape)
+            pose = pose + self.noise * self._noise_std[0] * self.rng.standard_normal(pose.shape)
+            velocity = velocity + self.noise * self._noise_std[1] * self.rng.standard_normal(velocity.shape)
         target = episodes.target[ids]
         integral = accumulate_error(episodes.integral[ids], (target - pose)[:, :2])
         episodes.integral[ids] = integral
@@ -202,8 +178,8 @@ class VppEnv(EnvBase):
         episodes, target = self.episodes, self.task.target
         ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
         if len(ids):
-            episodes.target[ids, 2] = target.draw_other_angle(self._rng, episodes.target[ids, 2])
-            episodes.switch[ids] += target.draw_dwell(self._rng, len(ids))
+            episodes.target[ids, 2] = target.draw_other_angle(self.rng, episodes.target[ids, 2])
+            episodes.switch[ids] += target.draw_dwell(self.rng, len(ids))
 
     def _pack(self, terminated: np.ndarray, truncated: np.ndarray) -> TensorDict:
         """Fresh tensors of what an agent sees now."""
@@ -237,16 +213,6 @@ def finite_rows(state: TwinState) -> np.ndarray:
     return finite
 
 
-def to_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Copies of the arrays among the values, as tensors."""
-    return {name: torch.tensor(value) for name, value in arrays.items() if isinstance(value, np.ndarray)}
-
-
-def to_arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    """Copies as arrays."""
-    return {name: value.numpy().copy() for name, value in tensors.items()}
-
-
 def make_env(config: TrainConfig) -> VppEnv:
     """The environment of a run.
 
@@ -257,7 +223,9 @@ def make_env(config: TrainConfig) -> VppEnv:
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
     check_effects({effect: {} for effect in config.randomize}, spec.catalogue, "randomize")
-    twin = Twin(spec, config.num_envs, active=config.randomize, num_threads=config.threads)
+    # By itself the engine restarts a simulation that blows up and says so only in a log file.
+    spec.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    twin = Twin(spec, config.num_envs, active=config.randomize, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, config.randomize, config.paper_inputs, config.desynchronize
     )

@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
-from vpptwin.train.config import RESUMABLE, TrainConfig, compose_config, describe_options, override_keys, to_config, to_plain
+from vpptwin.train.config import RESUMABLE, TrainConfig, to_config, to_plain
+from vpptwin.train.overrides import compose_config, describe_options, parse_overrides
 from vpptwin.train.ppo import build_training
 
 
@@ -54,7 +55,7 @@ def read_run(config: TrainConfig, overrides: Sequence[str]) -> tuple[TrainConfig
     Raises:
         InputError: if there is nothing to resume, or an override would make it another run.
     """
-    given = override_keys(overrides)
+    given = set(parse_overrides(overrides))
     if not given <= set(RESUMABLE):
         found = f"resume together with {', '.join(sorted(given - set(RESUMABLE)))}"
         raise InputError(found, f"only {', '.join(RESUMABLE)}", "drop it, or start another run")
@@ -77,14 +78,16 @@ def open_folder(config: TrainConfig) -> Path:
     """
     folder = Path(config.out or f"runs/{config.task.name}-{time.strftime('%Y%m%d-%H%M%S')}")
     if config.resume is None and (folder / FILE_NAME).exists():
-        raise InputError(f"{folder} holds a run", "a new folder", f"resume={folder} continues it; else choose another out")
+        advice = f"resume={folder} continues it; else choose another out"
+        raise InputError(f"{folder} holds a run", "a new folder", advice)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".writable"
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise InputError(f"cannot write to {folder} ({error.strerror})", "a writable folder", "choose another out") from error
+        found = f"cannot write to {folder} ({error.strerror})"
+        raise InputError(found, "a writable folder", "choose another out") from error
     return folder
 
 

@@ -21,6 +21,7 @@ from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
 from vpptwin.train.observe import observation_size
 from vpptwin.train.progress import EpisodeStatistics, ProgressBar
+from vpptwin.train.snapshot import restore_snapshot
 from vpptwin.train.updates import Advantages, ExplorationRamp, Minibatches
 
 VALUE_SCALE = 10.0
@@ -57,7 +58,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     Raises:
         InputError: if the twin or an effect is unknown, or `saved` does not fit the configuration.
     """
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
     env = make_env(config)
     policy = make_policy(config)
@@ -66,9 +67,9 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     critic = make_critic(observation_size(config.paper_inputs), tuple(config.critic_hidden))
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
-        env.restore(saved["training"]["env"])
+        restore_snapshot(env, saved["training"]["env"])
     batch = config.num_envs * config.rollout
-    collector = Collector(env, actor, frames_per_batch=batch, total_frames=-1)
+    collector = Collector(env, actor, frames_per_batch=batch, total_frames=-1, auto_register_policy_transforms=False)
     loss = ClipPPOLoss(
         actor, critic, clip_epsilon=config.clip, entropy_bonus=False, critic_coeff=config.critic_weight,
         loss_critic_type="l2", functional=False,

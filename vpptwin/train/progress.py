@@ -15,12 +15,14 @@ from vpptwin.train.env import VppEnv
 MEMORY = 200
 """Episodes that the running statistics cover."""
 
+LAYOUT = "{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {remaining}{postfix}]"
+
 
 class EpisodeStatistics(TrainerHookBase):
     """Running means over the last finished episodes, logged with every batch.
 
-    Logs `return` (reward per step of whole episodes), `error_m` (distance at the end of those that did not fail),
-    `failures` (share) and `faults` (simulations gone non-finite, counted from the start).
+    Logs `reward` (per step of the batch), `return` (sum over an episode), `error_m` (distance at the end of episodes
+    that did not fail), `failures` (share) and `faults` (simulations gone non-finite since the start).
 
     Args:
         env: whose faults are reported.
@@ -81,7 +83,7 @@ class ProgressBar(TrainerHookBase):
         total, done = self.trainer.total_frames, self.trainer.collected_frames
         self.bar = tqdm(
             total=total, initial=done, unit=" steps", unit_scale=True, disable=not self.shown, mininterval=0.5,
-            dynamic_ncols=True, bar_format="{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {remaining}]{postfix}",
+            dynamic_ncols=True, bar_format=LAYOUT,
         )  # fmt: skip
 
     def __call__(self) -> None:
@@ -89,8 +91,10 @@ class ProgressBar(TrainerHookBase):
         assert self.bar is not None
         assert self.trainer is not None
         known = self.statistics
-        text = f"return {mean(known.returns):.0f}, error {mean(known.errors) * 100:.1f} cm, failures {mean(known.failed):.1%}"
-        self.bar.set_postfix_str(text, refresh=False)
+        error, failures = mean(known.errors) * 100.0, mean(known.failed)
+        self.bar.set_postfix_str(
+            f"return {mean(known.returns):.0f}, error {error:.1f} cm, failures {failures:.0%}", False
+        )
         self.bar.update(self.trainer.collected_frames - self.bar.n)
 
     def close(self) -> None:

@@ -31,9 +31,7 @@ class RewardWeights:
         return self.position + self.orientation + self.velocity + self.rate + self.integral
 
 
-def compute_reward(
-    weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray
-) -> np.ndarray:
+def compute_reward(weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray) -> np.ndarray:
     """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i.
 
     As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.

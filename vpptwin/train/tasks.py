@@ -6,10 +6,11 @@ A task is a value, not a class: every number of it can be overridden on the comm
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from vpptwin.errors import InputError
 from vpptwin.train.reward import RewardWeights
 from vpptwin.vehicle import Vehicle
 
@@ -142,3 +143,24 @@ class Task:
 HOVER = Task("hover")
 TASKS: dict[str, Task] = {task.name: task for task in (HOVER,)}
 """Every task by name."""
+
+
+def check_task(task: Task) -> None:
+    """Refuse numbers that make no sense.
+
+    Raises:
+        InputError: naming the first.
+    """
+    for part, ranges in (("start", task.start), ("target", task.target)):
+        for f in fields(ranges):
+            value = getattr(ranges, f.name)
+            if f.name != "angles" and value is not None and (len(value) != 2 or value[0] > value[1]):
+                raise InputError(f"task.{part}.{f.name}={list(value)}", "[low, high]", "correct the range")
+    if task.episode < task.success.window or task.success.window <= 0.0:
+        found = f"task.episode={task.episode} task.success.window={task.success.window}"
+        raise InputError(found, "a positive window within the episode", "lengthen the episode")
+    if len(task.target.angles) < (1 if task.target.dwell is None else 2):
+        found = f"task.target.angles={list(task.target.angles)} task.target.dwell={task.target.dwell}"
+        raise InputError(found, "one angle, or two and more to change between", "add angles, or set dwell=null")
+    if task.target.dwell is not None and task.target.dwell[0] <= 0.0:
+        raise InputError(f"task.target.dwell={list(task.target.dwell)}", "times above 0", "correct the range")

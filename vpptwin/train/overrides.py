@@ -1,0 +1,98 @@
+"""The command line of `vpptwin train`: Hydra overrides in, a configuration or a helpful line out."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import re
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+
+from hydra import compose, initialize
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from vpptwin.errors import InputError
+from vpptwin.train.config import HELP, Ramp, TrainConfig, to_config
+from vpptwin.train.tasks import HOVER, TASKS
+
+EXAMPLES = """\
+Numbers inside a task or a ramp go by dotted names, for example:
+
+  task.episode=8   'task.start.theta=[-3,3]'   task.weights.integral=0.4
+  learning_rate.start=3e-4   exploration.finish=0.9"""
+
+
+def compose_config(overrides: Sequence[str]) -> TrainConfig:
+    """Build the configuration from overrides such as `task=hover` and `learning_rate.end=1e-4`.
+
+    Raises:
+        InputError: on an unknown option or task, a value of the wrong type, or numbers that make no sense.
+    """
+    parse_overrides(overrides)
+    store = ConfigStore.instance()
+    store.store(name="schema", node=TrainConfig)
+    store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, "_self_"]})
+    for task in TASKS.values():
+        store.store(group="task", name=task.name, node=task)
+    try:
+        with initialize(version_base="1.3", config_path=None):
+            return to_config(compose(config_name="train", overrides=list(overrides)))
+    except (HydraException, OmegaConfBaseException) as error:
+        reason = str(error.__cause__ or error).strip().splitlines()[0]
+        raise InputError(f"{' '.join(overrides)}: {reason}", "values of an option's type", HELP) from error
+
+
+def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
+    """Overrides by the name of their option.
+
+    Raises:
+        InputError: on what is no override, an option that does not exist (naming the closest that do), or no task.
+    """
+    known = list_options()
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except HydraException as error:
+        raise InputError(f"{' '.join(overrides)}: no overrides", "key=value, separated by spaces", HELP) from error
+    for override in parsed:
+        key = override.key_or_group
+        if key not in known or override.is_delete() or override.is_add() or override.is_sweep_override():
+            close = difflib.get_close_matches(key, known, n=3, cutoff=0.4) or known[:4]
+            raise InputError(f"unknown option {override.input_line!r}", f"one such as {', '.join(close)}", HELP)
+        if key == "task" and override.value() not in TASKS:
+            raise InputError(f"unknown task {override.value()!r}", f"one of {', '.join(TASKS)}", HELP)
+    return {override.key_or_group: override for override in parsed}
+
+
+def list_options(node: object = None, prefix: str = "") -> list[str]:
+    """Dotted names of every option."""
+    node = TrainConfig(task=HOVER) if node is None else node
+    names = []
+    assert is_dataclass(node)
+    for f in fields(node):
+        value = getattr(node, f.name)
+        if prefix + f.name != "task.name":
+            names.append(prefix + f.name)
+        if is_dataclass(value):
+            names += list_options(value, f"{prefix}{f.name}.")
+    return names
+
+
+def describe_options() -> str:
+    """Every option with its default and its line of help, for `vpptwin train --help`."""
+    texts = dict(re.findall(r"^    (\w+): (.+)$", inspect.getdoc(TrainConfig) or "", flags=re.MULTILINE))
+    config = TrainConfig(task=HOVER)
+    lines = ["Options, as Hydra overrides key=value:", ""]
+    for f in fields(config):
+        value = getattr(config, f.name)
+        if f.name == "task":
+            shown, texts[f.name] = HOVER.name, f"{texts[f.name].rstrip('.')}: {', '.join(TASKS)}."
+        elif isinstance(value, Ramp):
+            shown = f"{value.start:g}→{value.end:g}"
+        else:
+            shown = "null" if value is None else str(value).replace(" ", "")
+        lines.append(f"  {f.name + '=' + shown:<30} {texts[f.name]}")
+    return "\n".join([*lines, "", EXAMPLES])

@@ -1,0 +1,52 @@
+"""Saving an environment and putting it back, so that a resumed run continues as if never interrupted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from vpptwin.actuators.layer import ActuatorState
+from vpptwin.train.env import Episodes, VppEnv
+from vpptwin.twin import TwinState
+
+
+def take_snapshot(env: VppEnv) -> dict[str, Any]:
+    """Everything that evolves in an environment, as tensors and plain data."""
+    drawn = {
+        effect: {p.name: env.twin.parameter(effect, p.name) for p in env.twin.effects[effect].parameters}
+        for effect in env.randomized
+    }
+    return {
+        "state": to_tensors(vars(env.state)),
+        "actuators": to_tensors(vars(env.state.actuators)),
+        "episodes": to_tensors(vars(env.episodes)),
+        "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
+        "random": json.dumps(env.rng.bit_generator.state),
+        "faults": env.faults,
+    }
+
+
+def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
+    """Put an environment where a snapshot was taken; its next full reset hands out the observation of that moment."""
+    for effect, values in snapshot["parameters"].items():
+        for name, value in values.items():
+            env.twin.set_parameter(effect, name, value.numpy())
+    actuators = ActuatorState(**to_arrays(snapshot["actuators"]))
+    env.state = TwinState(**to_arrays(snapshot["state"]), actuators=actuators)
+    env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
+    env.rng.bit_generator.state = json.loads(snapshot["random"])
+    env.faults, env.restored = snapshot["faults"], True
+
+
+def to_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Copies of the arrays among the values, as tensors."""
+    return {name: torch.tensor(value) for name, value in arrays.items() if isinstance(value, np.ndarray)}
+
+
+def to_arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
+    """Copies as arrays."""
+    return {name: value.numpy().copy() for name, value in tensors.items()}
