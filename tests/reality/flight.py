@@ -7,7 +7,7 @@ their commands, stamped t_k, which act until the next one. Currents are those un
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -35,41 +35,91 @@ from .sensors import (
 SETTLING = 1.5  # s flown before the log starts, so that it starts in flight
 _LATENCY = 8  # ms from a mocap frame to the pilot
 PERIOD_MARGIN = 0.02  # s of script beyond the end: the last step is at `duration` itself
-_DEFAULTS = {"effects": {}, "gusts": True, "jitter": True, "dropouts": True, "initial": None, "session": None}
 _GUST_WEIGHTS = ((np.arange(SUBSTEPS) + 0.5) / SUBSTEPS)[:, None, None]
 
 
-def fly(effects: Effects, manoeuvre: str, duration: float, seed: int, **options: Any) -> Recording:  # noqa: ANN401
-    """Fly one flight. Arguments and options as in `fly_many`."""
-    return fly_many([{"effects": effects, "manoeuvre": manoeuvre, "duration": duration, "seed": seed, **options}])[0]
+class FlightPlan(TypedDict, total=False):
+    """One flight of a batch: the arguments of `fly`."""
+
+    effects: Effects
+    manoeuvre: str
+    duration: float
+    seed: int
+    session: int | None
+    gusts: bool
+    jitter: bool
+    dropouts: bool
+    initial: Sequence[float] | None
 
 
-def fly_many(flights: Sequence[dict[str, Any]]) -> list[Recording]:
-    """Fly a batch of flights of equal duration at once.
+_DEFAULTS: FlightPlan = {
+    "effects": {},
+    "gusts": True,
+    "jitter": True,
+    "dropouts": True,
+    "initial": None,
+    "session": None,
+}
+
+
+def fly(
+    effects: Effects,
+    manoeuvre: str,
+    duration: float,
+    seed: int,
+    *,
+    session: int | None = None,
+    gusts: bool = True,
+    jitter: bool = True,
+    dropouts: bool = True,
+    initial: Sequence[float] | None = None,
+) -> Recording:
+    """Fly one flight.
 
     Args:
-        flights: One dictionary per flight:
-            effects: {id: {parameter: value in SI}}, nothing by default.
-            manoeuvre: One of MANOEUVRES.
-            duration: s.
-            seed: Everything random about the flight.
-            session: Seed of the rig's tolerances; flights of one rig share it. By default `seed`.
-            gusts: Whether gusts blow.
-            jitter: Whether the rig differs from nominal within tolerance and mocap stamps jitter.
-            dropouts: Whether mocap frames go missing.
-            initial: x m, z m, theta rad and their rates at the start; by default the craft settles in hover first.
+        effects: {id: {parameter: value in SI}}.
+        manoeuvre: One of MANOEUVRES.
+        duration: s.
+        seed: Of everything random about the flight.
+        session: Seed of the rig's tolerances; flights of one rig share it. By default `seed`.
+        gusts: Whether gusts blow.
+        jitter: Whether the rig differs from nominal within tolerance, and mocap stamps jitter.
+        dropouts: Whether mocap frames go missing.
+        initial: x m, z m, theta rad and their rates at the start; by default the craft settles in hover first.
+    """
+    plan: FlightPlan = {
+        "effects": effects,
+        "manoeuvre": manoeuvre,
+        "duration": duration,
+        "seed": seed,
+        "session": session,
+        "gusts": gusts,
+        "jitter": jitter,
+        "dropouts": dropouts,
+        "initial": initial,
+    }
+    return fly_many([plan])[0]
+
+
+def fly_many(plans: Sequence[FlightPlan]) -> list[Recording]:
+    """Fly a batch of flights of equal duration at once: 64 take little longer than one.
+
+    Args:
+        plans: One dictionary per flight, the arguments of `fly`.
 
     Returns:
-        A recording per flight. Row i does not depend on the other rows.
+        A recording per flight. A flight does not depend on the others of its batch.
     """
-    batch = [_DEFAULTS | flight for flight in flights]
-    if len({(flight["duration"], flight["initial"] is None) for flight in batch}) != 1:
+    batch = [_DEFAULTS | plan for plan in plans]
+    if len({(plan["duration"], plan["initial"] is None) for plan in batch}) != 1:
         raise ValueError("flights of one batch need the same duration, and all or none an initial state")
-    return _Batch(batch).run()
+    return Batch(batch).run()
 
 
-class _Batch:
-    def __init__(self, flights: list[dict[str, Any]]) -> None:
+class Batch:
+    """Flights that are stepped together. Time is the first axis of every series, the flight the last."""
+
+    def __init__(self, flights: list[FlightPlan]) -> None:
         self.flights = flights
         self.count = len(flights)
         self.all = np.arange(self.count)
@@ -100,7 +150,7 @@ class _Batch:
 
     def _allocate(self) -> None:
         shape, steps, frames = (self.steps + 1, 3, self.count), self.steps, self.steps // MOCAP_PERIOD + 1
-        self.position, self.velocity, self.accel = np.empty(shape), np.empty(shape), np.empty(shape)
+        self.position, self.velocity, self.accel = (np.zeros(shape) for _ in range(3))
         self.blade, self.speed, self.current = (np.empty((steps + 1, 2, self.count)) for _ in range(3))
         self.thrust = np.empty((steps + 1, 2, self.count))
         self.pitch_command, self.throttle = (np.empty((steps + 1, 2, self.count)) for _ in range(2))

@@ -162,7 +162,7 @@ def _figure(duration: float, rng: np.random.Generator) -> Script:
 
 
 def _flip(duration: float, rng: np.random.Generator) -> Script:
-    plan = Choreographer(duration, rng, rng.uniform(-0.15, 0.15), rng.uniform(1.2, 1.35))
+    plan = Choreographer(duration, rng, rng.uniform(-0.15, 0.15), rng.uniform(1.35, 1.5))
     plan.wait(1.2)
     whole = False
     while plan.left > 3.5:

@@ -13,6 +13,8 @@ from .friction import DryFriction, advance_velocity, settle
 from .rig import PITCH, Rig, X, Z
 from .rotor import STEP, SUBSTEPS
 
+_UNEVEN_WAVE = 2 * np.pi / 0.6  # rad/m, of the rail's small unevenness
+
 
 class Plant:
     """Positions and velocities of a batch of flights, and the forces on them."""
@@ -41,6 +43,7 @@ class Plant:
         self.blown = hidden.any("rotor.inflow", "rotor.in_plane")
         self.cogging = [hidden.get("alien.cogging", name) for name in ("force", "period")]
         self.cogged = hidden.any("alien.cogging")
+        self.uneven = bool(rig.uneven.any())
         self.crosswind, self.crossed = hidden.get("alien.crosswind", "gain"), hidden.any("alien.crosswind")
         drop = hidden.any("alien.mass_drop")
         self.drop_mass = hidden.get("alien.mass_drop", "mass") if drop else None
@@ -115,6 +118,8 @@ class Plant:
             force[X] -= self.spring[0] * (position[X] - self.spring[1])
         if self.cogged:
             force[X] -= self.cogging[0] * np.sin(2 * np.pi * position[X] / self.cogging[1])
+        if self.uneven:
+            force[X] -= rig.uneven * np.sin(_UNEVEN_WAVE * position[X])
         if self.crossed:
             force[X] += self.crosswind * velocity[X] * velocity[Z]
         if touching:

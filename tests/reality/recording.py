@@ -16,7 +16,7 @@ from .rotor import STEP
 from .sensors import MOCAP_PERIOD
 
 if TYPE_CHECKING:
-    from .flight import _Batch
+    from .flight import Batch
 
 EPOCH_NS = 1_760_000_000_000_000_000  # first stamp of the flight with seed 0; a later seed flew later
 
@@ -66,7 +66,7 @@ class Recording:
     imu_std: tuple[float, float] = field(default=(0.0, 0.0))
 
     @classmethod
-    def from_batch(cls, batch: _Batch, row: int) -> Recording:
+    def from_batch(cls, batch: Batch, row: int) -> Recording:
         """Cut one flight out of a batch that has flown."""
         flight, lead = batch.flights[row], batch.lead
         imu = batch.rig.nominal["sensors"]["imu"]
@@ -93,7 +93,7 @@ class Recording:
         )
 
 
-def _gather_topics(batch: _Batch, row: int) -> dict[str, Topic]:
+def _gather_topics(batch: Batch, row: int) -> dict[str, Topic]:
     """Sort what the sensors read and the loops commanded into topics."""
     lead, steps = batch.lead, batch.steps
     rng = np.random.default_rng([batch.flights[row]["seed"], 5])

@@ -43,7 +43,8 @@ def draw_tolerances(session: int) -> dict[str, float]:
     """Draw what an honest data sheet leaves open: one rig per session number.
 
     Returns:
-        Relative errors of mass, inertia, thrust constant, servo time constant; asymmetry; dry friction N.
+        Relative errors of mass, inertia, thrust constant, servo time constant; asymmetry; dry friction N;
+        amplitude N of a force that varies along the rail.
     """
     rng = np.random.default_rng([session, 77])
 
@@ -58,6 +59,7 @@ def draw_tolerances(session: int) -> dict[str, float]:
         "time_constant": draw(0.03),
         "friction_x": float(rng.uniform(0.0, 0.01)),
         "friction_z": float(rng.uniform(0.0, 0.01)),
+        "uneven": float(rng.uniform(0.0, 0.01)),
     }
 
 
@@ -110,6 +112,7 @@ class Rig:
         self.bias = np.stack([hidden.get(f"{j}.bias", "force") for j in ("rail_x", "rail_z", "pitch")])
         self.tilt_sine = np.sin(hidden.get("rail.tilt", "angle"))
         self.drag = hidden.get("air.drag", "k_d")
+        self.uneven = tolerance["uneven"]
 
         asymmetry = hidden.get("rotor.asymmetry", "fraction") + tolerance["asymmetry"]
         k_t = nominal["rotor"]["k_t"] * (1 + tolerance["k_t"]) * hidden.get("rotor.thrust_gain", "gain")
