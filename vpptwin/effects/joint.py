@@ -31,7 +31,7 @@ def coulomb(joint: str, where: str, rotary: bool = False, scale: float = 1.0, ot
     """Dry friction on a joint; `scale` is a typical force [N] or torque [N m] there."""
     name, unit = ("torque", "N m") if rotary else ("force", "N")
     parameter = Parameter(
-        name, unit, 0.0, 0.0, 2.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), 0.1 * scale, 0.02 * scale
+        name, unit, 0.0, 0.0, 2.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), 0.1 * scale, 0.015 * scale
     )
 
     def apply(constants: Constants, site: Site, /, **values: np.ndarray) -> None:
@@ -47,7 +47,7 @@ def viscous(joint: str, where: str, rotary: bool = False, scale: float = 1.0, ot
     """Viscous friction on a joint; `scale` is a typical damping [N s/m] or [N m s/rad] there."""
     unit = "N m s/rad" if rotary else "N s/m"
     parameter = Parameter(
-        "damping", unit, 0.0, 0.0, 5.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), 0.1 * scale, 0.02 * scale
+        "damping", unit, 0.0, 0.0, 5.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), 0.1 * scale, 0.015 * scale
     )
     return Effect(
         f"{joint}.viscous", f"viscous friction {where}", "-damping v", (parameter,), Stage.CONSTANT, apply_viscous,
@@ -59,7 +59,7 @@ def bias(joint: str, where: str, rotary: bool = False, scale: float = 1.0, other
     """Constant force [N] or torque [N m] on a joint; `scale` is a typical size."""
     unit = "N m" if rotary else "N"
     parameter = Parameter(
-        "force", unit, 0.0, -2.0 * scale, 2.0 * scale, Prior("normal", 0.0, 0.2 * scale), 0.1 * scale, 0.05 * scale
+        "force", unit, 0.0, -2.0 * scale, 2.0 * scale, Prior("normal", 0.0, 0.2 * scale), 0.1 * scale, 0.03 * scale
     )
 
     return Effect(

@@ -8,6 +8,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.model import HINGE
 from vpptwin.twin.spec import TwinSpec
 
 
@@ -21,6 +22,7 @@ class Series:
         time: (n,) s, increasing.
         value: (n,) or (n, k).
         std: sensor noise of one sample, 1 sigma, in the unit.
+        white: the noise is independent from sample to sample, so that averaging reduces it.
     """
 
     name: str
@@ -28,6 +30,7 @@ class Series:
     time: np.ndarray
     value: np.ndarray
     std: float
+    white: bool = True
 
 
 @dataclass(frozen=True)
@@ -106,17 +109,19 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     for joint, topic in spec.signals.joints.items():
         stream = find_joint(flight, topic, joint)
         dof = int(spec.model.joint(joint).dofadr[0])
-        rotary = int(spec.model.joint(joint).type[0]) == 3
+        rotary = int(spec.model.joint(joint).type[0]) == HINGE
         length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
         if "position" not in stream.values:
             raise InputError(
                 f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
             )
         position = stream["position"]
-        positions[dof] = Series(joint, length, stream.time, position, estimate_noise(position, length))
+        positions[dof] = Series(joint, length, stream.time, position, estimate_noise(position, length), False)
         if "velocity" in stream.values:
             velocity = stream["velocity"]
-            velocities[dof] = Series(f"{joint} rate", unit, stream.time, velocity, estimate_noise(velocity, unit))
+            velocities[dof] = Series(
+                f"{joint} rate", unit, stream.time, velocity, estimate_noise(velocity, unit), False
+            )
     command = read_efforts(spec, flight, spec.signals.actuators)
     start, end = common_span([*positions.values(), command])
     return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end)

@@ -1,4 +1,4 @@
-"""A whole flight replayed in the twin: driven by the log's commands, restarted every so often from an estimated state."""
+"""A whole flight replayed in the twin, restarted every so often from an estimated state."""
 
 from __future__ import annotations
 

@@ -59,6 +59,10 @@ class Windows:
             velocity=self.velocity[ids],
         )
 
+    def shift(self, pose: np.ndarray, velocity: np.ndarray) -> Windows:
+        """The same windows with something added to their starting states, (K, nv) each."""
+        return replace(self, pose=self.pose + pose, velocity=self.velocity + velocity)
+
 
 def average_held(series: Series, edges: np.ndarray) -> np.ndarray:
     """Mean over each cell between neighbouring `edges` (K, n + 1) of a value held from sample to sample, (K, n, nu)."""
@@ -133,8 +137,15 @@ def join_windows(parts: list[Windows]) -> Windows:
     )
 
 
-def simulate_windows(twin: Twin, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+def simulate_windows(
+    twin: Twin, windows: Windows, disturbance: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Drive a twin of len(windows) simulations through the windows.
+
+    Args:
+        twin: one simulation a window.
+        windows: the windows.
+        disturbance: generalized force added, (K, segments, nv) N, N m; None for none.
 
     Returns:
         Pose and velocity at the start and after every step, both at that very time, (K, steps + 1, nv).
@@ -143,7 +154,7 @@ def simulate_windows(twin: Twin, windows: Windows) -> tuple[np.ndarray, np.ndarr
     layer = replace(start.actuators, output=windows.warm[:, 0].copy())
     history = np.repeat(windows.warm[:, :1], layer.history.shape[1], axis=1)
     start = replace(start, actuators=twin.warm_up(replace(layer, history=history), windows.warm))
-    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed)
+    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed, disturbance=disturbance)
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     return pose, velocity

@@ -16,6 +16,8 @@ from vpptwin.vehicle import Vehicle
 CRAFT_JOINTS = ("rail_x", "rail_z", "pitch")
 """Joints of the drone in the order of its generalized coordinates x, z, θ."""
 
+SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+
 
 def read_nominal(vehicle: Vehicle, key: str) -> float:
     """The vehicle's number at a dotted key, e.g. `servo.time_constant`."""
@@ -80,12 +82,12 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     mujoco.mj_fullM(model, data, inertia)
     described = []
     for i in range(model.njnt):
-        kind = model.jnt_type[i]
-        if kind not in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
+        kind = int(model.jnt_type[i])
+        if kind not in (SLIDE, HINGE):
             continue
-        rotary = kind == mujoco.mjtJoint.mjJNT_HINGE
+        rotary = kind == HINGE
         dof = model.jnt_dofadr[i]
-        described.append((model.joint(i).name, bool(rotary), float(inertia[dof, dof]) * (30.0 if rotary else 10.0)))
+        described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * (30.0 if rotary else 10.0)))
     return described
 
 

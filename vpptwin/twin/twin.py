@@ -160,6 +160,7 @@ class Twin:
         commands: np.ndarray,
         rotor_speed: np.ndarray | None = None,
         throttle: np.ndarray | None = None,
+        disturbance: np.ndarray | None = None,
     ) -> tuple[TwinState, np.ndarray, np.ndarray]:
         """Run under logged actuator commands, one per inner step.
 
@@ -168,6 +169,7 @@ class Twin:
             commands: blade pitch [rad] (control input on other rigs), (N, steps, nu).
             rotor_speed: measured rotor speed, (N, steps, 2) rad/s; None simulates it from `throttle`.
             throttle: (N, steps, 2), 0..1; used when `rotor_speed` is None.
+            disturbance: generalized force added, (N, segments, nv) N, N m, each held for an equal part of the steps.
 
         Returns:
             The final state, and qpos, qvel after every step, (N, steps, nq) and (N, steps, nv).
@@ -183,7 +185,8 @@ class Twin:
                 layer = replace(layer, rotor_speed=rotor_speed[:, k])
             elif self.spec.vehicle is not None and throttle is not None:
                 layer = spin_rotors(self.spec.vehicle, layer, throttle[:, k], self.dt)
-            self._step_engine(layer)
+            extra = None if disturbance is None else disturbance[:, k * disturbance.shape[1] // steps]
+            self._step_engine(layer, extra)
             qpos[:, k], qvel[:, k] = self._live["qpos"], self._live["qvel"]
         return self._unload(layer), qpos, qvel
 
@@ -191,13 +194,13 @@ class Twin:
         table = self._constants.table
         return ActuatorConstants(table["actuator.delay"], table["actuator.time_constant"], table["actuator.gain"])
 
-    def _step_engine(self, layer: ActuatorState) -> None:
+    def _step_engine(self, layer: ActuatorState, extra: np.ndarray | None = None) -> None:
         live, values = self._live, self._constants.values
         drone = self.spec.vehicle is not None
         control = rotor_thrust(self.spec.vehicle, layer) if self.spec.vehicle else layer.mean
         control = control * self._constants.table["actuator.gain"]
         plant = Plant(live["qpos"], live["qvel"], layer.rotor_speed, layer.mean)
-        force = np.zeros_like(live["qfrc_applied"])
+        force = np.zeros_like(live["qfrc_applied"]) if extra is None else extra
         for effect in self._per_step:
             parameters = {p.name: values[effect.id, p.name] for p in effect.parameters}
             site = self._constants.sites[effect.id]

@@ -1,0 +1,165 @@
+"""What is compared: the measurements inside each window, in short bins, and the same quantities of a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.estimation.windows import Windows
+
+BIN = 0.01
+"""Samples are averaged over bins of this length [s]."""
+LEAD = 0.05
+"""Start of a window in which poses are not compared: a delayed pose would reach back before it [s]."""
+MODEL_FLOOR = {"position": 0.0, "velocity": 0.02, "specific force": 0.1}
+"""Roughness below which no rigid-body twin is believed [m or rad, rad/s, m/s²], added to the sensors' noise: stick-slip
+that switches a few milliseconds early, vibration, blades between two samples."""
+MISSING = 1e6
+"""Standard deviations given to a bin without samples, which takes it out of every sum."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured quantity in K windows of B bins.
+
+    Attributes:
+        name: what it is.
+        unit: SI unit.
+        kind: `position`, `velocity` or `specific force`.
+        axis: degree of freedom, or 0 and 1 for body x and z of a specific force.
+        delayed: comes from the motion capture.
+        value: mean over each bin, (K, B).
+        std: noise of that mean, (K, B); huge where the bin is empty.
+        offset: time of each sample after the window's start, (K, B, S) s.
+        weight: 1/samples in the bin, 0 beyond them, (K, B, S).
+        sensor_std: noise of one sample.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    axis: int
+    delayed: bool
+    value: np.ndarray
+    std: np.ndarray
+    offset: np.ndarray
+    weight: np.ndarray
+    sensor_std: float
+
+    def take(self, ids: np.ndarray) -> Channel:
+        """The channel in some of the windows."""
+        arrays = (self.value[ids], self.std[ids], self.offset[ids], self.weight[ids])
+        return Channel(self.name, self.unit, self.kind, self.axis, self.delayed, *arrays, self.sensor_std)
+
+
+def bin_channel(
+    windows: Windows, series: Series, value: np.ndarray, kind: str, axis: int, delayed: bool, lead: float, name: str
+) -> Channel:
+    """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start."""
+    length = windows.steps * windows.dt
+    bins = round(length / BIN)
+    edges = windows.start[:, None] + BIN * np.arange(bins + 1)
+    first = np.searchsorted(series.time, edges - 1e-9)
+    count = np.diff(first, axis=1)
+    samples = max(int(count.max()), 1)
+    index = first[:, :-1, None] + np.arange(samples)
+    inside = np.arange(samples) < count[..., None]
+    if delayed:
+        inside &= (BIN * np.arange(bins) >= lead - 1e-9)[None, :, None]
+    index = np.clip(index, 0, len(series.time) - 1)
+    number = inside.sum(axis=2)
+    weight = inside / np.maximum(number, 1)[..., None]
+    mean = (value[index] * weight).sum(axis=2)
+    averaging = np.sqrt(np.maximum(number, 1)) if series.white else 1.0
+    noise = np.hypot(series.std / averaging, MODEL_FLOOR[kind])
+    std = np.where(number > 0, noise, MISSING * series.std)
+    offset = np.where(inside, series.time[index] - windows.start[:, None, None], 0.5 * length)
+    return Channel(name, series.unit, kind, axis, delayed, mean, std, offset, weight, series.std)
+
+
+def observe_windows(windows: Windows, measurements: Measurements, lead: float = LEAD) -> list[Channel]:
+    """All channels of one flight's windows; motion capture is compared from `lead` [s] on."""
+    channels = []
+    for dof, series in sorted(measurements.positions.items()):
+        delayed = dof in measurements.delayed
+        channels.append(bin_channel(windows, series, series.value, "position", dof, delayed, lead, series.name))
+    for dof, series in sorted(measurements.velocities.items()):
+        channels.append(bin_channel(windows, series, series.value, "velocity", dof, False, 0.0, series.name))
+    if (force := measurements.specific_force) is not None:
+        for axis, label in ((0, "body x"), (1, "body z")):
+            name = f"{force.name}, {label}"
+            channels.append(bin_channel(windows, force, force.value[:, axis], "specific force", axis, False, 0.0, name))
+    return channels
+
+
+def join_channels(parts: list[list[Channel]]) -> list[Channel]:
+    """The channels of several flights as one set; all flights must have the same channels."""
+    joined = []
+    for same in zip(*parts, strict=True):
+        samples = max(c.offset.shape[2] for c in same)
+        padded = [(pad_samples(c.offset, samples), pad_samples(c.weight, samples)) for c in same]
+        first = same[0]
+        joined.append(
+            Channel(
+                first.name,
+                first.unit,
+                first.kind,
+                first.axis,
+                first.delayed,
+                np.concatenate([c.value for c in same]),
+                np.concatenate([c.std for c in same]),
+                np.concatenate([offset for offset, _ in padded]),
+                np.concatenate([weight for _, weight in padded]),
+                first.sensor_std,
+            )
+        )
+    return joined
+
+
+def pad_samples(array: np.ndarray, samples: int) -> np.ndarray:
+    """Fill the last axis up to `samples` with zeros."""
+    return np.pad(array, ((0, 0), (0, 0), (0, samples - array.shape[2])))
+
+
+def predict_channel(
+    channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, delay: np.ndarray
+) -> np.ndarray:
+    """The channel as a simulation shows it.
+
+    Args:
+        channel: K windows.
+        pose: (K, steps + 1, nv) m, rad.
+        velocity: (K, steps + 1, nv) m/s, rad/s.
+        dt: time between them, s.
+        gravity: m/s².
+        delay: age of motion-capture poses, (K,) s.
+
+    Returns:
+        Mean over each bin, (K, B).
+    """
+    if channel.kind == "specific force":
+        track, shift = body_force(pose, velocity, dt, gravity)[..., channel.axis], -0.5 * dt
+    elif channel.kind == "velocity":
+        track, shift = velocity[..., channel.axis], 0.0
+    else:
+        track, shift = pose[..., channel.axis], 0.0
+    offset = channel.offset + shift
+    if channel.delayed:
+        offset = offset - delay[:, None, None]
+    position = np.clip(offset / dt, 0.0, track.shape[1] - 1.000001)
+    whole = position.astype(np.intp)
+    part = position - whole
+    rows = np.arange(len(track))[:, None, None]
+    sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
+    return (sampled * channel.weight).sum(axis=2)
+
+
+def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:
+    """Specific force at the hinge in body axes x, z at the middle of every step, (K, steps, 2) m/s²."""
+    acceleration = np.diff(velocity[..., :2], axis=1) / dt
+    theta = 0.5 * (pose[:, 1:, 2] + pose[:, :-1, 2])
+    world_x, world_z = acceleration[..., 0], acceleration[..., 1] + gravity
+    cos, sin = np.cos(theta), np.sin(theta)
+    return np.stack([world_x * cos + world_z * sin, world_z * cos - world_x * sin], axis=-1)

@@ -1,0 +1,100 @@
+"""Flights cut into windows, split into those that are fitted and those that only judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.diagnosis.bench import Bench
+from vpptwin.diagnosis.channels import LEAD, join_channels, observe_windows
+from vpptwin.diagnosis.holdout import HORIZONS_S
+from vpptwin.errors import InputError
+from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.windows import cut_windows, join_windows
+from vpptwin.twin.spec import TwinSpec
+
+WINDOW = 0.3
+"""Length of a fitted window [s]: long enough for an effect to show, short enough for the response to stay linear."""
+SEGMENT = 0.1
+"""Length of a gust pulse [s]."""
+SETTLE = 0.2
+"""Start of a log left to the estimate of the first state [s]."""
+BLOCK = 3.0
+"""A single flight is split into blocks of this length [s], every third of them held out."""
+MIN_DURATION = 5.0
+"""Shortest flight that can be diagnosed [s]."""
+MAX_WINDOWS = 400
+"""More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Start times per flight, fitted and held out; `whole` tells whether whole flights are held out."""
+
+    fitted: list[np.ndarray]
+    held_out: list[np.ndarray]
+    whole: bool
+
+
+def split_flights(measurements: Sequence[Measurements]) -> Split:
+    """Hold out every third flight (at least one) where there are several, else every third block of the only one."""
+    starts = []
+    for flight in measurements:
+        if flight.duration < MIN_DURATION:
+            raise InputError(
+                f"{flight.name}: {flight.duration:.1f} s in which all needed topics were recorded",
+                f"at least {MIN_DURATION:g} s",
+                "log a longer flight",
+            )
+        starts.append(np.arange(flight.start + SETTLE, flight.end - WINDOW, WINDOW))
+    count = len(measurements)
+    if count > 1:
+        out = set(range(count - max(count // 3, 1), count))
+        empty = np.empty(0)
+        fitted = [empty if i in out else s for i, s in enumerate(starts)]
+        return Split(fitted, [s if i in out else empty for i, s in enumerate(starts)], True)
+    block = ((starts[0] - starts[0][0]) / BLOCK).astype(int)
+    return Split([starts[0][block % 3 != 2]], [starts[0][block % 3 == 2]], False)
+
+
+def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:
+    """At most `limit` start times, evenly spread over all flights."""
+    total = sum(len(s) for s in starts)
+    return [s[:: max(-(-total // limit), 1)] for s in starts] if total > limit else starts
+
+
+def build_bench(
+    spec: TwinSpec,
+    measurements: Sequence[Measurements],
+    starts: Sequence[np.ndarray],
+    length: float,
+    causal: bool,
+    progress: Callable[[int], None] | None = None,
+) -> Bench:
+    """Windows and channels of several flights on one bench."""
+    windows, channels = [], []
+    for i, (flight, times) in enumerate(zip(measurements, starts)):
+        times = times[times <= flight.end - length]
+        if len(times):
+            cut = cut_windows(spec, flight, times, length, causal, i)
+            windows.append(cut)
+            channels.append(observe_windows(cut, flight, 0.0 if causal and length > WINDOW else LEAD))
+    names = [[c.name for c in part] for part in channels]
+    if any(n != names[0] for n in names):
+        raise InputError(
+            f"logs with different channels ({', '.join(names[0])} and others)",
+            "the same topics in every log",
+            "diagnose logs of one kind together",
+        )
+    suspects = [effect.id for effect in spec.catalogue]
+    return Bench(
+        spec, join_windows(windows), join_channels(channels), suspects, max(round(length / SEGMENT), 1), progress
+    )
+
+
+def long_starts(starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Start times of windows as long as the last horizon, at most half overlapping, out of those of short ones."""
+    every = max(round(0.5 * HORIZONS_S[-1] / WINDOW), 1)
+    return [s[::every] for s in starts]
