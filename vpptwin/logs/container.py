@@ -14,7 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
-from mcap.records import Chunk, Header, Schema
+from mcap.records import Chunk, Header, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
@@ -146,6 +146,7 @@ class _Scan:
                 self.channels[identifier].count += int(np.count_nonzero(mine))
             for size in np.unique(length[mine]).tolist() if identifier in self.keep else ():
                 rows = np.flatnonzero(mine & (length == size))
+                # An empty message at the very end has no window of its own, so it borrows the one before.
                 windows = sliding_window_view(content, max(size, 1))
                 payload = windows[start[rows].astype(np.intp) - (size == 0), :size]
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
@@ -179,17 +180,29 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
 
 
 def _read_records(body: memoryview, scan: _Scan) -> None:
+    expected = None
     for opcode, start, end in scan.take_records(body):
         if opcode == Opcode.HEADER:
             scan.take_header(_open_stream(body, start, end), start)
         elif opcode == Opcode.CHUNK:
             _read_chunk(_open_stream(body, start, end), start, scan)
-        elif opcode == Opcode.DATA_END:
+        elif opcode == Opcode.STATISTICS:
+            expected = _count_expected(_open_stream(body, start, end), start)
+        elif opcode == Opcode.FOOTER:
             break
     else:
-        raise _DamageError(len(body), "ends without a summary")
-    if body[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
-        raise _DamageError(len(body), "ends inside its summary")
+        raise _DamageError(len(body), "ends without a footer")
+    if body[end:] != MCAP0_MAGIC:
+        raise _DamageError(end, "does not end as MCAP files do")
+    if expected not in (None, scan.count):
+        raise _DamageError(end, f"holds {scan.count} messages, not {expected} as its summary says,")
+
+
+def _count_expected(stream: ReadDataStream, offset: int) -> int:
+    try:
+        return Statistics.read(stream).message_count
+    except (McapError, ValueError, struct.error):
+        raise _DamageError(offset, "holds a broken summary") from None
 
 
 def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import yaml
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
@@ -198,7 +197,5 @@ def _refuse_foreign(path: Path, start: bytes) -> InputError:
             return InputError(f"{path} is {found}", _EXPECTED, action)
     if MCAP0_MAGIC.startswith(start):
         return InputError(f"{path} ends after {len(start)} bytes", _EXPECTED, "copy or record it again")
-    text = np.frombuffer(start, np.uint8)
-    printable = bool(((text >= 32) | (text == 9) | (text == 10) | (text == 13)).all())
-    kind = "text" if printable else "not MCAP"
+    kind = "text" if all(32 <= byte < 127 or byte in b"\t\r\n" for byte in start) else "not MCAP"
     return InputError(f"{path} is {kind}, starting with {start[:12]!r}", _EXPECTED, "give the .mcap file itself")

@@ -57,8 +57,8 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray,
 
 def _refuse_unset(stamps: np.ndarray, label: str) -> None:
     unset = int(np.count_nonzero(stamps == 0))
-    # One zero at the start of a simulated clock is a time, not a stamp left unset.
-    if unset > 1 or (unset and (len(stamps) == 1 or stamps.max() > MAX_CLOCK_DISTANCE * 1e9)):
+    # Among small stamps a zero is the start of a simulated clock, not a stamp left unset.
+    if unset and (2 * unset > len(stamps) or stamps.max() > MAX_CLOCK_DISTANCE * 1e9):
         raise InputError(
             f"{label}: {unset} of {len(stamps)} messages have no header stamp (zero)", "header.stamp set", _STAMP_ADVICE
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -118,17 +119,20 @@ class FlightWriter:
         Args:
             topic: one of SPEC 3.
             time: of the header stamp [s since time zero].
-            values: column -> number or (k,), SI; all columns of the topic.
+            values: column -> number or (k,), SI; optional columns left out are written as NaN.
             log_time: when it was recorded [s since time zero]; None for `time`.
         """
         channel = CHANNELS[topic]
-        names = {column.name for column in channel.columns}
-        if names != set(values):
-            raise ValueError(f"{topic} takes {', '.join(sorted(names))}, got {', '.join(sorted(values))}")
+        given = {column.name: values.get(column.name) for column in channel.columns}
+        missing = [column.name for column in channel.columns if given[column.name] is None and not column.optional]
+        if missing or set(values) - set(given):
+            raise ValueError(f"{topic} takes {', '.join(given)}, got {', '.join(values)}")
         template = self._find_template(topic, channel.message_type, channel.frame_id, channel.constants)
         for column in channel.columns:
-            for path, value in split_column(column, values[column.name]).items():
-                template.fill(path, value)
+            value = given[column.name]
+            unknown = math.nan if column.width == 1 else [math.nan] * column.width
+            for path, part in split_column(column, unknown if value is None else value).items():
+                template.fill(path, part)
         self._add(topic, channel.message_type, template, time, log_time)
 
     def write_joints(
@@ -172,10 +176,10 @@ class FlightWriter:
         return self._templates[key]
 
     def _add(self, topic: str, message_type: str, template: _Template, time: float, log_time: float | None) -> None:
-        stamp = self.start_ns + round(time * 1e9)
+        stamp = self.start_ns + round(float(time) * 1e9)
         template.fill("header.stamp.sec", stamp // 10**9)
         template.fill("header.stamp.nanosec", stamp % 10**9)
-        logged = stamp if log_time is None else self.start_ns + round(log_time * 1e9)
+        logged = stamp if log_time is None else self.start_ns + round(float(log_time) * 1e9)
         self._sequence[topic] = self._sequence.get(topic, 0) + 1
         self._writer.add_message(
             self._find_channel(topic, message_type), logged, bytes(template.message), stamp, self._sequence[topic]
