@@ -132,16 +132,18 @@ def _aggressive(duration: float, rng: np.random.Generator) -> Script:
     plan = Choreographer(duration, rng, rng.uniform(-0.2, 0.2), rng.uniform(1.0, 1.4), haste=1.5)
     side = plan.sign()
     plan.wait(0.8)
+    kinds = ["both"] * 4 + ["x"] * 3 + ["z"] + ["doublet"] * 2
     while plan.left > 0:
-        kind = rng.choice(("both", "x", "z", "doublet"), p=(0.4, 0.25, 0.15, 0.2))
-        if kind in ("both", "x"):
-            plan.go(x=side * rng.uniform(0.5, 0.95))
-            side = -side
-        if kind in ("both", "z"):
-            plan.go(z=rng.uniform(0.65, 1.0) if plan.script.reference[plan.tick, 1] > 1.3 else rng.uniform(1.6, 2.0))
-        if kind == "doublet":
-            plan.nudge(plan.sign() * rng.uniform(0.35, 0.6), rng.uniform(0.12, 0.2))
-        plan.wait(rng.uniform(0.9, 1.6))
+        for kind in rng.permutation(kinds):  # dealt from a pack, so that every flight is rich
+            if kind in ("both", "x"):
+                plan.go(x=side * rng.uniform(0.5, 0.95))
+                side = -side
+            if kind in ("both", "z"):
+                low = plan.script.reference[plan.tick - 1, 1] < 1.3
+                plan.go(z=rng.uniform(1.6, 2.0) if low else rng.uniform(0.65, 1.0))
+            if kind == "doublet":
+                plan.nudge(plan.sign() * rng.uniform(0.35, 0.6), rng.uniform(0.12, 0.2))
+            plan.wait(rng.uniform(0.9, 1.6))
     return plan.script
 
 
