@@ -41,9 +41,12 @@ class Browser:
         profile: an empty folder for the profile.
         size: window width and height [px].
         dark: whether the page is told that the reader prefers dark.
+        offline: whether the network is cut.
     """
 
-    def __init__(self, profile: Path, size: tuple[int, int] = (1280, 720), dark: bool = False) -> None:
+    def __init__(
+        self, profile: Path, size: tuple[int, int] = (1280, 720), dark: bool = False, offline: bool = True
+    ) -> None:
         self.requests: list[str] = []
         self.complaints: list[str] = []
         self._loaded = False
@@ -69,7 +72,9 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
-        self.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
+        self.call(
+            "Network.emulateNetworkConditions", offline=offline, latency=0, downloadThroughput=-1, uploadThroughput=-1
+        )
         self.call(
             "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
         )
@@ -131,10 +136,10 @@ class Browser:
             case "Page.loadEventFired":
                 self._loaded = True
 
-    def open(self, page: Path, timeout: float = 60.0) -> None:
-        """Load a local page and wait until it has loaded, at most timeout [s]."""
+    def open(self, page: Path | str, timeout: float = 60.0) -> None:
+        """Load a file or an address and wait until it has loaded, at most timeout [s]."""
         self._loaded = False
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         deadline = time.monotonic() + timeout
         while not self._loaded:
             self._read(deadline)
@@ -144,6 +149,11 @@ class Browser:
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
+
+    def draw_frames(self, count: int = 3) -> None:
+        """Wait until the page has drawn so many frames."""
+        step = "new Promise(resolve => requestAnimationFrame(resolve))"
+        self.evaluate("(async () => {" + f"await {step}; " * count + "})()")
 
     def take_picture(self) -> bytes:
         """A PNG of the window."""

@@ -53,7 +53,7 @@ def open_figure(width: float, height: float) -> Iterator[Figure]:
 
 
 def write_svg(figure: Figure, title: str) -> str:
-    """The figure as an <svg> element.
+    """The figure as an <svg> element; a page may set the CSS variables --before and --after, say for dark readers.
 
     Args:
         figure: drawn within open_figure.
@@ -66,6 +66,8 @@ def write_svg(figure: Figure, title: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = svg.replace(INK, "currentColor")
+    for name, colour in (("before", BEFORE), ("after", AFTER)):
+        svg = svg.replace(colour.lower(), f"var(--{name}, {colour})")
     prefix = re.sub(r"\W+", "-", title.lower()).strip("-")
     svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
     svg = svg.replace("url(#", f"url(#{prefix}-").replace('href="#', f'href="#{prefix}-')

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from vpptwin.logs.flight import Flight, Stream
 
 FRAME_RATE = 50.0  # Hz
-MAX_FRAMES = 10_000  # keeps a page under 10 MB; a log longer than MAX_FRAMES / FRAME_RATE gets fewer frames per second
+MOST_NUMBERS = 1_200_000  # in all tracks of a page, 6.4 MB of it; longer logs get fewer frames a second
+NUMBERS_OF_BODY = 9  # a frame of a body: position, quaternion and their two times
+NUMBERS_OF_ROTORS = 40  # a frame of both rotors: turn, pitch of two blades, arrows, and the times of each
 LONGEST_GAP = 0.03  # s without a sample of the prediction after which the twin is hidden
 
 
@@ -88,10 +90,16 @@ def find_positions(flight: Flight, spec: TwinSpec) -> dict[int, tuple[np.ndarray
     return found
 
 
-def choose_frames(start: float, end: float, rate: float = FRAME_RATE, max_frames: int = MAX_FRAMES) -> np.ndarray:
-    """Frame times (T,) [s] from start to end, at the given rate [Hz] or fewer where max_frames caps them."""
-    count = int(np.clip(round((end - start) * rate) + 1, 2, max_frames))
+def choose_frames(start: float, end: float, most: int) -> np.ndarray:
+    """Frame times (T,) [s] from start to end: 50 a second, or fewer where that would be more than `most` frames."""
+    count = int(np.clip(round((end - start) * FRAME_RATE) + 1, 2, most))
     return np.linspace(start, end, count)
+
+
+def count_frames(model: mujoco.MjModel, copies: int) -> int:
+    """How many frames a page has room for, with so many copies of the rig moving."""
+    bodies = int(np.count_nonzero(model.body_weldid))
+    return max(MOST_NUMBERS // (copies * (NUMBERS_OF_BODY * bodies + NUMBERS_OF_ROTORS)), 2)
 
 
 def hold(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,7 +91,7 @@ def describe_show(show: Show, title: str, caption: str) -> PageText:
     notes = [f"Grid: {GRID_STEP:g} m."]
     views = {
         "flight": lower_view(view_flight(show)),
-        "rig": lower_view(frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.1)),
+        "rig": lower_view(frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.3)),
     }
     log_node: tuple[str, ...] = ()
     twin_node: tuple[str, ...] = ()
@@ -157,12 +156,12 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
             }
         ),
     )
+    draft = out.with_name(f".{out.name}.{os.getpid()}")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=out.parent, suffix=".html", encoding="utf-8", delete=False) as file:
-            file.write(html)
-        os.chmod(file.name, 0o644)
-        os.replace(file.name, out)
+        draft.write_text(html, encoding="utf-8")
+        os.replace(draft, out)
     except OSError as error:
+        draft.unlink(missing_ok=True)
         raise InputError(f"cannot write {out}: {error.strerror}", "a writable path", "choose another") from error
     return out

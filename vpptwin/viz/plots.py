@@ -154,7 +154,7 @@ def suspects_ranking(names: Sequence[str], gains: Sequence[float], accused: Sequ
         axes.axvline(0.0, color=INK, linewidth=0.8)
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.12)
-        name_axes(axes, "share of the held-out excess chi² removed [1]", "")
+        name_axes(axes, "share of the held-out excess chi² removed, 1 = all of it", "")
         return write_svg(figure, "Suspects by what they explain")
 
 
@@ -183,7 +183,7 @@ def prediction_overlay(
     with open_figure(7.2, 0.5 + 1.5 * len(labels)) as figure:
         column = figure.subplots(len(labels), 1, squeeze=False, sharex=True)[:, 0]
         for k, (axes, label) in enumerate(zip(column, labels)):
-            axes.plot(at, np.asarray(measured)[shown, k], color=INK, linewidth=1.2, label="log")
+            axes.plot(at, np.asarray(measured)[shown, k], color=INK, linewidth=4.5, alpha=0.35, label="log")
             for name, predicted, colour, dash in (("before", before, BEFORE, "--"), ("after", after, AFTER, "-")):
                 if predicted is not None:
                     broken = np.insert(np.asarray(predicted, dtype=float)[shown, k], breaks, np.nan)

@@ -16,6 +16,7 @@ from vpptwin.viz.motion import (
     Motion,
     Target,
     choose_frames,
+    count_frames,
     find_positions,
     read_target,
     sample_flight,
@@ -73,7 +74,7 @@ def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) 
         raise InputError(f"{flight.path}: a single position", "at least two to play", "record a longer log")
     if vehicle is not None:
         fit_craft(model, vehicle)
-    frames = choose_frames(start, end)
+    frames = choose_frames(start, end, most=count_frames(model, 1 if prediction is None else 2))
     return Show(
         model,
         vehicle,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import meshcat.geometry as mg
 import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.camera import View, frame_view, place_camera, set_backdrop
-from vpptwin.viz.motion import Motion, Target
+from vpptwin.viz.motion import Motion, Rotors, Target
 from vpptwin.viz.palette import TARGET, TRAIL, TWIN, to_int
 from vpptwin.viz.rotors import draw_arrows, draw_rotors, track_arrows, track_rotors
 from vpptwin.viz.scene import (
@@ -83,8 +85,17 @@ def draw_twin(vis: Visualizer, show: Show, motion: Motion) -> list[Track]:
         craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
         draw_rotors(vis[craft], show.model, show.vehicle, TWIN_PAINT)
         if motion.rotors is not None:
-            tracks += track_rotors(craft, show.time, motion.rotors)
+            tracks += track_rotors(craft, show.time, join_phase(motion, show.log))
     return tracks
+
+
+def join_phase(twin: Motion, log: Motion) -> Rotors:
+    """The twin's rotors turned to where the log's are when the twin first shows: nobody models their phase."""
+    assert twin.rotors is not None
+    if log.rotors is None:
+        return twin.rotors
+    first = int(np.argmax(twin.shown))
+    return replace(twin.rotors, angle=twin.rotors.angle + log.rotors.angle[first] - twin.rotors.angle[first])
 
 
 def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -> list[Track]:

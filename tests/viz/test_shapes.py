@@ -1,0 +1,56 @@
+"""Solids: closed, of the right size, and facing outwards."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from vpptwin.viz.shapes import SEGMENTS, make_capsule, make_cone, make_cylinder, make_geom, make_ribbon, read_paint
+
+# A polygon of n corners has n/(2 pi) sin(2 pi/n) of its circle's area.
+POLYGON = SEGMENTS / (2 * np.pi) * np.sin(2 * np.pi / SEGMENTS)
+
+
+def measure_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume enclosed by triangles that face outwards [m^3], by the divergence theorem."""
+    a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
+    return float(np.sum(np.einsum("ij,ij->i", a, np.cross(b, c))) / 6.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume"),
+    [
+        (make_cylinder(0.1, -0.2, 0.3), np.pi * 0.1**2 * 0.5),
+        (make_cone(0.1, 0.3), np.pi * 0.1**2 * 0.3 / 3),
+        (make_capsule(0.1, 0.3), np.pi * 0.1**2 * 0.6 + 4 / 3 * np.pi * 0.1**3),
+    ],
+    ids=["cylinder", "cone", "capsule"],
+)
+def test_solid_encloses_its_volume(shape: object, volume: float) -> None:
+    """The triangles enclose the solid's volume, less what the polygon cuts off; a wrong winding would make it negative."""
+    measured = measure_volume(shape.vertices, shape.faces)
+    assert measured == pytest.approx(volume * POLYGON, rel=0.01)  # the capsule's ends are polygons along z too
+
+
+def test_ribbon_has_six_indices_for_each_step() -> None:
+    """The page shows the last seconds of the trail by counting six indices a frame."""
+    points = np.stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)], -1)
+    ribbon = make_ribbon(points, 0.02)
+    assert ribbon.faces.size == 6 * 10
+    np.testing.assert_allclose(ribbon.vertices.max(axis=0) - ribbon.vertices.min(axis=0), [1.0, 0.0, 0.02], atol=1e-6)
+
+
+def test_every_mujoco_geom_is_drawn() -> None:
+    """Box, sphere, capsule, cylinder, ellipsoid, plane and mesh have a shape; a colour comes from the material."""
+    geoms = "".join(
+        f'<geom type="{kind}" size="0.1 0.2 0.3"/>'
+        for kind in ("box", "sphere", "capsule", "cylinder", "ellipsoid", "plane")
+    )
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><material name="red" rgba="1 0 0 0.5"/></asset>'
+        f'<worldbody>{geoms}<geom type="mesh" mesh="m" material="red"/></worldbody></mujoco>'
+    )
+    assert all(make_geom(model, geom) is not None for geom in range(model.ngeom))
+    paint = read_paint(model, model.ngeom - 1)
+    assert (paint.colour, paint.opacity) == ("#FF0000", 0.5)
