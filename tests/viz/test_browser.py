@@ -69,7 +69,7 @@ def test_negative_thrust_has_its_own_colour(browser: Browser) -> None:
 
 
 def test_scrubbing_moves_the_craft(browser: Browser) -> None:
-    """The log flies to the right at 0.2 m/s: in the scene by that, on the screen to the right, and upside down at the end."""
+    """The log flies to the right at 0.2 m/s, in the scene and on the screen, and ends upside down."""
     early = scrub(browser, 1.0)
     assert browser.evaluate(f"{CRAFT}.position.x") == pytest.approx(0.2, abs=1e-4)
     late = scrub(browser, 4.0)
@@ -114,7 +114,8 @@ def test_view_follows_the_craft(browser: Browser) -> None:
 
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
-    program = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live; play_live(make_flight())"
+    imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live"
+    program = f"{imports}; play_live(make_flight())"
     server = subprocess.Popen(
         [sys.executable, "-u", "-c", program], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
     )

@@ -28,7 +28,7 @@ def measure_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     ids=["cylinder", "cone", "capsule"],
 )
 def test_solid_encloses_its_volume(shape: object, volume: float) -> None:
-    """The triangles enclose the solid's volume, less what the polygon cuts off; a wrong winding would make it negative."""
+    """The triangles enclose the solid, less what the polygon cuts off; a wrong winding would make it negative."""
     measured = measure_volume(shape.vertices, shape.faces)
     assert measured == pytest.approx(volume * POLYGON, rel=0.01)  # the capsule's ends are polygons along z too
 
@@ -48,7 +48,8 @@ def test_every_mujoco_geom_is_drawn() -> None:
         for kind in ("box", "sphere", "capsule", "cylinder", "ellipsoid", "plane")
     )
     model = mujoco.MjModel.from_xml_string(
-        '<mujoco><asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><material name="red" rgba="1 0 0 0.5"/></asset>'
+        '<mujoco><asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
+        '<material name="red" rgba="1 0 0 0.5"/></asset>'
         f'<worldbody>{geoms}<geom type="mesh" mesh="m" material="red"/></worldbody></mujoco>'
     )
     assert all(make_geom(model, geom) is not None for geom in range(model.ngeom))
