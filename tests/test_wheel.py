@@ -21,8 +21,6 @@ FIRST_EFFECTS = (
     *("servo.lag", "command.delay", "mocap.delay"),
 )
 
-needs_cli = pytest.mark.skipif(not (ROOT / "vpptwin" / "cli.py").is_file(), reason="vpptwin/cli.py is not written yet")
-
 
 @dataclass(frozen=True)
 class Installation:
@@ -79,7 +77,6 @@ def test_wheel_runs_its_own_code(installation: Installation) -> None:
         assert Path(path).is_relative_to(installation.folder)
 
 
-@needs_cli
 def test_installed_command_prints_the_catalogue(installation: Installation) -> None:
     """`vpptwin effects` lists the effects."""
     done = installation.run("vpptwin", "effects")
@@ -88,7 +85,6 @@ def test_installed_command_prints_the_catalogue(installation: Installation) -> N
     assert not missing
 
 
-@needs_cli
 def test_catalogue_needs_no_torch(installation: Installation) -> None:
     """Who only diagnoses does not wait for torch: the command line works where it cannot be imported."""
     script = (
