@@ -79,20 +79,20 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module", params=[CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
-def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A valid log of 400 poses in several chunks."""
     bag = Bag(tmp_path_factory.mktemp("whole") / "log.mcap").add("/mocap/pose", POSE, make_poses(400))
-    return bag.write(compression=request.param, chunk_size=8000).read_bytes()
+    return bag.write(compression=request.param, chunk_size=8000)
 
 
-def test_a_truncated_log_says_what_is_readable(tmp_path: Path, whole: bytes) -> None:
+def test_a_truncated_log_says_what_is_readable(tmp_path: Path, whole: Path) -> None:
     """A log cut at 60 % is refused, with the number of messages before the cut and the tool that saves them."""
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(whole[: len(whole) * 6 // 10])
+    path, content = tmp_path / "cut.mcap", whole.read_bytes()
+    path.write_bytes(content[: len(content) * 6 // 10])
     refuse(
         path,
         "ends",
-        f"of {len(whole) * 6 // 10}, ",
+        f"of {len(content) * 6 // 10}, ",
         " before it are readable",
         "mcap recover cut.mcap -o recovered.mcap",
     )
@@ -103,21 +103,22 @@ def test_a_truncated_log_says_what_is_readable(tmp_path: Path, whole: bytes) -> 
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.data())
-def test_any_cut_is_refused(whole: bytes, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_any_cut_is_refused(whole: Path, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Wherever a log is cut, it is refused, never read in part."""
     path = tmp_path_factory.getbasetemp() / "any_cut.mcap"
-    path.write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
+    content = whole.read_bytes()
+    path.write_bytes(content[: data.draw(st.integers(0, len(content) - 1))])
     refuse(path, "any_cut.mcap")
 
 
 @settings(max_examples=200, deadline=None)
 @given(data=st.data())
-def test_damaged_bytes_never_crash(whole: bytes, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_damaged_bytes_never_crash(whole: Path, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     """A log with bytes changed anywhere is read (if they don't matter) or refused, but nothing else happens."""
     path = tmp_path_factory.getbasetemp() / "damaged.mcap"
-    content = bytearray(whole)
+    content = bytearray(whole.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(8, len(whole) - 1))] = data.draw(st.integers(0, 255))
+        content[data.draw(st.integers(8, len(content) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(content)
     try:
         flight = read_flight(path)

@@ -24,6 +24,8 @@ from vpptwin.errors import InputError
 
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+# What mcap and the decompressors raise on records whose content makes no sense.
+_BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,7 @@ class _Scan:
         """Note the profile."""
         try:
             self.profile = Header.read(stream).profile
-        except (McapError, ValueError, struct.error):
+        except _BROKEN:
             raise _DamageError(offset, "holds a broken header") from None
 
     def take_declaration(self, opcode: int, stream: ReadDataStream, offset: int) -> None:
@@ -120,7 +122,7 @@ class _Scan:
                 self.schemas[schema.id] = schema
                 return
             record = ChannelRecord.read(stream)
-        except (McapError, ValueError, struct.error):
+        except _BROKEN:
             raise _DamageError(offset, "holds a broken schema or channel") from None
         if record.id in self.channels:
             return
@@ -201,7 +203,7 @@ def _read_records(body: memoryview, scan: _Scan) -> None:
 def _count_expected(stream: ReadDataStream, offset: int) -> int:
     try:
         return Statistics.read(stream).message_count
-    except (McapError, ValueError, struct.error):
+    except _BROKEN:
         raise _DamageError(offset, "holds a broken summary") from None
 
 
@@ -212,7 +214,7 @@ def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:
             raise _DamageError(offset, f"holds a chunk compressed by '{chunk.compression}'")
         unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
         records = unpacked.read(length)
-    except (McapError, ValueError, RuntimeError, MemoryError, struct.error, ZstdError):
+    except _BROKEN:
         raise _DamageError(offset, "holds a broken chunk") from None
     try:
         for _ in scan.take_records(records):

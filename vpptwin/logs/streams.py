@@ -67,7 +67,7 @@ def _build_column(label: str, time: np.ndarray, column: Column, fields: dict[str
     expected = (len(time),) if column.width == 1 else (len(time), column.width)
     if values.shape != expected:
         raise InputError(
-            f"{label}: {', '.join(column.source.paths)} has {values.shape[1:] or 'one'} values per message",
+            f"{label}: {', '.join(column.source.paths)} has {values.size // len(time)} values per message",
             f"{column.width} for {column.name}",
             "name single fields or array elements in the topic map",
         )

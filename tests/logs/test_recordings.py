@@ -1,0 +1,222 @@
+"""Recordings as others make them: split files, folders, every storage form, other rigs, ROS 2's own test bags."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from mcap.writer import Writer as PlainWriter
+from mcap_ros2.writer import Writer
+
+from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, Message, make_poses, stamp_header
+from vpptwin.errors import InputError
+from vpptwin.logs import Stream, read_flight, write_flight
+from vpptwin.logs.container import read_container
+from vpptwin.logs.decode import decode_channel
+from vpptwin.logs.messages import compose_definition
+from vpptwin.logs.recording import find_files
+
+MS = 10**6  # ns
+DEMO = Path(__file__).resolve().parents[2] / "demo" / "flights"
+
+
+def split_bag(folder: Path) -> list[Path]:
+    """Two files of one recording, 30 and 20 poses."""
+    bag = Bag(folder / "bag_0.mcap").add("/mocap/pose", POSE, make_poses(50))
+    later = Bag(folder / "bag_1.mcap", bag.entries[30:])
+    bag.entries = bag.entries[:30]
+    return [bag.write(), later.write()]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_split_files_are_read_as_one(tmp_path: Path, order: int) -> None:
+    """Files of one recording are put in the order of their log time, however they are given."""
+    flight = read_flight(split_bag(tmp_path)[::order])
+    assert np.allclose(flight.streams["/mocap/pose"]["x"], 0.01 * np.arange(50))
+    assert flight.warnings == ()
+
+
+@pytest.mark.parametrize(
+    "metadata", [None, "rosbag2_bagfile_information: {relative_file_paths: [bag_1.mcap]}", "junk: ["]
+)
+def test_folders_are_read(tmp_path: Path, metadata: str | None) -> None:
+    """A rosbag2 folder holds the files that its metadata lists, or else all of its .mcap files."""
+    split_bag(tmp_path)
+    if metadata:
+        (tmp_path / "metadata.yaml").write_text(metadata)
+    assert len(read_flight(tmp_path).streams["/mocap/pose"]) == (20 if metadata and "bag_1" in metadata else 50)
+
+
+def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
+    """Messages that two files share are taken once."""
+    first, _ = split_bag(tmp_path)
+    again = Bag(tmp_path / "again.mcap").add("/mocap/pose", POSE, make_poses(50)).write()
+    flight = read_flight([again, first])
+    assert len(flight.streams["/mocap/pose"]) == 50
+    assert "30 of 80 messages on /mocap/pose repeat a stamp, dropped" in flight.warnings
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_every_compression_is_read(tmp_path: Path, compression: CompressionType) -> None:
+    """zstd, lz4 and no compression, in many small chunks."""
+    bag = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(50))
+    assert len(read_flight(bag.write(compression, chunk_size=500)).streams["/mocap/pose"]) == 50
+
+
+def test_files_without_chunks_are_read(tmp_path: Path) -> None:
+    """Messages may lie in the file itself, between schemas, channels and records that mean nothing to us."""
+    source = read_container(Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), lambda _: True)
+    with (tmp_path / "b.mcap").open("wb") as file:
+        writer = PlainWriter(file, use_chunking=False, use_statistics=False)
+        writer.start("ros2")
+        schema = writer.register_schema(POSE, "ros2msg", compose_definition(POSE).encode())
+        channel = writer.register_channel("/mocap/pose", "cdr", schema)
+        writer.add_attachment(0, 0, "notes", "text/plain", b"windy")
+        for k, payload in enumerate(source.channels[0].blocks[0].payload):
+            writer.add_message(channel, EPOCH + k, payload.tobytes(), EPOCH + k)
+            writer.add_metadata("mood", {"k": str(k)})
+        writer.finish()
+    assert np.allclose(read_flight(tmp_path / "b.mcap").streams["/mocap/pose"]["x"], 0.01 * np.arange(9))
+
+
+def test_other_channels_are_let_be(tmp_path: Path) -> None:
+    """Channels that are not ours may have any encoding and any definition, even one that does not parse."""
+    with (tmp_path / "log.mcap").open("wb") as file:
+        writer = Writer(file)
+        for kind, text in (("a/srv/B_Event", "int32 a\n---\nint32 b"), (POSE, compose_definition(POSE))):
+            schema = writer.register_msgdef(kind, text)
+        for pose in make_poses(3):
+            writer.write_message("/mocap/pose", schema, pose, log_time=EPOCH)
+        plain = writer._writer
+        plain.add_message(plain.register_channel("/service", "cdr", 1), EPOCH, b"\xff", EPOCH)
+        plain.add_message(plain.register_channel("/web", "json", 0), EPOCH, b"{}", EPOCH)
+        writer.finish()
+    assert set(read_flight(tmp_path / "log.mcap").streams) == {"/mocap/pose"}
+
+
+def make_state(k: int, **values: object) -> Message:
+    """JointState number k, 1 ms after the last."""
+    return {"header": stamp_header(EPOCH + k * MS), **values}
+
+
+def test_joints_may_come_in_any_messages(tmp_path: Path) -> None:
+    """Joints that come together, apart, or in another order give one stream each."""
+    states = [
+        make_state(0, name=["a", "b"], position=[0.0, 10.0]),
+        make_state(1, name=["b", "a"], position=[11.0, 1.0]),
+    ]
+    states += [make_state(2, name=["a"], position=[2.0]), make_state(2, name=["b"], position=[12.0])]
+    states += [make_state(3, name=[])]
+    joints = read_flight(Bag(tmp_path / "log.mcap").add("/robot", JOINTS, states).write()).joints["/robot"]
+    assert joints["a"]["position"].tolist() == [0.0, 1.0, 2.0]
+    assert joints["b"]["position"].tolist() == [10.0, 11.0, 12.0]
+    assert joints["b"].time.tolist() == [0.0, 0.001, 0.002]
+
+
+def test_joint_columns_that_are_mostly_absent_are_left_out(tmp_path: Path) -> None:
+    """Columns that are NaN throughout are left out; messages that lack what most have are dropped with a warning."""
+    nan = float("nan")
+    states = [make_state(k, name=["a"], position=[float(k)], velocity=[1.0], effort=[nan]) for k in range(8)]
+    states[3] = make_state(3, name=["a"], position=[3.0], effort=[nan])
+    flight = read_flight(Bag(tmp_path / "log.mcap").add("/joint_states", JOINTS, states).write())
+    assert set(flight.joints["/joint_states"]["a"].values) == {"position", "velocity"}
+    assert flight.joints["/joint_states"]["a"]["position"].tolist() == [0.0, 1.0, 2.0, 4.0, 5.0, 6.0, 7.0]
+    assert flight.warnings == ("1 of 8 messages on /joint_states a lack position or velocity or effort, left out",)
+    states[5] = make_state(5, name=["a"], position=[nan], velocity=[1.0], effort=[nan])
+    with pytest.raises(InputError, match=r"/joint_states a: position is NaN in 1 of 7 messages, first at 0.005 s"):
+        read_flight(Bag(tmp_path / "log.mcap").add("/joint_states", JOINTS, states).write())
+
+
+def test_unknown_optional_values_are_left_out(tmp_path: Path) -> None:
+    """A current that nobody measured is written as NaN and read as absent."""
+    time = np.arange(5) / 1000
+    write_flight(tmp_path / "log.mcap", {"/rotor/state": Stream(time, {"speed": np.full((5, 2), 470.0)})})
+    flight = read_flight(tmp_path / "log.mcap")
+    assert set(flight.streams["/rotor/state"].values) == {"speed"}
+    assert flight.warnings == ("current on /rotor/state is NaN throughout, left out",)
+
+
+def test_a_written_flight_is_in_order_of_time(tmp_path: Path) -> None:
+    """Streams written whole are merged by time, joints beside topics."""
+    slow, fast = np.arange(3) / 10, np.arange(30) / 100
+    streams = {"/battery": Stream(slow, {"voltage": 11.0 + 0 * slow})}
+    joints = {"/joint_states": {"a": Stream(fast, {"position": fast, "effort": -fast})}}
+    write_flight(tmp_path / "log.mcap", streams, joints)
+    raw = read_container(tmp_path / "log.mcap", lambda _: True)
+    stamps = np.concatenate([block.log_time for channel in raw.channels for block in channel.blocks])
+    number = np.concatenate([block.number for channel in raw.channels for block in channel.blocks])
+    assert (np.diff(stamps[np.argsort(number)].astype(np.int64)) >= 0).all()
+    assert read_flight(tmp_path / "log.mcap").joints["/joint_states"]["a"]["effort"].tolist() == (-fast).tolist()
+
+
+@pytest.mark.parametrize("path", sorted(DEMO.glob("*.mcap")), ids=lambda path: path.stem)
+def test_demo_flights_are_read(path: Path) -> None:
+    """The flights that ship with the project, written by the independent simulation, read whole and plausibly."""
+    flight = read_flight(path)
+    flight.require("/mocap/pose", "/imu/data", "/cmd/rate_thrust", "/rotor/command", "/rotor/state")
+    assert flight.duration > 5.0
+    pose, imu = flight.streams["/mocap/pose"], flight.streams["/imu/data"]
+    turned = np.interp(pose.time, imu.time[1:], np.cumsum(imu["rate"][1:] * np.diff(imu.time)))
+    assert np.corrcoef(turned, pose["theta"])[0, 1] > 0.9  # SPEC 1: the gyro turns as the angle does
+    assert 8.0 < np.median(np.hypot(imu["accel_x"], imu["accel_z"])) < 12.0
+
+
+@pytest.mark.parametrize(
+    ("name", "counts"),
+    [
+        ("pitch_attitude_steps", {"pitch": 1971, "slide": 790}),
+        ("pitch_free_decay", {"pitch": 5994, "slide": 2400}),
+        ("rail_velocity_doublets_1", {"pitch": 9471, "slide": 3790}),
+        ("rail_velocity_doublets_2", {"pitch": 7650, "slide": 3061}),
+    ],
+)
+def test_the_antx_rig_is_read(shared_data: Path, name: str, counts: dict[str, int]) -> None:
+    """Joints that come in messages of their own at their own rates; two actuators in one message."""
+    flight = read_flight(shared_data / "antx" / f"{name}.mcap")
+    assert {joint: len(stream) for joint, stream in flight.joints["/joint_states"].items()} == counts
+    assert set(flight.joints["/joint_states"]["slide"].values) == {"position", "velocity"}
+    assert set(flight.joints["/actuator_command"]) == {"moment", "thrust"}
+    assert set(flight.joints["/actuator_command"]["thrust"].values) == {"effort"}
+    assert flight.streams == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("wrong_encoding.mcap", "message encoding 'wrong_format' on /test_topic, /array_topic; expected 'cdr'"),
+        ("service_events.mcap", "only /test_service1/_service_event (test_msgs/srv/BasicTypes_Event)"),
+        ("old_schema_name.mcap", "only topic1 (test_msgs/BasicTypes)"),
+        ("talker.mcap", "only /rosout (rcl_interfaces/msg/Log), /parameter_events"),
+        ("split_0.mcap", "only AAA (std_msgs/msg/String), BBB"),
+    ],
+)
+def test_bags_of_ros_itself_are_told_apart(shared_data: Path, name: str, part: str) -> None:
+    """None is a flight, and each refusal says what it is instead."""
+    with pytest.raises(InputError) as caught:
+        read_flight(shared_data / "rosbag2" / name)
+    assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
+    """The definition parser and the bulk decoder handle what ROS 2's own tests record."""
+    seen = {}
+    for path in find_files(shared_data / "rosbag2"):
+        for channel in read_container(path, lambda channel: channel.encoding == "cdr").channels:
+            if channel.topic == "topic1":
+                (batch,) = decode_channel(channel, ["float64_value", "uint8_value"])
+                seen[channel.topic] = len(batch.number)
+            elif channel.topic == "/rosout":
+                seen[channel.topic] = sum(len(batch.number) for batch in decode_channel(channel, ["stamp.sec", "line"]))
+    assert seen == {"topic1": 5, "/rosout": 10}
+
+
+def test_split_bags_of_ros_itself_are_complete(shared_data: Path) -> None:
+    """Both halves of the recording hold as many messages as their summaries say."""
+    paths = [shared_data / "rosbag2" / f"split_{k}.mcap" for k in (1, 0)]
+    counts = [sum(channel.count for channel in read_container(path, lambda _: False).channels) for path in paths]
+    assert counts == [1240, 1246]
+    with pytest.raises(InputError, match="none of our topics"):
+        read_flight(paths)
