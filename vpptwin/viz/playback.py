@@ -58,10 +58,10 @@ def play_page(
 
 def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
     """What the legend calls the twin."""
-    restarts = prediction.restarts
+    name, restarts = Path(spec.name).name, prediction.restarts
     if len(restarts) < 2:
-        return f"twin {spec.name}, free-running"
-    return f"twin {spec.name}, set back to the log every {np.median(np.diff(restarts)):.3g} s"
+        return f"twin {name}, free-running"
+    return f"twin {name}, set back to the log every {np.median(np.diff(restarts)):.3g} s"
 
 
 def play_live(
