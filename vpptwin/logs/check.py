@@ -82,7 +82,8 @@ def check_rotation(label: str, time: np.ndarray, source: Source, fields: Mapping
         InputError: with the norm or the tilt found.
     """
     quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
-    norm = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore"):  # an infinite norm is refused like any other
+        norm = np.linalg.norm(quaternion, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > MAX_NORM_ERROR)
     if len(bad):
         raise InputError(
