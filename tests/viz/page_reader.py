@@ -37,3 +37,14 @@ def read_tracks(page: Path) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarra
                 values = np.frombuffer(track["values"].data, dtype=np.float32).reshape(len(time), -1)
             found[clip["path"], track["name"]] = (time, values)
     return found
+
+
+def read_held(page: Path) -> set[str]:
+    """Path and property of the tracks that hold each value until the next key."""
+    (animation,) = [command for command in read_commands(page) if command["type"] == "set_animation"]
+    return {
+        clip["path"] + track["name"]
+        for clip in animation["animations"]
+        for track in clip["clip"]["tracks"]
+        if track.get("interpolation") == 2300  # three.js InterpolateDiscrete
+    }

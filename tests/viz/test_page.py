@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.viz.conftest import DURATION, HOVER_PITCH, make_flight, make_prediction
-from tests.viz.page_reader import read_commands, read_paths, read_tracks
+from tests.viz.page_reader import read_commands, read_held, read_paths, read_tracks
 from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight
@@ -133,6 +133,10 @@ def test_target_jumps_at_its_stamps(page: Path) -> None:
     time, position = tracks["/rig/target", ".position"]
     np.testing.assert_allclose(time, [1.0, 2.0, DURATION])
     np.testing.assert_allclose(position[:, 0], [0.0, 0.5, 0.5])
+    _, quaternion = tracks["/rig/target", ".quaternion"]
+    np.testing.assert_allclose(quaternion[[0, 1]], [[0, 0, 0, 1], [0, -1, 0, 0]], atol=1e-6)  # upright, then θ = π
+    assert "/rig/target.position" in read_held(page)
+    assert "/rig/log/craft.position" not in read_held(page)
 
 
 def test_long_log_stays_small(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import base64
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -162,6 +163,7 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
         draft.write_text(html, encoding="utf-8")
         os.replace(draft, out)
     except OSError as error:
-        draft.unlink(missing_ok=True)
+        with suppress(OSError):  # where its folder is none, so is the draft
+            draft.unlink()
         raise InputError(f"cannot write {out}: {error.strerror}", "a writable path", "choose another") from error
     return out
