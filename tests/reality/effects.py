@@ -74,7 +74,7 @@ EXTENDED: dict[str, dict[str, Size]] = {
     "airframe.com_height": {"offset": Size("m", 0.0, _either_sign(0.006, 0.02))},
     "air.ground_effect": {"gain": Size("1", 0.0, ((0.15, 0.40),)), "height": Size("m", 0.3, ((0.2, 0.4),))},
     "rotor.negative_thrust": {"loss": Size("1", 0.0, ((0.08, 0.25),))},
-    "rotor.stall": {"onset": Size("rad", 1.0, ((0.14, 0.17),))},
+    "rotor.stall": {"onset": Size("rad", 1.0, ((0.15, 0.18),))},
     "rotor.inflow": {"damping": Size("N s/(m rad)", 0.0, ((4e-4, 1.2e-3),))},
     "rotor.in_plane": {"damping": Size("N s/(m rad)", 0.0, ((2e-4, 6e-4),))},
     "rotor.drag": {"gain": Size("1", 1.0, ((0.75, 0.90), (1.10, 1.30)))},
