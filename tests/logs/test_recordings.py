@@ -115,6 +115,13 @@ def test_joints_may_come_in_any_messages(tmp_path: Path) -> None:
     assert joints["b"].time.tolist() == [0.0, 0.001, 0.002]
 
 
+def test_joints_of_one_message_share_their_warning(tmp_path: Path) -> None:
+    """A gap is told once for all joints that come in the same messages."""
+    states = [make_state(k, name=["a", "b"], position=[0.0, 1.0]) for k in range(20) if not 5 < k < 15]
+    flight = read_flight(Bag(tmp_path / "log.mcap").add("/joint_states", JOINTS, states).write())
+    assert flight.warnings == ("1 gap over 0.005 s on /joint_states a, b, the longest 0.01 s at 0.005 s",)
+
+
 def test_joint_columns_that_are_mostly_absent_are_left_out(tmp_path: Path) -> None:
     """Columns that are NaN throughout are left out; messages that lack what most have are dropped with a warning."""
     nan = float("nan")

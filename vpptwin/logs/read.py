@@ -109,7 +109,11 @@ def _assemble_flight(
 
 def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, Stream]]) -> list[str]:
     steady = [(topic, stream) for topic, stream in streams.items() if CHANNELS[topic].steady]
-    steady += [(f"{topic} {name}", stream) for topic, names in joints.items() for name, stream in names.items()]
+    for topic, names in joints.items():
+        together: dict[bytes, list[str]] = {}  # joints that come in the same messages have the same gaps
+        for name, stream in names.items():
+            together.setdefault(stream.time.tobytes(), []).append(name)
+        steady += [(f"{topic} {', '.join(group)}", names[group[0]]) for group in together.values()]
     return [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
 
 

@@ -20,7 +20,7 @@ PathLike = str | os.PathLike[str]
 _EXPECTED = "a flight log in MCAP (ros2 profile, CDR messages)"
 _SIGNATURES = {
     b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
-    b"#ROSBAG": ("a ROS 1 bag", "convert it with `mcap convert`, or record with ROS 2"),
+    b"#ROSBAG": ("a ROS 1 bag", "convert it with `rosbags-convert`, or record with ROS 2"),
     b"SQLite format 3": ("a rosbag2 SQLite file", "convert it with `ros2 bag convert` to storage mcap"),
     b"\x28\xb5\x2f\xfd": ("zstd-compressed as a whole", "decompress it with `zstd -d`"),
     b"\x1f\x8b": ("gzip-compressed", "decompress it with `gunzip`"),
