@@ -55,3 +55,12 @@ def test_every_mujoco_geom_is_drawn() -> None:
     assert all(make_geom(model, geom) is not None for geom in range(model.ngeom))
     paint = read_paint(model, model.ngeom - 1)
     assert (paint.colour, paint.opacity) == ("#FF0000", 0.5)
+
+
+def test_geoms_without_a_colour_stand_out_from_the_floor() -> None:
+    """MuJoCo's default grey would make floor and rig one: what moves is dark, what does not is pale."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/><body><joint type="slide"/><geom size="0.1"/></body>'
+        '<body><joint type="slide"/><geom size="0.1" rgba="0 1 0 1"/></body></worldbody></mujoco>'
+    )
+    assert [read_paint(model, geom).colour for geom in range(3)] == ["#BFC4CC", "#26292E", "#00FF00"]

@@ -8,10 +8,11 @@ import meshcat.geometry as mg
 import mujoco
 import numpy as np
 
-from vpptwin.viz.palette import to_hex, to_int
+from vpptwin.viz.palette import LOG, SURROUNDINGS, to_hex, to_int
 
 SEGMENTS = 32  # around a solid of revolution
 PLANE_HALF_SIZE = 3.0  # m, drawn for a plane that the MJCF leaves infinite
+UNSET_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of a geom that names none
 PLANE_THICKNESS = 0.01  # m
 
 
@@ -111,7 +112,9 @@ def take_mesh(model: mujoco.MjModel, mesh: int) -> mg.TriangularMeshGeometry:
 
 
 def read_paint(model: mujoco.MjModel, geom: int) -> Paint:
-    """The MJCF's own colour of a geom: its material's where it has one, else its rgba."""
+    """The MJCF's own colour of a geom: its material's, else its rgba, else dark where it moves and pale where not."""
     material = model.geom_matid[geom]
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+    if material < 0 and np.allclose(rgba, UNSET_RGBA):
+        return Paint(LOG if model.body_weldid[model.geom_bodyid[geom]] != 0 else SURROUNDINGS)
     return Paint(to_hex(tuple(rgba[:3])), float(rgba[3]))
