@@ -32,4 +32,5 @@ def find_model_file(name: str, relative_to: Path | None = None) -> Path:
         if path.is_file():
             return path.resolve()
     shipped = ", ".join(sorted(p.name for p in models_dir().glob("*.*")))
-    raise InputError(f"no file {name}", f"a file relative to {candidates[0].parent} or one of {shipped}", "check the name")
+    expected = f"a file relative to {candidates[0].parent} or one of {shipped}"
+    raise InputError(f"no file {name}", expected, "check the name")

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import shorten
 from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from vpptwin.errors import InputError
 from vpptwin.resources import find_model_file
 
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+NonNegative = Annotated[Number, Field(ge=0.0)]
+
+
+def check_order(travel: tuple[float, float]) -> tuple[float, float]:
+    """Refuse a range whose end does not lie beyond its start."""
+    if travel[0] >= travel[1]:
+        raise ValueError("the lowest position, then the highest")
+    return travel
+
+
+Travel = Annotated[tuple[Number, Number], AfterValidator(check_order)]
 
 
 class Section(BaseModel):
@@ -34,14 +46,17 @@ class Rig(Section):
 
     carriage_mass: NonNegative
     slider_mass: NonNegative
-    rail_height: float
+    rail_height: Number
     bearing_spacing: Positive
-    travel_x: tuple[float, float]
-    travel_z: tuple[float, float]
+    travel_x: Travel
+    travel_z: Travel
 
 
 class Rotor(Section):
-    """Propeller: governed speed [rad/s], k_t [N s/rad^2], k_d1 [N m s^2], k_d2, k_d3, inertia [kg m^2], pitch_max [rad]."""
+    """Propeller: governed speed [rad/s], thrust and drag constants, inertia [kg m^2], pitch_max [rad].
+
+    k_t [N s/rad^2], k_d1 [N m s^2], k_d2 [N m s^2/rad^2], k_d3 [N m s/rad].
+    """
 
     speed: Positive
     k_t: Positive
@@ -69,7 +84,10 @@ class Servo(Section):
 
 
 class Control(Section):
-    """Loops: rates [Hz], thrust_max [N], rate_max [rad/s], PD gains [N m s/rad, N m s^2/rad], gyro_filter per inner step."""
+    """Loops: rates [Hz], thrust_max [N], rate_max [rad/s], gains of the rate PD, gyro_filter per inner step.
+
+    rate_kp [N m s/rad], rate_kd [N m s^2/rad].
+    """
 
     policy_rate: Positive
     inner_rate: Positive
@@ -140,8 +158,17 @@ def load_vehicle(path: Path | str | None = None) -> Vehicle:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(f"{file}: {error}", "a vehicle YAML", "see models/vehicle.yaml for an example") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"])) or "the file"
-        raise InputError(
-            f"{file}: {key} = {first['input']!r}", first["msg"].lower(), "see models/vehicle.yaml for every key"
-        ) from error
+        found, expected = describe_problem(error)
+        raise InputError(f"{file}: {found}", expected, "see models/vehicle.yaml for every key") from error
+
+
+def describe_problem(error: ValidationError) -> tuple[str, str]:
+    """What the first problem is, the key first, and what was expected there."""
+    first = error.errors()[0]
+    key = ".".join(map(str, first["loc"])) or "the whole file"
+    if first["type"] == "missing":
+        return f"{key} is missing", "a value for it"
+    if first["type"] == "extra_forbidden":
+        return f"{key} is unknown", "only keys of a vehicle"
+    expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return f"{key} = {shorten(repr(first['input']), 60)}", expected

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.bench import Key
 from vpptwin.diagnosis.flights import MAX_WINDOWS, WINDOW, build_bench, long_starts, split_flights, thin_out
@@ -69,7 +70,17 @@ def diagnose(
     Raises:
         InputError: if a log is too short, lacks what the twin needs, or never moves.
     """
+    # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return search_and_judge(spec, flights, stage, progress)
+
+
+def search_and_judge(
+    spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None
+) -> Diagnosis:
+    """The work of `diagnose`."""
     measurements = [read_measurements(spec, flight) for flight in flights]
+    check_moving(measurements)
     split = split_flights(measurements)
     stage("linearising the twin about the flights")
     bench = build_bench(spec, measurements, thin_out(split.fitted, MAX_WINDOWS), WINDOW, False, progress)

@@ -38,8 +38,12 @@ class Split:
     whole: bool
 
 
-def split_flights(measurements: Sequence[Measurements]) -> Split:
-    """Hold out every third flight (at least one) where there are several, else every third block of the only one."""
+def list_starts(measurements: Sequence[Measurements]) -> list[np.ndarray]:
+    """Start times of adjacent windows over every flight.
+
+    Raises:
+        InputError: if a flight is too short.
+    """
     starts = []
     for flight in measurements:
         if flight.duration < MIN_DURATION:
@@ -49,6 +53,12 @@ def split_flights(measurements: Sequence[Measurements]) -> Split:
                 "log a longer flight",
             )
         starts.append(np.arange(flight.start + SETTLE, flight.end - WINDOW, WINDOW))
+    return starts
+
+
+def split_flights(measurements: Sequence[Measurements]) -> Split:
+    """Hold out every third flight (at least one) where there are several, else every third block of the only one."""
+    starts = list_starts(measurements)
     count = len(measurements)
     if count > 1:
         out = set(range(count - max(count // 3, 1), count))

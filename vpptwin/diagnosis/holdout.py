@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -29,6 +29,10 @@ class Score:
     angle_rmse_rad: list[float] | None
     velocity_rmse: dict[str, list[float]]
     chi2: float
+
+    def as_dict(self) -> dict[str, object]:
+        """The score in the form of SPEC 7, velocities added."""
+        return asdict(self)
 
 
 class HeldOut:

@@ -36,6 +36,7 @@ class Likelihood:
         freedom: measured values less fitted starting states, over all windows.
         state: derivative by the starting state, (K, M, 2 nv).
         state_std: prior of the starting state, (2 nv,).
+        push: derivative by force pulses in units of their standard deviation, (K, M, segments nv).
     """
 
     factor: np.ndarray
@@ -43,6 +44,7 @@ class Likelihood:
     freedom: int
     state: np.ndarray
     state_std: np.ndarray
+    push: np.ndarray
 
     def whiten(self, residual: np.ndarray) -> np.ndarray:
         """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
@@ -92,7 +94,7 @@ def build_likelihood(bench: Bench, values: dict[tuple[str, str], float]) -> Like
         step = STEP_VELOCITY[bool(rotary[dof])]
         variations.append(Variation(values, velocity=step * np.eye(nv)[dof]))
         sizes.append(step)
-    pulses = [(segment, dof) for segment in range(bench.segments) for dof in range(nv) if gust[dof] > 0]
+    pulses = [(segment, dof) for segment in range(bench.segments) for dof in range(nv)]
     for segment, dof in pulses:
         variations.append(Variation(values, push=(segment, dof, float(gust[dof]))))
         sizes.append(1.0)
@@ -113,4 +115,5 @@ def build_likelihood(bench: Bench, values: dict[tuple[str, str], float]) -> Like
         int(bench.valid.sum()) - 2 * nv * len(bench.windows),
         np.moveaxis(state, 0, -1),
         np.array(prior),
+        gusts,
     )

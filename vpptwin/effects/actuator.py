@@ -30,7 +30,7 @@ def gain(actuator: str, where: str) -> Effect:
     parameter = Parameter("gain", "", 1.0, 0.1, 3.0, Prior("normal", 1.0, 0.1), 0.05, 0.01)
     return Effect(
         f"{actuator}.gain", f"a wrong gain {where}", "u × gain", (parameter,), Stage.CONSTANT, apply_gain,
-        ACTUATOR_SHOWS, (), ("actuator.gain",), actuator,
+        ACTUATOR_SHOWS, (), ("actuator.gain",), actuator, follows="command",
     )  # fmt: skip
 
 
@@ -39,7 +39,7 @@ def delay(actuator: str, where: str) -> Effect:
     parameter = Parameter("delay", "s", 0.0, 0.0, 0.1, Prior("halfnormal", 0.0, 0.01), 0.004, 0.001)
     return Effect(
         f"{actuator}.delay", f"a delay {where}", "u(t - delay)", (parameter,), Stage.CONSTANT, apply_delay,
-        ACTUATOR_SHOWS, (f"{actuator}.lag",), ("actuator.delay",), actuator,
+        ACTUATOR_SHOWS, (f"{actuator}.lag",), ("actuator.delay",), actuator, follows="command change",
     )  # fmt: skip
 
 
@@ -49,4 +49,5 @@ def lag(actuator: str, where: str) -> Effect:
     return Effect(
         f"{actuator}.lag", f"a first-order lag {where}", "1/(time_constant s + 1)", (parameter,), Stage.CONSTANT,
         apply_lag, ACTUATOR_SHOWS, (f"{actuator}.delay",), ("actuator.time_constant",), actuator,
+        follows="command change",
     )  # fmt: skip

@@ -41,6 +41,7 @@ MASS = Effect(
     shows=("/mocap/pose", "/imu/data"),
     look_alikes=("rotor.thrust_gain", "rail_z.bias"),
     writes=("body_mass",),
+    follows="command",
 )
 INERTIA = Effect(
     id="airframe.inertia",
@@ -52,6 +53,7 @@ INERTIA = Effect(
     shows=("/imu/data", "/mocap/pose"),
     look_alikes=("rotor.thrust_gain", "servo.lag"),
     writes=("body_inertia",),
+    follows="command",
 )
 DRAG = Effect(
     id="air.drag",

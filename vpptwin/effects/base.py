@@ -78,6 +78,8 @@ class Effect:
         writes: names of the constants it changes (CONSTANT effects declare every one).
         target: the joint or actuator it acts on, "" for the craft.
         dissipative: it can only take energy out.
+        follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
+            `command` or `command change`.
     """
 
     id: str
@@ -91,6 +93,7 @@ class Effect:
     writes: tuple[str, ...] = ()
     target: str = ""
     dissipative: bool = False
+    follows: str = "velocity"
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

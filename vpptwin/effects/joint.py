@@ -64,5 +64,5 @@ def bias(joint: str, where: str, rotary: bool = False, scale: float = 1.0, other
 
     return Effect(
         f"{joint}.bias", f"a constant {'torque' if rotary else 'force'} {where}", "+force", (parameter,), Stage.FORCE,
-        apply_bias, JOINT_SHOWS, others, (), joint,
+        apply_bias, JOINT_SHOWS, others, (), joint, follows="position",
     )  # fmt: skip

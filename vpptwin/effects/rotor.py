@@ -32,6 +32,7 @@ THRUST_GAIN = Effect(
     apply=apply_thrust_gain,
     shows=("/mocap/pose", "/imu/data"),
     look_alikes=("airframe.mass", "rail_z.bias", "airframe.inertia"),
+    follows="command",
 )
 ASYMMETRY = Effect(
     id="rotor.asymmetry",
@@ -42,6 +43,7 @@ ASYMMETRY = Effect(
     apply=apply_asymmetry,
     shows=("/imu/data", "/mocap/pose"),
     look_alikes=("pitch.bias",),
+    follows="command",
 )
 SERVO_LAG = Effect(
     id="servo.lag",
@@ -57,5 +59,6 @@ SERVO_LAG = Effect(
     shows=("/imu/data", "/mocap/pose"),
     look_alikes=("command.delay",),
     writes=("actuator.time_constant",),
+    follows="command change",
 )
 EFFECTS = (THRUST_GAIN, ASYMMETRY, SERVO_LAG)

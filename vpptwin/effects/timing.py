@@ -28,6 +28,7 @@ COMMAND_DELAY = Effect(
     shows=("/imu/data", "/mocap/pose"),
     look_alikes=("servo.lag",),
     writes=("actuator.delay",),
+    follows="command change",
 )
 MOCAP_DELAY = Effect(
     id="mocap.delay",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -50,6 +50,7 @@ class TwinSpec:
         catalogue: every effect this rig can have, off values bound to the vehicle.
         effects: what is switched on, id → parameter → value.
         signals: topics of joints and actuators; None for the drone.
+        vehicle_file: where the vehicle was read from.
     """
 
     name: str
@@ -59,11 +60,12 @@ class TwinSpec:
     catalogue: tuple[Effect, ...] = field(repr=False)
     effects: EffectValues
     signals: Signals | None = None
+    vehicle_file: Path | None = None
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> TwinSpec:
         """The same rig with other effects switched on."""
         checked = check_effects(effects, self.catalogue, self.name)
-        return TwinSpec(self.name, self.model_file, self.model, self.vehicle, self.catalogue, checked, self.signals)
+        return replace(self, effects=checked)
 
     def value(self, effect: Effect, parameter: str) -> float:
         """Value of a parameter in this twin: its off value when the effect is not switched on."""
@@ -136,7 +138,8 @@ def load_twin(name: str | Path = "nominal") -> TwinSpec:
 def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
     """Resolve the files that a twin names, compile the model and check the effects."""
     model_file = find_model_file(file.model, folder)
-    vehicle = load_vehicle(find_model_file(file.vehicle, folder)) if file.vehicle else None
+    vehicle_file = find_model_file(file.vehicle, folder) if file.vehicle else None
+    vehicle = load_vehicle(vehicle_file) if vehicle_file else None
     model = compile_model(model_file, vehicle)
     if vehicle is not None:
         catalogue = tuple(effect.bind(lambda key: read_nominal(vehicle, key)) for effect in CATALOGUE)
@@ -144,9 +147,8 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
         check_signals(name, model, file.signals)
         actuators = [model.actuator(i).name for i in range(model.nu)]
         catalogue = effects_for_rig(describe_joints(model), actuators)
-    return TwinSpec(
-        name, model_file, model, vehicle, catalogue, check_effects(file.effects, catalogue, name), file.signals
-    )
+    effects = check_effects(file.effects, catalogue, name)
+    return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file)
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:

@@ -1,0 +1,154 @@
+"""The command line: one entry point, each command a thin function. Heavy packages load only where they are used."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from vpptwin import __version__
+from vpptwin.errors import InputError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Returns:
+        Exit code: 0, or 2 with one line on stderr for bad input.
+    """
+    parser = build_parser()
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # Hydra's own grammar takes everything after `train`.
+    if given[:1] == ["train"]:
+        return guard(lambda: run_train(given[1:]))
+    options = parser.parse_args(given)
+    return guard(lambda: options.run(options))
+
+
+def guard(action: object) -> int:
+    """Run an action; bad input becomes one line on stderr and exit code 2."""
+    assert callable(action)
+    try:
+        action()
+    except InputError as error:
+        print(f"vpptwin: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # The reader (head, less) went away; Python would complain again while closing stdout.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("vpptwin: stopped", file=sys.stderr)
+        return 130
+    return 0
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The grammar of all commands."""
+    parser = argparse.ArgumentParser(
+        prog="vpptwin", description="The simulation twin that tells you what it gets wrong."
+    )
+    parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    effects = commands.add_parser("effects", help="list the catalogue of effects")
+    effects.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
+    effects.add_argument("--markdown", action="store_true", help="as a Markdown table")
+    effects.set_defaults(run=run_effects)
+
+    diagnose = commands.add_parser("diagnose", help="find what a twin gets wrong, from flight logs")
+    add_logs(diagnose)
+    diagnose.add_argument("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
+    diagnose.set_defaults(run=run_diagnose)
+
+    compare = commands.add_parser("compare", help="measure a twin's prediction error on flight logs")
+    add_logs(compare)
+    compare.add_argument("--json", type=Path, help="write the figures here as well")
+    compare.set_defaults(run=run_compare)
+
+    play = commands.add_parser("play", help="watch a log in meshcat, the twin beside it")
+    play.add_argument(
+        "log", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the split files of one recording"
+    )
+    play.add_argument("--twin", help="`nominal` or a twin YAML, driven by the log's commands")
+    play.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
+    play.add_argument("--free", action="store_true", help="let the twin run freely from the start")
+    play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
+    add_topic_map(play)
+    play.set_defaults(run=run_play)
+
+    train = commands.add_parser("train", help="train a policy with PPO", add_help=False)
+    train.set_defaults(run=lambda options: run_train([]))
+
+    evaluate = commands.add_parser("evaluate", help="measure a trained policy")
+    evaluate.add_argument("checkpoint", type=Path, help="a checkpoint or a run's folder")
+    evaluate.add_argument("--task", default="hover")
+    evaluate.add_argument("--tracks", type=int, default=1000)
+    evaluate.add_argument("--seed", type=int, default=0)
+    evaluate.add_argument("--twin", default="nominal")
+    evaluate.add_argument("--json", type=Path)
+    evaluate.set_defaults(run=run_evaluate)
+    return parser
+
+
+def add_logs(parser: argparse.ArgumentParser) -> None:
+    """Arguments of commands that compare logs with a twin."""
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
+    parser.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add_topic_map(parser)
+
+
+def add_topic_map(parser: argparse.ArgumentParser) -> None:
+    """The argument that renames topics and fields of other people's bags."""
+    parser.add_argument("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
+
+
+def run_effects(options: argparse.Namespace) -> None:
+    """`vpptwin effects`."""
+    from vpptwin.effects.table import print_catalogue
+    from vpptwin.twin.spec import load_twin
+
+    print_catalogue(load_twin(options.twin).catalogue, options.markdown)
+
+
+def run_diagnose(options: argparse.Namespace) -> None:
+    """`vpptwin diagnose`."""
+    from vpptwin.diagnosis.command import diagnose_logs
+
+    diagnose_logs(options.logs, options.twin, options.out, options.topic_map)
+
+
+def run_compare(options: argparse.Namespace) -> None:
+    """`vpptwin compare`."""
+    from vpptwin.diagnosis.compare import compare_logs
+
+    compare_logs(options.logs, options.twin, options.json, options.topic_map)
+
+
+def run_play(options: argparse.Namespace) -> None:
+    """`vpptwin play`."""
+    from vpptwin.viz.command import play_log
+
+    restart = None if options.free else options.restart
+    play_log(options.log, options.twin, options.html, restart, options.topic_map)
+
+
+def run_train(overrides: Sequence[str]) -> None:
+    """`vpptwin train`."""
+    from vpptwin.train.main import run_train as train
+
+    print(train(list(overrides)))
+
+
+def run_evaluate(options: argparse.Namespace) -> None:
+    """`vpptwin evaluate`."""
+    from vpptwin.train.evaluate import run_evaluate as evaluate
+
+    result = evaluate(options.checkpoint, options.task, options.tracks, options.seed, options.twin, options.json)
+    print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
