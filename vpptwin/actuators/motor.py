@@ -7,7 +7,7 @@ import numpy as np
 from vpptwin.actuators.blade import compute_drag_torque
 from vpptwin.vehicle import Motor, Rotor
 
-GOVERNOR_KP = 0.05
+GOVERNOR_KP = 0.08
 """Speed feedback [V s/rad]; the paper gives none, this holds 4500 rpm within 2 % through full pitch steps."""
 GOVERNOR_KI = 0.5
 """Integral speed feedback [V/rad]."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+TINY = 1e-300
+"""Stands for a time constant of zero, which would divide by zero [s]."""
+
 
 def step_lag(
     output: np.ndarray, command: np.ndarray, time_constant: np.ndarray, dt: float
@@ -21,10 +24,10 @@ def step_lag(
     Returns:
         Output at the end of the step and its mean over the step, both (N, nu).
     """
-    ratio = np.maximum(time_constant, 1e-9) / dt
-    done = 1.0 - np.exp(-1.0 / ratio)
+    ratio = np.maximum(time_constant, TINY) / dt
+    left = np.exp(-1.0 / ratio)
     gap = command - output
-    return output + done * gap, command - ratio * done * gap
+    return command - left * gap, command - ratio * (1.0 - left) * gap
 
 
 def push_command(history: np.ndarray, command: np.ndarray) -> np.ndarray:

@@ -1,0 +1,104 @@
+"""Motor and governor: hand-worked steps, and the speed held through what the pitch does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vpptwin.actuators.blade import compute_drag_torque
+from vpptwin.actuators.motor import compute_current, hold_speed, step_speed
+from vpptwin.actuators.servo import step_lag
+from vpptwin.vehicle import Motor, Rotor, Vehicle, load_vehicle
+
+DT = 0.001
+NOMINAL = load_vehicle()
+
+
+def spin(vehicle: Vehicle, speed: float, pitch_commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Governor, servo and motor from a start speed [rad/s]; returns speed [rad/s] and throttle of every step, (n,)."""
+    now, integral, blade = np.full((1, 1), speed), np.zeros((1, 1)), np.full((1, 1), pitch_commands[0])
+    constant = np.full((1, 1), vehicle.servo.time_constant)
+    speeds, throttles = [], []
+    for command in pitch_commands:
+        wanted = np.full((1, 1), command)
+        throttle, integral = hold_speed(vehicle.motor, vehicle.rotor, now, wanted, integral, DT)
+        blade, _ = step_lag(blade, wanted, constant, DT)
+        now = step_speed(vehicle.motor, vehicle.rotor, now, blade, throttle * vehicle.motor.battery, DT)
+        speeds.append(now[0, 0])
+        throttles.append(throttle[0, 0])
+    return np.array(speeds), np.array(throttles)
+
+
+def test_current_by_hand(motor: Motor) -> None:
+    """(12 V - 500/100 V) / 0.1 Ω = 70 A; at 5 V none flows (paper Eq. 7)."""
+    current = compute_current(motor, np.array([12.0, 5.0]), np.array([500.0, 500.0]))
+    np.testing.assert_allclose(current, [70.0, 0.0], atol=1e-12)
+
+
+def test_speed_step_by_hand(motor: Motor, rotor: Rotor) -> None:
+    """At 400 rad/s and pitch 0.1, 5 V speed a rotor up by 1.715 rad/s in 1 ms (paper Eq. 6)."""
+    # (5 - 4)/0.1 = 10 A give (10 - 0.5)/100 = 0.095 N m against 0.0264 N m of drag: 0.0686/4e-5 = 1715 rad/s².
+    speed = step_speed(motor, rotor, np.array([400.0]), np.array([0.1]), np.array([5.0]), DT)
+    np.testing.assert_allclose(speed, [401.715], rtol=1e-12)
+
+
+def test_rotor_does_not_turn_backwards(motor: Motor, rotor: Rotor) -> None:
+    """Without voltage a slow rotor stops and stays there."""
+    speed = step_speed(motor, rotor, np.array([0.01, 0.0]), np.zeros(2), np.zeros(2), DT)
+    np.testing.assert_array_equal(speed, 0.0)
+
+
+def test_feed_forward_holds_the_speed_exactly(motor: Motor, rotor: Rotor) -> None:
+    """At governed speed and steady pitch the feed-forward alone balances drag: 5 + 0.1 (0.5 + 100 * 0.075) = 5.8 V."""
+    speed, pitch = np.full((1, 2), 500.0), np.full((1, 2), 0.2)
+    throttle, integral = hold_speed(motor, rotor, speed, pitch, np.zeros((1, 2)), DT)
+    np.testing.assert_allclose(throttle * motor.battery, 5.8, rtol=1e-14)
+    np.testing.assert_array_equal(integral, 0.0)
+    np.testing.assert_allclose(step_speed(motor, rotor, speed, pitch, throttle * motor.battery, DT), 500.0, rtol=1e-13)
+
+
+@pytest.mark.parametrize("period", [0.01, 0.1, 0.5])
+def test_governor_holds_4500_rpm(period: float) -> None:
+    """Through full pitch steps (0, top stop, bottom stop, 0, ...), fast or slow, speed stays within 2 % of 4500 rpm."""
+    stop, steps = NOMINAL.rotor.pitch_max, round(period / DT)
+    pitch = np.tile(np.repeat([0.0, stop, -stop, 0.0, -stop], steps), 4)
+    speed, throttle = spin(NOMINAL, NOMINAL.rotor.speed, pitch)
+    assert NOMINAL.rotor.speed == pytest.approx(4500 * 2 * np.pi / 60, rel=1e-6)
+    np.testing.assert_allclose(speed, NOMINAL.rotor.speed, rtol=0.02)
+    assert throttle.min() > 0.0
+    assert throttle.max() < 1.0
+
+
+def test_governor_removes_a_steady_error() -> None:
+    """With 10 % more drag than believed the feed-forward is wrong, and the integral brings the speed back."""
+    heavier = NOMINAL.rotor.model_copy(update={"k_d1": 1.1 * NOMINAL.rotor.k_d1, "k_d2": 1.1 * NOMINAL.rotor.k_d2})
+    speed, integral = np.full((1, 1), NOMINAL.rotor.speed), np.zeros((1, 1))
+    pitch, worst = np.full((1, 1), 0.1), 0.0
+    for _ in range(4000):
+        throttle, integral = hold_speed(NOMINAL.motor, NOMINAL.rotor, speed, pitch, integral, DT)
+        speed = step_speed(NOMINAL.motor, heavier, speed, pitch, throttle * NOMINAL.motor.battery, DT)
+        worst = max(worst, abs(speed[0, 0] / NOMINAL.rotor.speed - 1))
+    drag = compute_drag_torque(heavier, speed, pitch) - compute_drag_torque(NOMINAL.rotor, speed, pitch)
+    lacking = NOMINAL.motor.resistance * NOMINAL.motor.k_q * drag[0, 0]  # V that the feed-forward is short of
+    assert 1e-4 < worst <= lacking / 0.05 / NOMINAL.rotor.speed  # proportional feedback alone would stop there
+    np.testing.assert_allclose(speed, NOMINAL.rotor.speed, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("start", "saturated_at"), [(0.0, 1.0), (800.0, 0.0)])
+def test_governor_does_not_wind_up(start: float, saturated_at: float) -> None:
+    """Far from the target the throttle saturates for tens of ms; once there the speed overshoots by less than 1 %."""
+    # Had the integral grown meanwhile, by 20 ms * 200 rad/s or more, it would push by 2 V: 5 % at this feedback.
+    speed, throttle = spin(NOMINAL, start, np.full(1500, 0.1))
+    error = (speed / NOMINAL.rotor.speed - 1) * (1 if start < NOMINAL.rotor.speed else -1)
+    assert np.count_nonzero(throttle == saturated_at) > 10
+    assert error.max() < 0.01
+    assert abs(error[-1]) < 0.001
+    assert ((throttle >= 0.0) & (throttle <= 1.0)).all()
+
+
+def test_integral_holds_while_saturated(motor: Motor, rotor: Rotor) -> None:
+    """A saturated rotor keeps its integral; beside it one that is 1 rad/s slow gains 1 rad/s * 1 ms."""
+    before = np.array([[0.3, 0.3]])
+    throttle, integral = hold_speed(motor, rotor, np.array([[0.0, 499.0]]), np.zeros((1, 2)), before, DT)
+    assert throttle[0, 0] == 1.0
+    np.testing.assert_allclose(integral, [[0.3, 0.301]], rtol=1e-14)
