@@ -39,6 +39,12 @@ def guard(action: object) -> int:
     except BrokenPipeError:
         # The reader (head, less) went away; Python would complain again while closing stdout.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        # What no check foresaw: a full disk, a drive that went away.
+        where = f"{error.filename}: " if error.filename else ""
+        problem = InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
+        print(f"vpptwin: {problem}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("vpptwin: stopped", file=sys.stderr)
         return 130

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
+from typing import Annotated
 
 import mujoco
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
 from vpptwin.errors import InputError
@@ -17,6 +19,20 @@ from vpptwin.twin.model import compile_model, describe_joints, read_nominal
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 EffectValues = dict[str, dict[str, float]]
+
+
+def refuse_bool(value: object) -> object:
+    """Refuse what YAML reads from `yes` and `on`, which would otherwise count as 1."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not yes or no")
+    return value
+
+
+# A key with nothing after it is read as null: somebody commented all effects out.
+FileEffects = Annotated[
+    dict[str, dict[str, Annotated[float, BeforeValidator(refuse_bool)]]],
+    BeforeValidator(lambda value: {} if value is None else value),
+]
 
 
 class Signals(BaseModel):
@@ -33,7 +49,7 @@ class TwinFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     model: str
     vehicle: str | None = None
-    effects: dict[str, dict[str, float]] = {}
+    effects: FileEffects = {}
     signals: Signals | None = None
     provenance: dict[str, object] | None = None
 
@@ -128,11 +144,21 @@ def load_twin(name: str | Path = "nominal") -> TwinSpec:
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML ({error})", "a twin YAML", "check its syntax") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"])) or "the file"
-        raise InputError(
-            f"{path}: {key}: {first['msg'].lower()}", "keys model, vehicle, effects, signals", "see docs/twin.md"
-        ) from error
+        found, expected = describe_mistake(error)
+        raise InputError(f"{path}: {found}", expected, "see docs/twin.md") from error
+
+
+def describe_mistake(error: ValidationError) -> tuple[str, str]:
+    """What the first mistake in a twin YAML is, the key first, and what was expected there."""
+    first = error.errors()[0]
+    key = ".".join(map(str, first["loc"])) or "the file"
+    keys = "model and, if need be, vehicle, effects, signals"
+    if first["type"] == "missing":
+        return f"no key {key}", keys
+    if first["type"] == "extra_forbidden":
+        return f"unknown key {key}", keys
+    expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return f"{key} = {shorten(repr(first['input']), 60)}", expected.replace("dictionary", "mapping")
 
 
 def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
@@ -142,6 +168,8 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
     vehicle = load_vehicle(vehicle_file) if vehicle_file else None
     model = compile_model(model_file, vehicle)
     if vehicle is not None:
+        if file.signals is not None:
+            raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
         catalogue = tuple(effect.bind(lambda key: read_nominal(vehicle, key)) for effect in CATALOGUE)
     else:
         check_signals(name, model, file.signals)
@@ -152,7 +180,9 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that every signal names a joint or actuator of the MJCF."""
+    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
+    if model.nq != model.njnt:
+        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
     joints = [model.joint(i).name for i in range(model.njnt)]
     actuators = [model.actuator(i).name for i in range(model.nu)]
     if signals is None:
@@ -164,4 +194,6 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
     for kind, given, known in (("joint", signals.joints, joints), ("actuator", signals.actuators, actuators)):
         for key in given:
             if key not in known:
-                raise InputError(f"{name}: signals name {kind} {key!r}", f"one of {', '.join(known)}", "rename it")
+                listed = ", ".join(filter(None, known))
+                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
+                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
