@@ -145,8 +145,9 @@ def check_values(config: TrainConfig) -> None:
         ramp = getattr(config, name)
         if not (ramp.start > 0.0 and ramp.end > 0.0):
             raise InputError(f"{name} from {ramp.start} to {ramp.end}", "numbers above 0", HELP)
-    if config.noise < 0.0:
-        raise InputError(f"noise={config.noise}", "0 or more", HELP)
+    for name in ("noise", "seed"):
+        if not getattr(config, name) >= 0:
+            raise InputError(f"{name}={getattr(config, name)}", "0 or more", HELP)
     if len(config.hidden) != 2 or not config.critic_hidden or min(config.hidden + config.critic_hidden) < 1:
         found = f"hidden={config.hidden} critic_hidden={config.critic_hidden}"
         raise InputError(found, "two and one or more layer sizes", HELP)

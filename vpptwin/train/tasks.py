@@ -86,12 +86,12 @@ class Limits:
     Attributes:
         speed: m/s.
         rate: rad/s.
-        floor: height of the lower arm tip, m.
+        floor: height of the lower arm tip, m; high enough that a bounce between two steps is not missed.
     """
 
     speed: float = 8.0
     rate: float = 40.0
-    floor: float = 0.02
+    floor: float = 0.05
 
     def exceeded(self, vehicle: Vehicle, pose: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Which rows of pose and velocity, both (N, 3), have failed, (N,) bool."""

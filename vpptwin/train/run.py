@@ -1,0 +1,103 @@
+"""One run of training: its folder, what it continues from, and the training itself."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from vpptwin.errors import InputError
+from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
+from vpptwin.train.config import RESUMABLE, TrainConfig, to_config, to_plain
+from vpptwin.train.ppo import build_training
+
+
+def start_run(config: TrainConfig, given: Collection[str]) -> Path:
+    """Train from the start, or from the last checkpoint of the run to resume.
+
+    Args:
+        config: composed from overrides.
+        given: options that the overrides set.
+
+    Returns:
+        The run's folder, which holds checkpoint.pt, config.yaml and log/scalars/*.csv.
+
+    Raises:
+        InputError: if a run cannot be resumed, the folder not be written, or the twin not be made.
+    """
+    saved = None
+    if config.resume is not None:
+        config, saved = read_run(config, given)
+    folder = open_folder(config)
+    training = build_training(config, folder, saved)
+    trim_logs(folder, saved["steps"] if saved else 0)
+    OmegaConf.save(OmegaConf.create(to_plain(config)), folder / "config.yaml")
+    started, begun = time.monotonic(), training.trainer.collected_frames
+    try:
+        training.trainer.train()
+    except KeyboardInterrupt:
+        training.bar.close()
+        if (folder / FILE_NAME).exists():
+            print(f"continue with `vpptwin train resume={folder}`", file=sys.stderr)
+        raise
+    seconds = time.monotonic() - started
+    steps = training.trainer.collected_frames - begun
+    print(f"{steps} steps in {seconds:.0f} s, checkpoint {folder / FILE_NAME}", file=sys.stderr)
+    return folder
+
+
+def read_run(config: TrainConfig, given: Collection[str]) -> tuple[TrainConfig, dict[str, Any]]:
+    """Configuration and last checkpoint of the run that `config.resume` names.
+
+    Raises:
+        InputError: if there is nothing to resume, or an override would make it another run.
+    """
+    others = sorted(set(given) - set(RESUMABLE))
+    if others:
+        found = f"resume together with {', '.join(others)}"
+        raise InputError(found, f"only {', '.join(RESUMABLE)}", "drop it, or start another run")
+    content = read_checkpoint(str(config.resume))
+    if content["training"] is None:
+        raise InputError(f"{config.resume} holds a policy only", "a run's folder", "start another run")
+    changes = {key: getattr(config, key) for key in given}
+    run = Path(str(config.resume))
+    folder = run.parent if run.is_file() else run
+    resumed = replace(to_config(content["config"]), out=str(folder), **changes)
+    if content["steps"] >= resumed.total_steps:
+        found = f"{config.resume} has finished its {content['steps']} steps"
+        raise InputError(found, "an unfinished run", f"give more, e.g. total_steps={2 * content['steps']}")
+    return resumed, content
+
+
+def open_folder(config: TrainConfig) -> Path:
+    """Create the run's folder.
+
+    Raises:
+        InputError: if it cannot be written or holds another run.
+    """
+    folder = Path(config.out or f"runs/{config.task.name}-{time.strftime('%Y%m%d-%H%M%S')}")
+    if config.resume is None and (folder / FILE_NAME).exists():
+        advice = f"resume={folder} continues it; else choose another out"
+        raise InputError(f"{folder} holds a run", "a new folder", advice)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        found = f"cannot write to {folder} ({error.strerror})"
+        raise InputError(found, "a writable folder", "choose another out") from error
+    return folder
+
+
+def trim_logs(folder: Path, steps: int) -> None:
+    """Drop what was logged after `steps`: those steps are about to be collected again."""
+    for path in (folder / "log" / "scalars").glob("*.csv"):
+        # A row without its line end is one that a kill cut short.
+        rows = [row for row in path.read_text().splitlines(keepends=True) if row.endswith("\n")]
+        path.write_text("".join(row for row in rows if float(row.split(",")[0]) <= steps))
