@@ -1,0 +1,39 @@
+"""Every effect of the catalogue, and every generic one, becomes a case of every property that concerns it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.effects.rigs import EFFECTS, Rig, load_rigs
+
+
+@pytest.fixture(scope="session")
+def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
+    """The rigs by name, loaded once."""
+    return load_rigs(tmp_path_factory.mktemp("rigs"))
+
+
+@pytest.fixture
+def rig(request: pytest.FixtureRequest, rigs: dict[str, Rig]) -> Rig:
+    """The rig of this case."""
+    return rigs[request.param]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Give a test with arguments `rig` and `effect_id` every effect, one with `rig` alone every rig.
+
+    The marker `concerns(*rigs, only=predicate)` narrows this down to some rigs, and to effects of which
+    `predicate(effect)` holds.
+    """
+    marker = metafunc.definition.get_closest_marker("concerns")
+    names, only = (marker.args or tuple(EFFECTS), marker.kwargs.get("only")) if marker else (tuple(EFFECTS), None)
+    if "effect_id" in metafunc.fixturenames:
+        cases = [(name, effect.id) for name in names for effect in EFFECTS[name] if only is None or only(effect)]
+        metafunc.parametrize(("rig", "effect_id"), cases, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
+    elif "rig" in metafunc.fixturenames:
+        metafunc.parametrize("rig", names, indirect=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker."""
+    config.addinivalue_line("markers", "concerns(*rigs, only): rigs and effects that a property is tested on")
