@@ -8,9 +8,19 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from vpptwin import __version__
 from vpptwin.errors import InputError
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that refuses in one line, as every other part of vpptwin does."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what was wrong, what was expected and where to read more; exit with code 2."""
+        usage = " ".join(self.format_usage().removeprefix("usage: ").split())
+        self.exit(2, f"vpptwin: {message}; expected {usage}; see `{self.prog} --help`\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,9 +63,7 @@ def guard(action: object) -> int:
 
 def build_parser() -> argparse.ArgumentParser:
     """The grammar of all commands."""
-    parser = argparse.ArgumentParser(
-        prog="vpptwin", description="The simulation twin that tells you what it gets wrong."
-    )
+    parser = Parser(prog="vpptwin", description="The simulation twin that tells you what it gets wrong.")
     parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
 
