@@ -27,6 +27,7 @@ def refusal(path: Path) -> str:
         load_vehicle(path)
     message = str(refused.value)
     assert len(message.splitlines()) == 1
+    assert len(message) - len(str(path)) < 300  # a line to be read, not a dump of the file
     assert message.startswith(str(path))
     return message
 
@@ -65,6 +66,9 @@ def assign(section: str, key: str, value: object) -> Callable[[Numbers], object]
         pytest.param(assign("airframe", "mass", -0.45), "airframe.mass", id="negative mass"),
         pytest.param(assign("airframe", "inertia", 0.0), "airframe.inertia", id="no inertia"),
         pytest.param(assign("rotor", "speed", float("nan")), "rotor.speed", id="not a number"),
+        pytest.param(assign("airframe", "mass", float("inf")), "airframe.mass", id="infinite"),
+        pytest.param(assign("rig", "rail_height", float("nan")), "rig.rail_height", id="no height"),
+        pytest.param(assign("rig", "travel_z", [2.5, 0.15]), "rig.travel_z", id="travel reversed"),
         pytest.param(assign("motor", "battery", "full"), "motor.battery", id="a word"),
         pytest.param(assign("control", "gyro_filter", 1.5), "control.gyro_filter", id="beyond its bound"),
         pytest.param(assign("rig", "travel_x", [1.5]), "rig.travel_x", id="half a pair"),

@@ -47,7 +47,7 @@ PLOTS = {
     "residual_against": (plot_residual, ["rail velocity [m/s]", "residual force along x [N]", "before", "after"]),
     "suspects_ranking": (
         lambda: suspects_ranking(["air.drag", "rail_x.coulomb"], [0.1, 0.62], "rail_x.coulomb"),
-        ["air.drag", "rail_x.coulomb", "0.62", "share of the held-out excess chi² removed, 1 = all of it"],
+        ["air.drag", "rail_x.coulomb", "0.62", "drop in misfit (twice the log-likelihood)"],
     ),
     "prediction_overlay": (plot_overlay, ["time [s]", "x [m]", "z [m]", "θ [rad]", "log", "twin before"]),
     "parameter_intervals": (

@@ -91,6 +91,7 @@ def search_and_judge(
     stage("checking rivals")
     rivals = {effect: find_rivals(search, fit, effect) for effect in sorted(fit.effects)}
     stage("judging on held-out windows")
+    held_out.relinearise(fit.values)
     verdict = conclude(spec, flights, search, held_out, fit, rivals, steps)
     ranking = sorted(rank_first(steps, search), key=lambda item: -item[1])
     return Diagnosis(verdict, fit.values, ranking, search, fit, held_out)
@@ -121,7 +122,7 @@ def find_causes(search: Search, held_out: HeldOut, stage: Stage) -> tuple[Fit, l
         accepted = next((e for e in candidates if is_cause(search, held_out, step, e)), None)
         if accepted is None:
             break
-        fit = search.drop_superfluous(search.complete(step.tried[accepted]))
+        fit = search.drop_superfluous(search.adopt(step.tried[accepted]))
         barred |= step.before.effects - fit.effects
     return fit, steps
 

@@ -49,6 +49,10 @@ class HeldOut:
         pose = [c.kind == "position" for c in short.channels]
         self._pose = np.repeat(pose, short.channels[0].value.shape[1])
 
+    def relinearise(self, values: Mapping[Key, float]) -> None:
+        """Let gusts and starting states act through a twin with `values` from now on."""
+        self.likelihood = build_likelihood(self.short, dict(values))
+
     def cost(self, values: Mapping[Key, float]) -> np.ndarray:
         """Misfit of every short window under gusts and sensor noise, (K,): minus twice the log-likelihood."""
         return (self.whitened(values) ** 2).sum(axis=1)
@@ -111,6 +115,10 @@ class HeldOut:
 
 
 def improvement(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Mean drop in cost per window and its standard error, from windows paired before and after, (K,) each."""
-    drop = before - after
+    """Mean drop in cost per window and its standard error, from windows paired before and after, (K,) each.
+
+    Costs count logarithmically, so that one window which goes astray does not decide for all.
+    """
+    usual = max(float(np.median(after)), 1e-12)
+    drop = usual * (np.log1p(before / usual) - np.log1p(after / usual))
     return float(drop.mean()), float(drop.std(ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else float("inf")

@@ -9,12 +9,12 @@ import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
 from vpptwin.diagnosis.likelihood import Likelihood, build_likelihood
-from vpptwin.diagnosis.suspects import Linearisation, Solution, Unknown, solve_hypothesis
+from vpptwin.diagnosis.suspects import Linearisation, Solution, Unknown, scatter_by_window, solve_hypothesis
 
 ITERATIONS = 5
 SHORTLIST = 4
 """Suspects that are refitted in the twin at every step of the search."""
-MAX_CAUSES = 4
+MAX_CAUSES = 6
 BAR = 16.0
 """Drop in cost (twice the log-likelihood) that a cause must bring, beyond what build tolerances explain: 4 sigma."""
 WORTH_A_REFIT = 2.0
@@ -61,6 +61,18 @@ class Step:
         return max(self.tried, key=self.drop)
 
 
+def weigh_windows(residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Square roots of Student-t weights, one a window, for whitened residuals (K, M); flat, (K M,).
+
+    A window that fits no better than three times the usual misfit counts less: a collision, a glitch, or a slip that
+    came early there must not outvote all the others.
+    """
+    square = (residual**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
+    usual = 3.0 * float(np.median(square))
+    weight = np.sqrt(2.0 * usual / (usual + np.maximum(square, usual)))
+    return np.repeat(weight, residual.shape[1])
+
+
 class Search:
     """Fits on one set of windows.
 
@@ -73,7 +85,8 @@ class Search:
         self.bench, self.unknowns = bench, tuple(unknowns)
         self.scale = 1.0
         self.likelihood: Likelihood = build_likelihood(bench, {})
-        self.start = self.fit(frozenset(), {}, None)
+        self.weight = np.ones(bench.valid.size)
+        self.start = self.adopt(self.fit(frozenset(), {}, None))
 
     def linearise(
         self, values: Mapping[Key, float], effects: frozenset[str] | None = None, known: Linearisation | None = None
@@ -96,8 +109,8 @@ class Search:
         slopes = np.where(self.bench.valid, predicted[1:] - predicted[0], 0.0) / steps[:, None, None]
         columns = np.empty((len(at), residual.size)) if known is None else known.columns.copy()
         if wanted:
-            columns[wanted] = self.likelihood.whiten(slopes).reshape(len(steps), -1)
-        return Linearisation(at, columns, self.likelihood.whiten(residual).ravel())
+            columns[wanted] = self.likelihood.whiten(slopes).reshape(len(steps), -1) * self.weight
+        return Linearisation(at, columns, self.likelihood.whiten(residual).ravel() * self.weight)
 
     def fit(self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation | None) -> Fit:
         """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
@@ -128,12 +141,27 @@ class Search:
                 break
         about, solution, point = best
         std, tolerated = {}, {}
+        scatter = scatter_by_window(about, solution, len(self.bench.windows), self.scale)
         for i, unknown in enumerate(self.unknowns):
             if unknown.effect.id in effects:
-                std[unknown.key] = float(np.sqrt(solution.covariance[i, i]))
+                std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
             else:
                 tolerated[unknown.key] = float(about.at[i] + solution.deviation[i])
         return Fit(effects, point, std, self._cost_here(about, effects), about, tolerated)
+
+    def adopt(self, fit: Fit) -> Fit:
+        """Take a fit as the new state of knowledge: gusts and starting states act through it, and it is refitted so.
+
+        A slider that sticks hardly feels its starting velocity or a gust, so the covariance changes with the effects.
+        Costs before and after cannot be compared.
+        """
+        if fit.effects:
+            self.likelihood = build_likelihood(self.bench, fit.values)
+        self.weight = np.ones(self.bench.valid.size)
+        about = self.linearise(fit.values)
+        residual = about.residual - self._tolerate(about, fit.effects).deviation @ about.columns
+        self.weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
+        return self.fit(fit.effects, fit.values, None)
 
     def complete(self, fit: Fit) -> Fit:
         """The same fit with all derivatives taken at its own parameters, and its cost under them."""
@@ -162,16 +190,19 @@ class Search:
             weakest = min(without, key=lambda e: without[e].cost)
             if without[weakest].cost - fit.cost > BAR:
                 return fit
-            fit = self.complete(without[weakest])
+            fit = self.adopt(without[weakest])
         return fit
 
     def _cost_here(self, about: Linearisation, effects: frozenset[str]) -> float:
         """Cost at the point itself: freed parameters as they are, the others at their best within tolerance."""
+        return self._tolerate(about, effects).cost
+
+    def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
+        """Freed parameters held where they are, the others moved within their tolerance."""
         frozen = np.array([u.effect.id in effects for u in self.unknowns])
         columns = np.where(frozen[:, None], 0.0, about.columns)
         held = Linearisation(about.at, columns, about.residual)
-        solution = solve_hypothesis(held, self.unknowns, effects, self.scale)
-        return solution.cost
+        return solve_hypothesis(held, self.unknowns, effects, self.scale)
 
     def _advance(
         self, values: Mapping[Key, float], effects: frozenset[str], solution: Solution, stride: float

@@ -12,6 +12,10 @@ from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
 
 
+MOST_TOLERATED = 3.0
+"""An effect that is not freed stays within this many of its build tolerances."""
+
+
 @dataclass(frozen=True)
 class Unknown:
     """One parameter under suspicion: nominal is its value in the twin that is diagnosed."""
@@ -83,8 +87,11 @@ def solve_hypothesis(
             for u in unknowns
         ]
     )
-    low = np.array([u.parameter.low for u in unknowns]) - fit.at
-    high = np.array([u.parameter.high for u in unknowns]) - fit.at
+    held = np.array([u.effect.id not in freed for u in unknowns])
+    low = np.array([u.parameter.low for u in unknowns])
+    high = np.array([u.parameter.high for u in unknowns])
+    low = np.where(held, np.maximum(low, nominal - MOST_TOLERATED * width), low) - fit.at
+    high = np.where(held, np.minimum(high, nominal + MOST_TOLERATED * width), high) - fit.at
     pull = nominal - fit.at
     unit = np.maximum(np.array([u.parameter.size for u in unknowns]), 1e-12)
     full_gram, slope = fit.columns @ fit.columns.T, fit.columns @ fit.residual
@@ -100,3 +107,15 @@ def solve_hypothesis(
     cost += float(np.sum(((deviation - pull) / width) ** 2))
     covariance = np.linalg.inv(hessian) * unit[:, None] * unit
     return Solution(deviation, float(cost), covariance)
+
+
+def scatter_by_window(fit: Linearisation, solution: Solution, windows: int, scale: float) -> np.ndarray:
+    """Standard deviation of every parameter from how much the windows disagree about it, (P,).
+
+    The sandwich estimate with windows as clusters: unlike the curvature alone it notices residuals that are larger, or
+    more alike within a window, than the noise model says.
+    """
+    residual = fit.residual - solution.deviation @ fit.columns
+    scores = (fit.columns * residual).reshape(len(fit.columns), windows, -1).sum(axis=2) / scale
+    spread = solution.covariance @ scores
+    return np.sqrt((spread**2).sum(axis=1))

@@ -21,29 +21,30 @@ CATALOGUE: tuple[Effect, ...] = (
 )
 """Every effect of the drone on its rail rig (SPEC 5)."""
 
-GENERIC_JOINT: tuple[Callable[..., Effect], ...] = (joint.coulomb, joint.viscous, joint.bias)
-"""Factories that give joint j of any rig the effects j.coulomb, j.viscous and j.bias."""
+GENERIC_JOINT: tuple[Callable[..., Effect], ...] = (joint.coulomb, joint.viscous, joint.bias, joint.spring)
+"""Factories that give joint j of any rig the effects j.coulomb, j.viscous, j.bias and j.spring."""
+
+GENERIC_TOLERANCE = 0.002
+"""Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
+GENERIC_SIZE = 0.02
+"""Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
 
 GENERIC_ACTUATOR: tuple[Callable[..., Effect], ...] = (actuator.gain, actuator.delay, actuator.lag)
 """Factories that give actuator a of any rig the effects a.gain, a.delay and a.lag."""
 
 
-def effects_for_rig(
-    joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str], velocity_scale: float = 1.0
-) -> tuple[Effect, ...]:
+def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str]) -> tuple[Effect, ...]:
     """The generic effects of a rig that is not ours.
 
     Args:
         joints: name, whether it is rotary, and a typical force [N] or torque [N m] for each joint.
         actuators: names.
-        velocity_scale: typical velocity [m/s or rad/s], which turns a typical force into a typical damping.
     """
     effects: list[Effect] = []
     for name, rotary, scale in joints:
         where = f"on joint {name}"
-        effects.append(joint.coulomb(name, where, rotary, scale))
-        effects.append(joint.viscous(name, where, rotary, scale / velocity_scale))
-        effects.append(joint.bias(name, where, rotary, scale))
+        for factory in GENERIC_JOINT:
+            effects.append(factory(name, where, rotary, scale, tolerance=GENERIC_TOLERANCE, size=GENERIC_SIZE))
     for name in actuators:
         effects.extend(factory(name, f"of actuator {name}") for factory in GENERIC_ACTUATOR)
     return tuple(effects)

@@ -140,7 +140,7 @@ def suspects_ranking(names: Sequence[str], gains: Sequence[float], accused: Sequ
 
     Args:
         names: effect ids.
-        gains: share of the held-out excess chi2 that each removes, 1 = all of it.
+        gains: drop in misfit, twice the log-likelihood, that each brings alone.
         accused: the named causes.
     """
     named = {accused} if isinstance(accused, str) else set(accused)
@@ -150,11 +150,11 @@ def suspects_ranking(names: Sequence[str], gains: Sequence[float], accused: Sequ
     with open_figure(6.4, 0.9 + 0.27 * len(labels)) as figure:
         axes = figure.subplots()
         bars = axes.barh(labels, values, color=[AFTER if label in named else GREY for label in labels], height=0.7)
-        axes.bar_label(bars, [f"{value:.2f}" for value in values], padding=3)
+        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3)
         axes.axvline(0.0, color=INK, linewidth=0.8)
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.12)
-        name_axes(axes, "share of the held-out excess chi² removed, 1 = all of it", "")
+        name_axes(axes, "drop in misfit (twice the log-likelihood)", "")
         return write_svg(figure, "Suspects by what they explain")
 
 
