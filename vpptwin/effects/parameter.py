@@ -61,12 +61,15 @@ class Parameter:
     nominal: str = ""
 
     def with_off(self, off: float) -> Parameter:
-        """The same parameter with its off value taken from a vehicle file; a prior centred on it moves along."""
+        """The same parameter with a positive off value taken from a vehicle file.
+
+        A prior centred on it moves along, and the bounds widen so that it lies between them.
+        """
         shift = off - self.off
         prior = replace(
             self.prior, a=self.prior.a + shift, b=self.prior.b + (shift if self.prior.kind == "uniform" else 0)
         )
-        return replace(self, off=off, prior=prior, high=max(self.high, 2.0 * off))
+        return replace(self, off=off, prior=prior, low=min(self.low, 0.5 * off), high=max(self.high, 2.0 * off))
 
     def clip(self, value: np.ndarray) -> np.ndarray:
         """Move values into the physical bounds."""
