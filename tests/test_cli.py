@@ -1,0 +1,263 @@
+"""The command line on the demo flights: what each command prints and writes."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from vpptwin import __version__
+from vpptwin.cli import main
+from vpptwin.effects import CATALOGUE, find_effect
+from vpptwin.twin import load_twin
+
+ROOT = Path(__file__).resolve().parents[1]
+FLIGHTS = ROOT / "demo" / "flights"
+DIAGNOSED = [str(FLIGHTS / f"{name}.mcap") for name in ("steps", "aggressive", "mixed")]
+UNSEEN = FLIGHTS / "flip.mcap"
+HORIZONS = [0.05, 0.1, 0.25, 0.5, 1.0]  # s, SPEC 7
+COMMANDS = ("effects", "diagnose", "compare", "play", "train", "evaluate")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of `vpptwin diagnose` on the demo flights."""
+
+    out: Path
+    said: str
+    progress: str
+
+    @property
+    def verdict(self) -> dict:
+        """verdict.json, read by a parser that refuses NaN."""
+
+        def refuse(constant: str) -> None:
+            raise ValueError(f"{constant} is no JSON")
+
+        return json.loads((self.out / "verdict.json").read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The demo flights diagnosed once, as a user does, into a folder that does not exist."""
+    out = tmp_path_factory.mktemp("demo") / "new" / "out"
+    command = [sys.executable, "-m", "vpptwin.cli", "diagnose", *DIAGNOSED, "--twin", "nominal", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env={**os.environ, "COLUMNS": "160"})
+    assert done.returncode == 0, done.stderr
+    return Run(out, done.stdout, done.stderr)
+
+
+def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--version` prints name and version."""
+    with pytest.raises(SystemExit) as caught:
+        main(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.strip() == f"vpptwin {__version__}"
+
+
+def run_help(*arguments: str) -> int | str | None:
+    """Exit code of a command's `--help`; argparse exits, Hydra's help returns."""
+    try:
+        return main([*arguments, "--help"])
+    except SystemExit as caught:
+        return caught.code
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`COMMAND --help` explains every argument and exits with 0; the overview lists the command."""
+    assert run_help(command) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 5
+    assert run_help() == 0
+    assert re.search(rf"^  +{command} +\w+", capsys.readouterr().out, flags=re.MULTILINE)
+
+
+def test_effects_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None:
+    """One line a parameter, in the catalogue's order, with unit and bounds."""
+    assert main(["effects"]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert [line.split()[:2] for line in lines] == [[e.id, p.name] for e in CATALOGUE for p in e.parameters]
+    mass = next(line for line in lines if line.startswith("airframe.mass"))
+    assert re.split(r"  +", mass) == ["airframe.mass", "mass", "kg", "0", "-0.09 to 0.15", "a wrong mass of the craft"]
+
+
+def test_effects_of_another_rig_are_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With `--twin` the joints and actuators of that rig get the generic effects, with units of their kind."""
+    (tmp_path / "cart.xml").write_text(
+        '<mujoco><worldbody><body><joint name="slide" type="slide"/><geom size="0.1" mass="2"/>'
+        '<body><joint name="swing" type="hinge"/><geom size="0.1" mass="1" pos="0 0 -1"/></body></body></worldbody>'
+        '<actuator><motor name="motor" joint="slide"/></actuator></mujoco>'
+    )
+    twin = tmp_path / "cart.yaml"
+    twin.write_text("model: cart.xml\nsignals: {joints: {slide: /joint_states}, actuators: {motor: /command}}\n")
+    assert main(["effects", "--twin", str(twin)]) == 0
+    units = {tuple(line.split()[:2]): re.split(r"  +", line)[2] for line in capsys.readouterr().out.splitlines()[1:]}
+    assert units["slide.coulomb", "force"] == "N"
+    assert units["swing.coulomb", "torque"] == "N m"
+    assert units["swing.viscous", "damping"] == "N m s/rad"
+    assert units["motor.delay", "delay"] == "s"
+    assert not any(effect.startswith(("rail", "airframe")) for effect, _ in units)
+
+
+def test_the_page_of_effects_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
+    """docs/effects.md is what `vpptwin effects --markdown` prints; its table is rectangular."""
+    assert main(["effects", "--markdown"]) == 0
+    page = capsys.readouterr().out
+    assert page == (ROOT / "docs" / "effects.md").read_text(encoding="utf-8"), (
+        "run `vpptwin effects --markdown > docs/effects.md`"
+    )
+    table = [line for line in page.splitlines() if line.startswith("|")]
+    assert len(table) == 2 + sum(len(effect.parameters) for effect in CATALOGUE)
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table}) == 1
+
+
+def check_numbers(values: object, count: int) -> None:
+    """A list of finite numbers that are not negative."""
+    assert isinstance(values, list)
+    assert len(values) == count
+    assert all(isinstance(value, float) and math.isfinite(value) and value >= 0.0 for value in values)
+
+
+def check_score(score: dict) -> None:
+    """`before` or `after` of SPEC 7; velocities are ours."""
+    assert set(score) == {"position_rmse_m", "angle_rmse_rad", "chi2", "velocity_rmse"}
+    check_numbers(score["position_rmse_m"], len(HORIZONS))
+    check_numbers(score["angle_rmse_rad"], len(HORIZONS))
+    for values in score["velocity_rmse"].values():
+        check_numbers(values, len(HORIZONS))
+    check_numbers([score["chi2"]], 1)
+
+
+def check_cause(cause: dict) -> None:
+    """An entry of `causes` in SPEC 7, against the catalogue."""
+    assert set(cause) == {"effect", "confidence", "parameters", "gain", "also_explained_by"}
+    effect = find_effect(CATALOGUE, cause["effect"])
+    assert 0.0 < cause["confidence"] < 1.0
+    assert cause["gain"] <= 1.0
+    assert set(cause["parameters"]) == {p.name for p in effect.parameters}
+    for name, entry in cause["parameters"].items():
+        parameter = effect.parameter(name)
+        assert set(entry) == {"value", "unit", "std", "nominal"}
+        assert entry["unit"] == parameter.unit
+        assert entry["nominal"] == parameter.off
+        assert parameter.low <= entry["value"] <= parameter.high
+        check_numbers([entry["std"]], 1)
+    rivals = cause["also_explained_by"]
+    assert all(set(rival) == {"effect", "confidence"} for rival in rivals)
+    assert all(find_effect(CATALOGUE, rival["effect"]) is not effect for rival in rivals)
+    assert sum(rival["confidence"] for rival in rivals) + cause["confidence"] <= 1.0
+
+
+def check_verdict(verdict: dict) -> None:
+    """verdict.json has the form of SPEC 7, key by key; `warnings` is ours."""
+    keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
+    assert set(verdict) == {*keys, "suggested_experiment", "warnings"}
+    assert all(isinstance(log, str) for log in verdict["logs"])
+    assert isinstance(verdict["twin"], str)
+    assert set(verdict["samples"]) == {"windows", "held_out_windows"}
+    assert all(isinstance(count, int) and count > 0 for count in verdict["samples"].values())
+    assert verdict["horizons_s"] == HORIZONS
+    check_score(verdict["before"])
+    check_score(verdict["after"])
+    assert isinstance(verdict["gap"], bool)
+    for cause in verdict["causes"]:
+        check_cause(cause)
+    gains = [cause["gain"] for cause in verdict["causes"]]
+    assert gains == sorted(gains, reverse=True)
+    unexplained = verdict["unexplained"]
+    assert set(unexplained) == {"significant", "share", "channel", "depends_on"}
+    assert isinstance(unexplained["significant"], bool)
+    assert 0.0 <= unexplained["share"] <= 1.0
+    assert unexplained["channel"] is None or isinstance(unexplained["channel"], str)
+    assert all(isinstance(quantity, str) for quantity in unexplained["depends_on"])
+    assert verdict["suggested_experiment"] is None or isinstance(verdict["suggested_experiment"], str)
+    assert all(isinstance(warning, str) and "\n" not in warning for warning in verdict["warnings"])
+
+
+def test_diagnose_writes_a_verdict_of_the_agreed_form(diagnosed: Run) -> None:
+    """verdict.json conforms to SPEC 7; the folder holds the three files and nothing else."""
+    check_verdict(diagnosed.verdict)
+    assert diagnosed.verdict["logs"] == DIAGNOSED
+    assert diagnosed.verdict["twin"] == "nominal"
+    assert sorted(file.name for file in diagnosed.out.iterdir()) == ["report.html", "twin.yaml", "verdict.json"]
+
+
+def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
+    """The demo rig hides 0.30 N of dry friction on the rail, on top of up to 0.01 N of its own."""
+    verdict = diagnosed.verdict
+    assert verdict["gap"] is True
+    (cause,) = verdict["causes"]
+    assert cause["effect"] == "rail_x.coulomb"
+    assert cause["parameters"]["force"]["value"] == pytest.approx(0.30, abs=0.03)
+    assert verdict["after"]["chi2"] < verdict["before"]["chi2"]
+    assert verdict["after"]["position_rmse_m"][2] < 0.6 * verdict["before"]["position_rmse_m"][2]
+
+
+def test_diagnose_prints_what_a_reader_needs(diagnosed: Run) -> None:
+    """The sentence with the cause first, errors before and after, and where the three files lie; progress aside."""
+    lines = diagnosed.said.strip().splitlines()
+    assert "rail_x.coulomb" in lines[0]
+    assert re.search(r"force 0\.\d+ ± 0\.\d+ N", lines[0])
+    assert "chi²" in diagnosed.said
+    for name in ("report.html", "verdict.json", "twin.yaml"):
+        assert str(diagnosed.out / name) in diagnosed.said
+    assert "diagnose" in diagnosed.progress
+    assert "Traceback" not in diagnosed.progress
+
+
+def test_the_report_needs_nothing_from_elsewhere(diagnosed: Run) -> None:
+    """report.html has no script, style, font or picture that is not in it, and names the cause."""
+    page = (diagnosed.out / "report.html").read_text(encoding="utf-8")
+    references = re.findall(r"""(?:src|href|data|action)\s*=\s*["']?([^"'\s>]+)""", page)
+    assert [r for r in references if not r.startswith(("#", "data:"))] == []
+    assert "@import" not in page
+    assert [u for u in re.findall(r"url\(([^)]*)\)", page) if not u.strip("\"'").startswith(("#", "data:"))] == []
+    assert "rail_x.coulomb" in page
+    assert page.count("<svg") >= 3
+
+
+def test_the_extended_twin_predicts_better(diagnosed: Run, tmp_path: Path) -> None:
+    """twin.yaml loads with the fitted values; `compare` on a flight that was not diagnosed finds a smaller error."""
+    twin = load_twin(diagnosed.out / "twin.yaml")
+    (cause,) = diagnosed.verdict["causes"]
+    fitted = {name: entry["value"] for name, entry in cause["parameters"].items()}
+    assert twin.effects == {cause["effect"]: pytest.approx(fitted, rel=1e-5)}
+    scores = []
+    for name in ("nominal", str(diagnosed.out / "twin.yaml")):
+        assert main(["compare", str(UNSEEN), "--twin", name, "--json", str(tmp_path / "score.json")]) == 0
+        scores.append(json.loads((tmp_path / "score.json").read_text())["error"])
+    nominal, extended = scores
+    assert extended["chi2"] < nominal["chi2"]
+    assert extended["position_rmse_m"][2] < nominal["position_rmse_m"][2]
+
+
+def test_compare_prints_and_writes_the_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table over the horizon on stdout; --json holds the same figures, and its folder nothing else."""
+    path = tmp_path / "score.json"
+    assert main(["compare", str(UNSEEN), "--twin", "nominal", "--json", str(path)]) == 0
+    written = json.loads(path.read_text())
+    assert set(written) == {"logs", "twin", "samples", "horizons_s", "error"}
+    assert written["logs"] == [str(UNSEEN)]
+    assert written["twin"] == "nominal"
+    assert written["samples"]["windows"] > 20
+    assert written["horizons_s"] == HORIZONS
+    check_score(written["error"])
+    said = capsys.readouterr().out
+    assert f"chi² {written['error']['chi2']:.3g}" in said
+    assert f"{1000 * written['error']['position_rmse_m'][2]:.3g}" in said
+    assert [file.name for file in tmp_path.iterdir()] == ["score.json"]
+
+
+def test_play_writes_a_page_of_a_twin_from_a_diagnosis(diagnosed: Run, tmp_path: Path) -> None:
+    """`play --html` takes the extended twin as it takes nominal, and leaves one page."""
+    page = tmp_path / "flip.html"
+    assert main(["play", str(UNSEEN), "--twin", str(diagnosed.out / "twin.yaml"), "--html", str(page)]) == 0
+    assert [file.name for file in tmp_path.iterdir()] == ["flip.html"]
+    assert "twin.yaml" in page.read_text(encoding="utf-8")
