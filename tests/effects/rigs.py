@@ -84,7 +84,7 @@ class Rig:
         held = np.tile(command, (twin.num_sims, round(CONTROL / twin.dt), 1))
         return twin.replay_commands(state, held)[0]
 
-    def roll(self, twin: Twin, state: TwinState, first: int = 0, count: int = 25, powered: bool = True) -> Track:
+    def roll(self, twin: Twin, state: TwinState, first: int = 0, count: int = 15, powered: bool = True) -> Track:
         """States every 10 ms, the start included."""
         states = [state]
         for k in range(first, first + count):
