@@ -88,22 +88,48 @@ def test_effects_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None
     assert re.split(r"  +", mass) == ["airframe.mass", "mass", "kg", "0", "-0.09 to 0.15", "a wrong mass of the craft"]
 
 
-def test_effects_of_another_rig_are_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With `--twin` the joints and actuators of that rig get the generic effects, with units of their kind."""
-    (tmp_path / "cart.xml").write_text(
-        '<mujoco><worldbody><body><joint name="slide" type="slide"/><geom size="0.1" mass="2"/>'
-        '<body><joint name="swing" type="hinge"/><geom size="0.1" mass="1" pos="0 0 -1"/></body></body></worldbody>'
-        '<actuator><motor name="motor" joint="slide"/></actuator></mujoco>'
-    )
-    twin = tmp_path / "cart.yaml"
-    twin.write_text("model: cart.xml\nsignals: {joints: {slide: /joint_states}, actuators: {motor: /command}}\n")
-    assert main(["effects", "--twin", str(twin)]) == 0
+def find_blocks(language: str) -> list[str]:
+    """The code blocks of a language in docs/twin.md."""
+    text = (ROOT / "docs" / "twin.md").read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def test_the_documented_twins_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The drone of docs/twin.md loads; its cart gets the generic effects, with units of each joint's kind."""
+    drone, cart = find_blocks("yaml")
+    (tmp_path / "drone.yaml").write_text(drone)
+    (tmp_path / "cart.yaml").write_text(cart)
+    (tmp_path / "cart.xml").write_text(*find_blocks("xml"))
+    assert load_twin(tmp_path / "drone.yaml").effects["airframe.mass"] == {"mass": 0.02}
+    assert main(["effects", "--twin", str(tmp_path / "cart.yaml")]) == 0
     units = {tuple(line.split()[:2]): re.split(r"  +", line)[2] for line in capsys.readouterr().out.splitlines()[1:]}
     assert units["slide.coulomb", "force"] == "N"
     assert units["swing.coulomb", "torque"] == "N m"
     assert units["swing.viscous", "damping"] == "N m s/rad"
     assert units["motor.delay", "delay"] == "s"
     assert not any(effect.startswith(("rail", "airframe")) for effect, _ in units)
+
+
+def test_the_documented_mistakes_are_told_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The lines that docs/twin.md shows are what a user sees."""
+    monkeypatch.chdir(tmp_path)
+    rig = "model: rail_rig.xml\n"
+    drone = rig + "vehicle: vehicle.yaml\n"
+    mistakes = (
+        drone + "effects: {rail_x.colomb: {force: 0.3}}",
+        drone + "effects: {airframe.mass: {mass: -0.6}}",
+        drone + "effects: {rail_x.coulomb: {mass: 0.3}}",
+        drone + "efects: {}",
+        rig + "signals: {joints: {slide: /joint_states}}",
+        rig,
+    )
+    (shown,) = find_blocks("text")
+    for content, line in zip(mistakes, shown.splitlines(keepends=True), strict=True):
+        Path("rig.yaml").write_text(content)
+        assert main(["effects", "--twin", "rig.yaml"]) == 2
+        assert capsys.readouterr().err == line
 
 
 def test_the_page_of_effects_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
