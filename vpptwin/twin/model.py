@@ -31,34 +31,57 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
     """Compile an MJCF, with masses, inertia, geometry, travel and gravity from the vehicle where there is one.
 
     Raises:
-        InputError: if MuJoCo refuses the file, or a vehicle is given and the model lacks the drone's joints.
+        InputError: if MuJoCo refuses the file, a vehicle is given and the model is not of the drone, or the model has
+            states that a twin's state does not hold.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if vehicle is not None:
             apply_vehicle(spec, vehicle, path)
         model = spec.compile()
+    except InputError:
+        raise
     except (ValueError, mujoco.FatalError) as error:
         raise InputError(
             f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer"
         ) from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
+    if vehicle is not None:
+        check_craft(model, path)
+    if mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS)) != 1 + model.nq + model.nv:
+        raise InputError(
+            f"{path}: an actuator or plugin with a state of its own",
+            "actuators that act at once, such as motor and position",
+            "leave out dyntype, delay or plugin; the effects lag and delay do what they did",
+        )
     return model
+
+
+def check_craft(model: mujoco.MjModel, path: Path) -> None:
+    """Check that the drone's joints come first, in the order of its coordinates, and that it has two rotors."""
+    joints = tuple(model.joint(i).name for i in range(model.njnt))
+    if joints[:3] != CRAFT_JOINTS:
+        raise InputError(f"{path}: joints {', '.join(joints)}", "first rail_x, rail_z, pitch", "put them in this order")
+    if model.nu != 2:
+        raise InputError(f"{path}: {model.nu} actuators", "two, the thrusts of rotors 1 and 2", "see rail_rig.xml")
 
 
 def apply_vehicle(spec: mujoco.MjSpec, vehicle: Vehicle, path: Path) -> None:
     """Write the vehicle's numbers into the specification of vpp_planar.xml, rail_rig.xml or a model like them."""
     joints = {joint.name: joint for joint in spec.joints}
-    missing = [name for name in CRAFT_JOINTS if name not in joints]
-    if missing:
-        raise InputError(f"{path}: no joint {missing[0]}", "joints rail_x, rail_z and pitch", "leave out `vehicle`")
+    bodies = {body.name: body for body in spec.bodies}
+    missing = [f"joint {name}" for name in CRAFT_JOINTS if name not in joints]
+    if missing or "craft" not in bodies:
+        found = missing[0] if missing else "body craft"
+        raise InputError(
+            f"{path}: no {found}", "joints rail_x, rail_z and pitch and a body craft", "leave out `vehicle`"
+        )
     spec.option.gravity = [0.0, 0.0, -vehicle.gravity]
     spec.option.timestep = 1.0 / vehicle.control.inner_rate
-    bodies = {body.name: body for body in spec.bodies}
     craft = bodies["craft"]
     craft.mass = vehicle.airframe.mass
-    craft.inertia = [craft.inertia[0], vehicle.airframe.inertia, craft.inertia[2]]
+    craft.inertia = [vehicle.airframe.inertia] * 3  # it turns about y alone; any inertia then makes a possible body
     for site in spec.sites:
         if site.name in ("rotor_1", "rotor_2"):
             side = -1.0 if site.name == "rotor_1" else 1.0
@@ -71,7 +94,7 @@ def apply_vehicle(spec: mujoco.MjSpec, vehicle: Vehicle, path: Path) -> None:
 
 
 def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
-    """Name, whether rotary, and a typical force or torque of every joint with one degree of freedom.
+    """Name, whether rotary, and a typical force or torque of every named joint with one degree of freedom.
 
     The typical force accelerates what the joint carries by 10 m/s² or 30 rad/s²: an order of magnitude for bounds and
     first steps of a fit, nothing finer.
@@ -83,7 +106,7 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     described = []
     for i in range(model.njnt):
         kind = int(model.jnt_type[i])
-        if kind not in (SLIDE, HINGE):
+        if kind not in (SLIDE, HINGE) or not model.joint(i).name:
             continue
         rotary = kind == HINGE
         dof = model.jnt_dofadr[i]

@@ -173,7 +173,7 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
         catalogue = tuple(effect.bind(lambda key: read_nominal(vehicle, key)) for effect in CATALOGUE)
     else:
         check_signals(name, model, file.signals)
-        actuators = [model.actuator(i).name for i in range(model.nu)]
+        actuators = filter(None, (model.actuator(i).name for i in range(model.nu)))
         catalogue = effects_for_rig(describe_joints(model), actuators)
     effects = check_effects(file.effects, catalogue, name)
     return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file)
@@ -185,9 +185,9 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
         raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
     joints = [model.joint(i).name for i in range(model.njnt)]
     actuators = [model.actuator(i).name for i in range(model.nu)]
-    if signals is None:
+    if signals is None or not signals.joints:
         raise InputError(
-            f"{name}: neither vehicle nor signals",
+            f"{name}: {'neither vehicle nor signals' if signals is None else 'signals without joints'}",
             "signals that map joints and actuators to topics, as the rig is not ours",
             f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
         )
