@@ -1,0 +1,38 @@
+"""docs/train.md: its commands compose, its files exist, its Python runs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import torch
+
+from vpptwin.train.overrides import compose_config
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "train.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("line", re.findall(r"^    vpptwin train (.+)$", PAGE, flags=re.MULTILINE))
+def test_documented_overrides_compose(line: str) -> None:
+    """Every `vpptwin train` line of the page is a valid set of overrides."""
+    compose_config(shlex.split(line))
+
+
+def test_documented_files_exist(tiny_run: Path) -> None:
+    """The table of what a run leaves is true, column names included."""
+    table = re.findall(r"^\| `([^`]+)` \| (.+) \|$", PAGE, flags=re.MULTILINE)
+    assert [path for path, _ in table] == ["checkpoint.pt", "config.yaml", "log/scalars/*.csv"]
+    for path, _ in table:
+        assert list(tiny_run.glob(path)), path
+    for name in re.findall(r"`(\w+)`", table[-1][1]):
+        assert (tiny_run / "log" / "scalars" / f"{name}.csv").is_file(), name
+
+
+def test_documented_python(tiny_run: Path) -> None:
+    """The snippet gives a module with the shapes that it states."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    names: dict[str, torch.nn.Module] = {}
+    exec(code.replace("runs/hover", str(tiny_run)), names)
+    assert names["policy"](torch.zeros(5, 11)).shape == (5, 2)
