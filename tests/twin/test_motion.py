@@ -1,0 +1,205 @@
+"""Motion that can be foretold without a computer: hover, fall, conservation, mirror symmetry, dry friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
+
+X, Z, PITCH = 0, 1, 2
+SPEC = load_twin()
+VEHICLE = SPEC.vehicle
+assert VEHICLE is not None
+WEIGHT = (VEHICLE.airframe.mass + VEHICLE.rig.slider_mass) * VEHICLE.gravity
+MASS_X = VEHICLE.airframe.mass + VEHICLE.rig.slider_mass + VEHICLE.rig.carriage_mass
+BLADE_PER_NEWTON = 1.0 / (VEHICLE.rotor.k_t * VEHICLE.rotor.speed)
+
+
+@pytest.fixture(scope="module")
+def planar(tmp_path_factory: pytest.TempPathFactory) -> TwinSpec:
+    """The free craft: no rig mass, no end stops."""
+    path: Path = tmp_path_factory.mktemp("planar") / "twin.yaml"
+    path.write_text("model: vpp_planar.xml\nvehicle: vehicle.yaml\n")
+    return load_twin(path)
+
+
+def place(
+    twin: Twin, pose: np.ndarray | None = None, velocity: np.ndarray | None = None, thrust: float = 0.0
+) -> TwinState:
+    """A state at a pose and velocity at one time, (N, 3), the blades already where they give `thrust` [N] in all."""
+    pose = np.array([[0.0, 1.0, 0.0]]) if pose is None else pose
+    velocity = np.zeros_like(pose) if velocity is None else velocity
+    state = twin.initial_state(qpos=twin.pose_for_engine(pose, velocity), qvel=velocity)
+    blade = np.full_like(state.blade_pitch, 0.5 * thrust * BLADE_PER_NEWTON)
+    history = np.broadcast_to(blade[:, None], state.actuators.history.shape).copy()
+    return replace(state, actuators=replace(state.actuators, output=blade, mean=blade.copy(), history=history))
+
+
+def coast(twin: Twin, state: TwinState, seconds: float, thrust: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and velocities after every step, (N, steps, 3), under blades that ask for `thrust` [N] in all."""
+    steps = round(seconds / twin.dt)
+    commands = np.full((twin.num_sims, steps, 2), 0.5 * thrust * BLADE_PER_NEWTON)
+    _, qpos, qvel = twin.replay_commands(state, commands)
+    return twin.pose_at_time(qpos, qvel), qvel
+
+
+@pytest.mark.parametrize(("angle", "thrust"), [(0.0, WEIGHT), (np.pi, -WEIGHT)], ids=["upright", "inverted"])
+def test_hover_is_an_equilibrium(angle: float, thrust: float) -> None:
+    """Under its weight in thrust and no rate the craft hangs still, through the whole cascade, upright or inverted."""
+    twin = Twin(SPEC, 1)
+    start = place(twin, np.array([[0.2, 1.3, angle]]), thrust=thrust)
+    state = start
+    for _ in range(100):
+        state = twin.step_policy(state, np.array([[thrust, 0.0]]), 0.01)
+    np.testing.assert_allclose(state.qpos, start.qpos, rtol=0, atol=1e-9)  # m, rad: rounding, over 1000 steps
+    np.testing.assert_allclose(state.rotor_speed, VEHICLE.rotor.speed, rtol=1e-9)
+    assert 0.3 < state.throttle.min() <= state.throttle.max() < 0.6
+    assert state.time == pytest.approx(1.0)
+
+
+def test_free_fall() -> None:
+    """Without thrust the rig's craft falls by g t²/2 and drifts at its speed, on the engine's steps exactly."""
+    pose, velocity = np.array([[-0.2, 2.2, 0.3]]), np.array([[0.4, 0.5, -2.0]])
+    twin = Twin(SPEC, 1)
+    path, speed = coast(twin, place(twin, pose, velocity), 0.5)
+    time = twin.dt * np.arange(1, 501)[None, :, None]
+    gravity = np.array([0.0, -VEHICLE.gravity, 0.0])
+    np.testing.assert_allclose(path, pose[:, None] + velocity[:, None] * time + 0.5 * gravity * time**2, atol=1e-11)
+    np.testing.assert_allclose(speed, velocity[:, None] + gravity * time, atol=1e-11)
+
+
+def test_free_craft_conserves_energy_and_momentum(planar: TwinSpec) -> None:
+    """Tumbling freely it keeps its spin and horizontal momentum; its weight acts on the rest, energy stays."""
+    rng = np.random.default_rng(1)
+    twin = Twin(planar, 20)
+    velocity = rng.uniform(-3, 3, (20, 3)) * [1, 1, 4]
+    path, speed = coast(twin, place(twin, rng.uniform(-1, 1, (20, 3)), velocity), 1.0)
+    airframe = VEHICLE.airframe
+    np.testing.assert_allclose(speed[..., X], np.broadcast_to(velocity[:, None, X], speed.shape[:2]), atol=1e-12)
+    np.testing.assert_allclose(
+        speed[..., PITCH], np.broadcast_to(velocity[:, None, PITCH], speed.shape[:2]), atol=1e-12
+    )
+    np.testing.assert_allclose(speed[:, -1, Z] - velocity[:, Z], -VEHICLE.gravity, atol=1e-11)
+    energy = (
+        0.5 * airframe.mass * (speed[..., X] ** 2 + speed[..., Z] ** 2 + 2 * VEHICLE.gravity * path[..., Z])
+        + 0.5 * airframe.inertia * speed[..., PITCH] ** 2
+    )
+    np.testing.assert_allclose(energy, np.broadcast_to(energy[:, :1], energy.shape), rtol=0, atol=1e-11)  # of 5 J
+
+
+def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
+    """Under constant blades the energy gained is the thrust's work, force times way and torque times angle."""
+    twin, rng = Twin(planar, 10), np.random.default_rng(2)
+    pose, velocity = rng.uniform(-1, 1, (10, 3)), rng.uniform(-1, 1, (10, 3)) * [1, 1, 3]
+    blades = np.array([0.10, 0.102])
+    start = place(twin, pose, velocity)
+    start = replace(start, actuators=replace(start.actuators, output=np.tile(blades, (10, 1))))
+    _, qpos, qvel = twin.replay_commands(start, np.tile(blades, (10, 400, 1)))
+    path = np.concatenate([pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
+    speed = np.concatenate([velocity[:, None], qvel], axis=1)
+    left, right = blades / BLADE_PER_NEWTON
+    airframe = VEHICLE.airframe
+    middle = 0.5 * (path[:, 1:, PITCH] + path[:, :-1, PITCH])
+    step = np.diff(path, axis=1)
+    work = (left + right) * (-np.sin(middle) * step[..., X] + np.cos(middle) * step[..., Z])
+    work += (right - left) * airframe.half_length * step[..., PITCH]
+    kinetic = 0.5 * airframe.mass * (speed[..., X] ** 2 + speed[..., Z] ** 2)
+    kinetic += 0.5 * airframe.inertia * speed[..., PITCH] ** 2
+    gained = kinetic + airframe.mass * VEHICLE.gravity * path[..., Z]
+    # The midpoint sum is off by dt²/24 times second derivatives: 1e-6/24 * 5 N * (10 m/s * 30/s²) * 0.4 s < 3e-5 J.
+    np.testing.assert_allclose(gained[:, -1] - gained[:, 0], work.sum(axis=1), rtol=0, atol=3e-5)
+    assert np.abs(work.sum(axis=1)).min() > 0.01
+
+
+MIRRORED = {"rail_x.bias": ("force", 0.3), "rotor.asymmetry": ("fraction", 0.02)}
+SYMMETRIC = {
+    "rail_x.coulomb": ("force", 0.2), "rail_z.viscous": ("damping", 0.3), "air.drag": ("k_d", 0.1),
+    "rotor.thrust_gain": ("gain", 1.05), "servo.lag": ("time_constant", 0.03), "command.delay": ("delay", 0.0032),
+    "airframe.mass": ("mass", 0.03), "rail_z.bias": ("force", 0.2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("with_effects", [False, True], ids=["bare", "with effects"])
+def test_left_and_right_are_mirror_images(with_effects: bool) -> None:
+    """Mirrored in x, with rates, biases and rotors exchanged, the same commands fly the mirrored path."""
+    effects = MIRRORED | SYMMETRIC if with_effects else {}
+    twin = Twin(SPEC, 16, active=effects)
+    sign = np.repeat([1.0, -1.0], 8)
+    for effect_id, (parameter, value) in effects.items():
+        twin.set_parameter(effect_id, parameter, value * (sign if effect_id in MIRRORED else 1.0))
+    rng = np.random.default_rng(3)
+    flip = np.stack([sign, np.ones(16), sign], axis=1)
+    pose = np.tile(rng.uniform([-0.3, 1.2, -1.0], [0.3, 1.5, 1.0], (8, 3)), (2, 1)) * flip
+    velocity = np.tile(rng.uniform(-1, 1, (8, 3)), (2, 1)) * flip
+    state = place(twin, pose, velocity, thrust=WEIGHT)
+    for _ in range(40):
+        command = np.tile(rng.normal([5.0, 0.0], [2.0, 3.0], (8, 2)), (2, 1))
+        command[:, 1] *= sign
+        state = twin.step_policy(state, command)
+    # Rounding alone differs, amplified little in 0.4 s; m, m, rad.
+    np.testing.assert_allclose(state.qpos[8:], state.qpos[:8] * [-1, 1, -1], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(state.qvel[8:], state.qvel[:8] * [-1, 1, -1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(state.blade_pitch[8:], state.blade_pitch[:8, ::-1], rtol=0, atol=1e-11)
+    assert np.abs(state.qpos[:8] - state.qpos[8:]).max() > 0.1
+
+
+def test_horizontal_rail_carries_the_rig() -> None:
+    """A tilted craft moves carriage, slider and itself in x, but not the carriage in z."""
+    twin, angle, thrust = Twin(SPEC, 1), 0.3, 4.0
+    pose = np.array([[0.0, 1.5, angle]])
+    _, speed = coast(twin, place(twin, pose, thrust=thrust), 0.05, thrust)
+    mass_z = WEIGHT / VEHICLE.gravity
+    expected = [-thrust * np.sin(angle) / MASS_X, thrust * np.cos(angle) / mass_z - VEHICLE.gravity, 0.0]
+    np.testing.assert_allclose(speed[0, -1], 0.05 * np.array(expected), atol=1e-9)
+
+
+def test_sliders_stick_below_breakaway() -> None:
+    """Hovering with dry friction on both rails and pushed with 80 % of it, they creep below 0.1 mm in 10 s (SPEC 1)."""
+    ids = ("rail_x.coulomb", "rail_z.coulomb", "rail_x.bias", "rail_z.bias")
+    twin = Twin(SPEC, 8, active=ids)
+    friction = np.array([0.05, 0.3, 1.0, 2.0] * 2)
+    push = 0.8 * friction * np.repeat([1.0, -1.0], 4)
+    for effect_id, force in zip(ids, (friction, friction, push, push)):
+        twin.set_parameter(effect_id, "force", force)
+    start = np.tile([0.1, 1.0, 0.0], (8, 1))
+    path, _ = coast(twin, place(twin, start, thrust=WEIGHT), 10.0, WEIGHT)
+    assert np.abs(path - start[:, None]).max() < 1e-4
+
+
+def test_sliders_give_way_beyond_breakaway() -> None:
+    """Pushed with 120 % of its friction a slider accelerates with the surplus."""
+    twin = Twin(SPEC, 2, active=("rail_x.coulomb", "rail_x.bias"))
+    friction = np.array([0.1, 0.5])
+    twin.set_parameter("rail_x.coulomb", "force", friction)
+    twin.set_parameter("rail_x.bias", "force", 1.2 * friction)
+    _, speed = coast(twin, place(twin, np.tile([0.0, 1.0, 0.0], (2, 1)), thrust=WEIGHT), 1.0, WEIGHT)
+    np.testing.assert_allclose(speed[:, -1, X], 0.2 * friction / MASS_X, rtol=0.01)
+
+
+def test_dry_friction_stops_a_slider_where_it_should() -> None:
+    """From v the slider stops after v² m/(2 F), within 1 %, and stays there."""
+    speeds = np.array([0.2, 0.5, 0.8, -0.5])
+    friction, twin = 0.5, Twin(SPEC, 4, active=["rail_x.coulomb"])
+    twin.set_parameter("rail_x.coulomb", "force", friction)
+    pose, velocity = np.tile([0.0, 1.0, 0.0], (4, 1)), np.zeros((4, 3))
+    velocity[:, X] = speeds
+    path, _ = coast(twin, place(twin, pose, velocity, thrust=WEIGHT), 2.0, WEIGHT)
+    way = speeds * np.abs(speeds) * MASS_X / (2 * friction)
+    np.testing.assert_allclose(path[:, -1, X], way, rtol=0.01)
+    np.testing.assert_allclose(path[:, -500, X], path[:, -1, X], atol=1e-6)
+    assert path[:, :, X].max() <= way.max() * 1.01
+
+
+def test_viscous_friction_decays_exponentially() -> None:
+    """Speed decays as e^(-b t/m), within the first-order error of the step, b dt/(2 m) of the exponent."""
+    damping = np.array([0.1, 0.5, 2.0])
+    twin = Twin(SPEC, 3, active=["rail_x.viscous"])
+    twin.set_parameter("rail_x.viscous", "damping", damping)
+    pose, velocity = np.tile([0.0, 1.0, 0.0], (3, 1)), np.tile([0.5, 0.0, 0.0], (3, 1))
+    _, speed = coast(twin, place(twin, pose, velocity, thrust=WEIGHT), 1.0, WEIGHT)
+    exponent = np.log(speed[:, -1, X] / 0.5)
+    np.testing.assert_allclose(exponent, -damping / MASS_X, rtol=2.0 * twin.dt / MASS_X)
