@@ -84,9 +84,9 @@ class Twin:
         return self._constants.values[effect_id, parameter].copy()
 
     def constant(self, name: str) -> np.ndarray:
-        """A per-simulation constant after the effects, e.g. `mocap.delay`, (N, ...)."""
+        """A per-simulation constant after the effects, e.g. `mocap.delay`, (N, ...); a copy."""
         self._constants.refresh()
-        return self._constants.table[name]
+        return self._constants.table[name].copy()
 
     def initial_state(self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None) -> TwinState:
         """A state at rest by default, actuators neutral, rotors at their governed speed.
@@ -188,7 +188,7 @@ class Twin:
             extra = None if disturbance is None else disturbance[:, k * disturbance.shape[1] // steps]
             self._step_engine(layer, extra)
             qpos[:, k], qvel[:, k] = self._live["qpos"], self._live["qvel"]
-        return self._unload(layer), qpos, qvel
+        return self._unload(layer).copy(), qpos, qvel  # a copy, as the layer still holds arrays of the arguments
 
     def _actuator_constants(self) -> ActuatorConstants:
         table = self._constants.table

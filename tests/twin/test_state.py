@@ -1,0 +1,245 @@
+"""State is an argument and a result: nothing is shared, nothing is kept, rows are independent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from vpptwin.twin import Twin, TwinState, load_twin
+
+SPEC = load_twin()
+ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass")
+
+
+def list_arrays(state: TwinState) -> Iterator[tuple[str, np.ndarray]]:
+    """Every array of a state, by name."""
+    for f in fields(state):
+        if f.name != "actuators":
+            yield f.name, getattr(state, f.name)
+    for f in fields(state.actuators):
+        yield f"actuators.{f.name}", getattr(state.actuators, f.name)
+
+
+def freeze(state: TwinState) -> dict[str, np.ndarray]:
+    """Make writing to a state raise; returns a copy of what it holds."""
+    for _, array in list_arrays(state):
+        array.flags.writeable = False
+    return {name: array.copy() for name, array in list_arrays(state)}
+
+
+def assert_equal(state: TwinState, content: dict[str, np.ndarray]) -> None:
+    """A state holds exactly these arrays."""
+    for name, array in list_arrays(state):
+        np.testing.assert_array_equal(array, content[name], err_msg=name)
+
+
+def assert_apart(first: TwinState, second: TwinState) -> None:
+    """Two states share no memory."""
+    for (name, a), (_, b) in zip(list_arrays(first), list_arrays(second), strict=True):
+        assert a.size == 0 or not np.shares_memory(a, b), name
+
+
+@pytest.fixture
+def twin() -> Twin:
+    """Four simulations with different parameters."""
+    twin = Twin(SPEC, 4, active=ACTIVE, num_threads=1)
+    twin.set_parameter("rail_x.coulomb", "force", np.array([0.0, 0.1, 0.2, 0.3]))
+    twin.set_parameter("command.delay", "delay", np.array([0.0, 0.001, 0.0025, 0.01]))
+    return twin
+
+
+@pytest.fixture
+def flown(twin: Twin) -> TwinState:
+    """A state mid-flight, every array of it different from zero somewhere."""
+    start = twin.initial_state(qvel=np.random.default_rng(0).normal(size=(4, 3)))
+    return twin.step_policy(start, command(twin, 1), 0.05)
+
+
+def command(twin: Twin, seed: int) -> np.ndarray:
+    """Random thrusts and rates, (N, 2)."""
+    return np.random.default_rng(seed).normal([5.0, 0.0], [1.0, 3.0], (twin.num_sims, 2))
+
+
+def test_step_policy_leaves_its_arguments(twin: Twin, flown: TwinState) -> None:
+    """Flying on from a state changes neither it nor the command, and gives a state of its own."""
+    wanted = command(twin, 2)
+    wanted.flags.writeable = False
+    before = freeze(flown)
+    after = twin.step_policy(flown, wanted, 0.02)
+    twin.step_policy(after, wanted, 0.02)
+    assert_equal(flown, before)
+    assert_apart(flown, after)
+    np.testing.assert_allclose(after.time - flown.time, 0.02, rtol=1e-9)
+
+
+def test_replay_leaves_its_arguments(twin: Twin, flown: TwinState) -> None:
+    """Replaying changes neither state, commands, speeds nor disturbance, and what it returns is its own."""
+    rng = np.random.default_rng(4)
+    blades, speed = rng.uniform(0.05, 0.15, (4, 30, 2)), rng.uniform(440, 500, (4, 30, 2))
+    push = rng.normal(size=(4, 3, 3))
+    for array in (blades, speed, push):
+        array.flags.writeable = False
+    before = freeze(flown)
+    after, qpos, qvel = twin.replay_commands(flown, blades, speed, disturbance=push)
+    assert_equal(flown, before)
+    assert_apart(flown, after)
+    for name, array in list_arrays(after):
+        assert not any(np.shares_memory(array, given) for given in (blades, speed, push)), name
+    held = qpos.copy(), qvel.copy(), {name: array.copy() for name, array in list_arrays(after)}
+    twin.step_policy(after, command(twin, 5))
+    np.testing.assert_array_equal(qpos, held[0])
+    np.testing.assert_array_equal(qvel, held[1])
+    assert_equal(after, held[2])
+    np.testing.assert_array_equal(qpos[:, -1], after.qpos)
+    np.testing.assert_array_equal(after.rotor_speed, speed[:, -1])
+
+
+def test_initial_state_is_a_copy(twin: Twin) -> None:
+    """Positions given for a start are copied, for one simulation or for all."""
+    pose = np.tile([0.1, 1.2, 0.3], (4, 1))
+    state = twin.initial_state(qpos=pose)
+    assert not np.shares_memory(state.qpos, pose)
+    np.testing.assert_array_equal(twin.initial_state(qpos=pose[0]).qpos, pose)
+    first, second = twin.initial_state(), twin.initial_state()
+    assert_apart(first, second)
+    np.testing.assert_array_equal(first.qpos, [[0.0, 1.0, 0.0]] * 4)
+
+
+def test_taking_and_copying_share_nothing(flown: TwinState) -> None:
+    """Rows taken from a state, with repeats, and copies of it, are equal and independent."""
+    content = {name: array.copy() for name, array in list_arrays(flown)}
+    for ids in (np.array([2, 0, 2]), np.arange(4)):
+        rows = flown.take(ids)
+        assert_equal(rows, {name: array[ids] for name, array in content.items()})
+        assert_apart(flown, rows)
+    copy = flown.copy()
+    assert_apart(flown, copy)
+    for _, array in list_arrays(copy):
+        array[:] = np.nan
+    assert_equal(flown, content)
+
+
+def test_replacing_rows_shares_nothing(twin: Twin, flown: TwinState) -> None:
+    """Exchanged rows come from the other state, the rest stays; neither argument changes or shares memory."""
+    ids = np.array([3, 1])
+    rows = twin.initial_state().take(np.array([0, 1]))
+    before, given = freeze(flown), freeze(rows)
+    mixed = flown.replace_rows(ids, rows)
+    for name, array in list_arrays(mixed):
+        np.testing.assert_array_equal(array[ids], given[name], err_msg=name)
+        np.testing.assert_array_equal(array[[0, 2]], before[name][[0, 2]], err_msg=name)
+        array[:] = np.nan
+    assert_apart(mixed, flown)
+    assert_apart(mixed, rows)
+    assert_equal(flown, before)
+    assert_equal(rows, given)
+
+
+def test_partial_reset_continues_as_new(twin: Twin, flown: TwinState) -> None:
+    """A row reset mid-flight flies bit for bit as from a fresh start, the others as if nothing had happened."""
+    fresh, ids = twin.initial_state(qvel=np.full(3, 0.3)), np.array([1, 3])
+    mixed = flown.replace_rows(ids, fresh.take(ids))
+    wanted = command(twin, 6)
+    both = twin.step_policy(mixed, wanted, 0.05)
+    started, continued = twin.step_policy(fresh, wanted, 0.05), twin.step_policy(flown, wanted, 0.05)
+    others = np.array([0, 2])
+    assert_equal(both.take(ids), dict(list_arrays(started.take(ids))))
+    assert_equal(both.take(others), dict(list_arrays(continued.take(others))))
+
+
+def test_two_short_steps_are_one_long_one(twin: Twin, flown: TwinState) -> None:
+    """20 ms and 30 ms under the same command end bit-equal to 50 ms."""
+    wanted = command(twin, 7)
+    short = twin.step_policy(twin.step_policy(flown, wanted, 0.02), wanted, 0.03)
+    assert_equal(short, dict(list_arrays(twin.step_policy(flown, wanted, 0.05))))
+
+
+def test_parameters_differ_per_simulation() -> None:
+    """Equal starts under equal commands part ways when one parameter differs, in the order of its values."""
+    twin = Twin(SPEC, 3, active=ACTIVE)
+    for effect_id, parameter, values in (
+        ("airframe.mass", "mass", [-0.05, 0.0, 0.05]),
+        ("rotor.thrust_gain", "gain", [1.1, 1.0, 0.9]),
+        ("air.drag", "k_d", [0.0, 0.1, 0.2]),
+    ):
+        twin.set_parameter(effect_id, parameter, np.array(values))
+        rising = twin.initial_state(qpos=np.array([0.0, 1.2, 0.0]), qvel=np.array([0.0, 1.0, 0.0]))
+        after = twin.step_policy(rising, np.tile([8.0, 0.0], (3, 1)), 0.2)
+        assert (np.diff(after.qpos[:, 1]) < -1e-3).all(), effect_id  # m
+        effect = twin.effects[effect_id]
+        twin.set_parameter(effect_id, parameter, effect.parameter(parameter).off)
+        same = twin.step_policy(rising, np.tile([8.0, 0.0], (3, 1)), 0.2)
+        assert np.ptp(same.qpos, axis=0).max() == 0.0
+
+
+def test_parameters_of_some_simulations(twin: Twin) -> None:
+    """Values for some ids go to these simulations; what is read back is a copy, constants included."""
+    twin.set_parameter("rail_x.coulomb", "force", np.array([0.7, 0.8]), ids=np.array([3, 0]))
+    read = twin.parameter("rail_x.coulomb", "force")
+    np.testing.assert_array_equal(read, [0.8, 0.1, 0.2, 0.7])
+    constant = twin.constant("dof_frictionloss")
+    np.testing.assert_array_equal(constant, [[0.8, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.7, 0, 0]])
+    read[:] = 9.0
+    constant[:] = 9.0
+    np.testing.assert_array_equal(twin.parameter("rail_x.coulomb", "force"), [0.8, 0.1, 0.2, 0.7])
+    assert twin.constant("dof_frictionloss").max() == 0.8
+    earlier = twin.constant("actuator.delay")
+    twin.set_parameter("command.delay", "delay", 0.004)
+    np.testing.assert_array_equal(earlier[:, 0], [0.0, 0.001, 0.0025, 0.01])
+    np.testing.assert_array_equal(twin.constant("actuator.delay"), np.full((4, 2), 0.004))
+
+
+def test_two_twins_of_one_spec_are_independent() -> None:
+    """Parameters of one twin do not reach another of the same spec."""
+    first, second = (Twin(SPEC, 2, active=["airframe.mass"]) for _ in range(2))
+    first.set_parameter("airframe.mass", "mass", 0.1)
+    assert first.constant("body_mass")[0, -1] == pytest.approx(0.55)
+    assert second.constant("body_mass")[0, -1] == SPEC.model.body("craft").mass[0] == 0.45
+
+
+def test_pose_and_engine_position_are_inverse(twin: Twin) -> None:
+    """The engine's position leads the pose by half a step of the velocity, and the two functions undo each other."""
+    rng = np.random.default_rng(8)
+    pose, velocity = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    engine = twin.pose_for_engine(pose, velocity)
+    np.testing.assert_allclose(engine - pose, 0.0005 * velocity, rtol=1e-9)
+    np.testing.assert_allclose(twin.pose_at_time(engine, velocity), pose, atol=1e-15)
+
+
+def test_disturbance_is_a_force_held_in_turn(twin: Twin, flown: TwinState) -> None:
+    """Three segments of disturbance act one third of the steps each, as so large a bias would."""
+    blades, push = np.full((4, 30, 2), 0.1), np.zeros((4, 3, 3))
+    push[:, 1, 0] = 0.6
+    after, _, _ = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0), disturbance=push)
+    biased = Twin(SPEC, 4, active=(*ACTIVE, "rail_x.bias"), num_threads=1)
+    for effect_id, parameter in (("rail_x.coulomb", "force"), ("command.delay", "delay")):
+        biased.set_parameter(effect_id, parameter, twin.parameter(effect_id, parameter))
+    state = flown
+    for force in (0.0, 0.6, 0.0):
+        biased.set_parameter("rail_x.bias", "force", force)
+        state, _, _ = biased.replay_commands(state, blades[:, :10], np.full((4, 10, 2), 470.0))
+    assert_equal(after, dict(list_arrays(state)))
+    without, _, _ = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0))
+    assert (after.qvel[:, 0] - without.qvel[:, 0] > 0.003).all()  # 0.6 N for 10 ms on 0.6 kg, less friction
+
+
+def test_rotors_can_be_simulated_from_throttle(twin: Twin, flown: TwinState) -> None:
+    """Replayed with throttles instead of measured speeds, rotors speed up and slow down by themselves."""
+    throttle = np.full((4, 100, 2), 0.45) * np.array([1.0, 0.5])
+    after, _, _ = twin.replay_commands(flown, np.full((4, 100, 2), 0.1), throttle=throttle)
+    assert (after.rotor_speed[:, 0] > 450.0).all()
+    assert (after.rotor_speed[:, 1] < 350.0).all()
+    np.testing.assert_array_equal(after.throttle, throttle[:, -1])
+
+
+def test_warm_up_moves_the_actuators_alone(twin: Twin) -> None:
+    """Past commands run through delay and lag leave the actuators as a replay of them does."""
+    start, blades = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (4, 40, 2))
+    layer = twin.warm_up(start.actuators, blades)
+    replayed, _, _ = twin.replay_commands(start, blades)
+    for name in ("output", "mean", "history"):
+        np.testing.assert_array_equal(getattr(layer, name), getattr(replayed.actuators, name), err_msg=name)
+    assert np.ptp(layer.output[:, 0]) > 1e-4  # four delays, four states
