@@ -73,7 +73,7 @@ def bin_channel(
     weight = inside / np.maximum(number, 1)[..., None]
     mean = (value[index] * weight).sum(axis=2)
     averaging = np.sqrt(np.maximum(number, 1)) if series.white else 1.0
-    noise = np.hypot(series.std / averaging, MODEL_FLOOR[kind])
+    noise = np.hypot(series.std / averaging, MODEL_FLOOR[kind] if series.white else 0.0)
     std = np.where(number > 0, noise, MISSING * series.std)
     offset = np.where(inside, series.time[index] - windows.start[:, None, None], 0.5 * length)
     return Channel(name, series.unit, kind, axis, delayed, mean, std, offset, weight, series.std)

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from vpptwin.diagnosis.diagnose import check_moving, open_held_out
-from vpptwin.diagnosis.flights import list_starts
+from vpptwin.diagnosis.flights import list_starts, window_length
 from vpptwin.diagnosis.holdout import HORIZONS_S, Score
 from vpptwin.diagnosis.summary import tabulate_errors
 from vpptwin.diagnosis.verdict import write_json
@@ -34,7 +34,7 @@ def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: 
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     with threadpool_limits(limits=1, user_api="blas"), tqdm(unit=" steps", unit_scale=True, desc="compare") as bar:
-        held_out = open_held_out(spec, measurements, list_starts(measurements), bar.update)
+        held_out = open_held_out(spec, measurements, list_starts(measurements, window_length(spec)), bar.update)
         score = held_out.score({})
     print_score(score, twin)
     if json is not None:

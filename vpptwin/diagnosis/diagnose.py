@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.bench import Key
-from vpptwin.diagnosis.flights import MAX_WINDOWS, WINDOW, build_bench, long_starts, split_flights, thin_out
+from vpptwin.diagnosis.flights import MAX_WINDOWS, build_bench, long_starts, split_flights, thin_out, window_length
 from vpptwin.diagnosis.holdout import HORIZONS_S, HeldOut, improvement
 from vpptwin.diagnosis.leftover import judge_leftover
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, Fit, Search, Step
@@ -81,9 +81,10 @@ def search_and_judge(
     """The work of `diagnose`."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
-    split = split_flights(measurements)
+    window = window_length(spec)
+    split = split_flights(measurements, window)
     stage("linearising the twin about the flights")
-    bench = build_bench(spec, measurements, thin_out(split.fitted, MAX_WINDOWS), WINDOW, False, progress)
+    bench = build_bench(spec, measurements, thin_out(split.fitted, MAX_WINDOWS), window, False, progress)
     unknowns = list_unknowns(spec)
     search = Search(bench, unknowns)
     held_out = open_held_out(spec, measurements, split.held_out, progress)
@@ -104,8 +105,9 @@ def open_held_out(
     progress: Callable[[int], None] | None,
 ) -> HeldOut:
     """Benches of the held-out windows."""
-    short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), WINDOW, True, progress)
-    long = build_bench(spec, measurements, long_starts(starts), HORIZONS_S[-1], True, progress)
+    window = window_length(spec)
+    short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), window, True, progress)
+    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress)
     return HeldOut(short, long)
 
 

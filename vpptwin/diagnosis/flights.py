@@ -15,8 +15,9 @@ from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
 
-WINDOW = 0.3
-"""Length of a fitted window [s]: long enough for an effect to show, short enough for the response to stay linear."""
+WINDOW_DRONE, WINDOW = 0.3, 1.0
+"""Length of a fitted window [s]: long enough for an effect to show, short enough for the response to stay linear. The
+drone falls over within a second; other rigs, measured less well, need longer."""
 SEGMENT = 0.1
 """Length of a gust pulse [s]."""
 SETTLE = 0.2
@@ -38,7 +39,12 @@ class Split:
     whole: bool
 
 
-def list_starts(measurements: Sequence[Measurements]) -> list[np.ndarray]:
+def window_length(spec: TwinSpec) -> float:
+    """Length of a fitted window of this rig [s]."""
+    return WINDOW if spec.vehicle is None else WINDOW_DRONE
+
+
+def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.ndarray]:
     """Start times of adjacent windows over every flight.
 
     Raises:
@@ -52,13 +58,13 @@ def list_starts(measurements: Sequence[Measurements]) -> list[np.ndarray]:
                 f"at least {MIN_DURATION:g} s",
                 "log a longer flight",
             )
-        starts.append(np.arange(flight.start + SETTLE, flight.end - WINDOW, WINDOW))
+        starts.append(np.arange(flight.start + SETTLE, flight.end - window, window))
     return starts
 
 
-def split_flights(measurements: Sequence[Measurements]) -> Split:
+def split_flights(measurements: Sequence[Measurements], window: float) -> Split:
     """Hold out every third flight (at least one) where there are several, else every third block of the only one."""
-    starts = list_starts(measurements)
+    starts = list_starts(measurements, window)
     count = len(measurements)
     if count > 1:
         out = set(range(count - max(count // 3, 1), count))
@@ -90,7 +96,7 @@ def build_bench(
         if len(times):
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
-            channels.append(observe_windows(cut, flight, 0.0 if causal and length > WINDOW else LEAD))
+            channels.append(observe_windows(cut, flight, 0.0 if causal and length > window_length(spec) else LEAD))
     names = [[c.name for c in part] for part in channels]
     if any(n != names[0] for n in names):
         raise InputError(
@@ -104,7 +110,7 @@ def build_bench(
     )
 
 
-def long_starts(starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+def long_starts(starts: Sequence[np.ndarray], window: float) -> list[np.ndarray]:
     """Start times of windows as long as the last horizon, at most half overlapping, out of those of short ones."""
-    every = max(round(0.5 * HORIZONS_S[-1] / WINDOW), 1)
+    every = max(round(0.5 * HORIZONS_S[-1] / window), 1)
     return [s[::every] for s in starts]

@@ -63,7 +63,7 @@ class HeldOut:
 
     def chi2(self, values: Mapping[Key, float]) -> float:
         """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""
-        pose, nv = self._pose, self.short.spec.model.nv
+        pose, free = self._pose, self.short.windows.free_dofs
         valid = self.short.valid[:, pose]
         noise = self.short.std[:, pose]
         state = self.likelihood.state[:, pose] * self.likelihood.state_std
@@ -71,7 +71,7 @@ class HeldOut:
         diagonal = np.arange(covariance.shape[1])
         covariance[:, diagonal, diagonal] += noise**2
         white = whiten_with(np.linalg.cholesky(covariance), self._residual(values)[:, pose])
-        return float((white**2).sum() / max(valid.sum() - 2 * nv * len(valid), 1))
+        return float((white**2).sum() / max(valid.sum() - 2 * free * len(valid), 1))
 
     def score(self, values: Mapping[Key, float]) -> Score:
         """Errors over the horizon from causally estimated states, and chi2."""

@@ -21,7 +21,9 @@ START_POSE = {False: 0.02, True: 0.1}
 START_VELOCITY = {False: 0.3, True: 1.0}
 """Prior on the starting velocity [m/s], rotary [rad/s]."""
 GUST = 0.01
-"""Force that nobody modelled, as a share of the force that moves a joint about (the weight, on the drone)."""
+"""Force that nobody modelled, as a share of the drone's weight."""
+GENERIC_GUST = 0.001
+"""The same on other rigs, as a share of the force that moves a joint about: indoors, without rotors."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -67,7 +69,7 @@ def gust_std(spec: TwinSpec) -> np.ndarray:
         return GUST * weight * np.array([1.0, 1.0, spec.vehicle.airframe.half_length])
     std = np.full(spec.model.nv, 0.0)
     for name, _, scale in describe_joints(spec.model):
-        std[spec.model.joint(name).dofadr[0]] = GUST * scale
+        std[spec.model.joint(name).dofadr[0]] = GENERIC_GUST * scale
     return std
 
 
@@ -112,7 +114,7 @@ def build_likelihood(bench: Bench, values: dict[tuple[str, str], float]) -> Like
     return Likelihood(
         np.linalg.cholesky(full),
         np.linalg.cholesky(sensor),
-        int(bench.valid.sum()) - 2 * nv * len(bench.windows),
+        int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows),
         np.moveaxis(state, 0, -1),
         np.array(prior),
         gusts,

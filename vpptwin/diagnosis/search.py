@@ -153,6 +153,7 @@ class Search:
         """Take a fit as the new state of knowledge: gusts and starting states act through it, and it is refitted so.
 
         A slider that sticks hardly feels its starting velocity or a gust, so the covariance changes with the effects.
+        What is left of the misfit then sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
         if fit.effects:
@@ -161,6 +162,8 @@ class Search:
         about = self.linearise(fit.values)
         residual = about.residual - self._tolerate(about, fit.effects).deviation @ about.columns
         self.weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
+        misfit = float(((residual * self.weight) ** 2).sum()) / self.likelihood.freedom
+        self.scale = max(1.0, misfit)
         return self.fit(fit.effects, fit.values, None)
 
     def complete(self, fit: Fit) -> Fit:

@@ -11,7 +11,6 @@ from vpptwin.diagnosis.bench import Key
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
 
-
 MOST_TOLERATED = 3.0
 """An effect that is not freed stays within this many of its build tolerances."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,6 +10,9 @@ from vpptwin.errors import InputError
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.model import HINGE
 from vpptwin.twin.spec import TwinSpec
+
+POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
+"""Shares of its range below which a joint's logged position and velocity are not believed."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Measurements:
         command: actuator commands (n, nu): blade pitch [rad] on the drone, control inputs elsewhere.
         rotor_speed: measured speed (n, 2) rad/s; None where it was not measured.
         delayed: degrees of freedom whose position comes from the motion capture.
+        driven: degree of freedom → position of a joint that is not simulated but follows its log.
         start, end: span in which everything needed is there [s].
     """
 
@@ -57,6 +61,7 @@ class Measurements:
     delayed: tuple[int, ...]
     start: float
     end: float
+    driven: dict[int, Series] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:
@@ -107,24 +112,35 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     positions: dict[int, Series] = {}
     velocities: dict[int, Series] = {}
     for joint, topic in spec.signals.joints.items():
-        stream = find_joint(flight, topic, joint)
-        dof = int(spec.model.joint(joint).dofadr[0])
-        rotary = int(spec.model.joint(joint).type[0]) == HINGE
-        length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
-        if "position" not in stream.values:
-            raise InputError(
-                f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
-            )
-        position = stream["position"]
-        positions[dof] = Series(joint, length, stream.time, position, estimate_noise(position, length), False)
-        if "velocity" in stream.values:
-            velocity = stream["velocity"]
-            velocities[dof] = Series(
-                f"{joint} rate", unit, stream.time, velocity, estimate_noise(velocity, unit), False
-            )
+        dof, position, velocity = read_joint(spec, flight, topic, joint)
+        positions[dof] = position
+        if velocity is not None:
+            velocities[dof] = velocity
+    driven = {}
+    for joint, topic in spec.signals.driven.items():
+        dof, driven[dof], _ = read_joint(spec, flight, topic, joint)
     command = read_efforts(spec, flight, spec.signals.actuators)
-    start, end = common_span([*positions.values(), command])
-    return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end)
+    start, end = common_span([*positions.values(), *driven.values(), command])
+    return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
+
+
+def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[int, Series, Series | None]:
+    """Degree of freedom, position and, where logged, velocity of a joint."""
+    stream = find_joint(flight, topic, joint)
+    dof = int(spec.model.joint(joint).dofadr[0])
+    rotary = int(spec.model.joint(joint).type[0]) == HINGE
+    length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
+    if "position" not in stream.values:
+        raise InputError(
+            f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+        )
+    position = Series(
+        joint, length, stream.time, stream["position"], estimate_noise(stream["position"], POSITION_SHARE), white=False
+    )
+    if "velocity" not in stream.values:
+        return dof, position, None
+    noise = estimate_noise(stream["velocity"], VELOCITY_SHARE)
+    return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
 def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
@@ -162,14 +178,18 @@ def common_span(series: list[Series]) -> tuple[float, float]:
     return max(float(s.time[0]) for s in series), min(float(s.time[-1]) for s in series)
 
 
-def estimate_noise(value: np.ndarray, unit: str) -> float:
-    """Noise of one sample from third differences, which remove what is smooth; floors keep quantised signals sane.
+def estimate_noise(value: np.ndarray, share: float) -> float:
+    """Noise of one sample of somebody's estimator output, 1 sigma in its unit.
+
+    Third differences remove what is smooth and leave the noise; but estimators smooth that away too, so nothing is
+    believed better than a `share` of the range in which the signal moves.
 
     Args:
         value: samples, (n,).
-        unit: m, rad, m/s or rad/s.
+        share: of the range between the 1st and the 99th percentile.
     """
-    floor = {"m": 2e-4, "rad": 5e-4, "m/s": 2e-3, "rad/s": 5e-3}[unit]
+    low, high = np.percentile(value, [1.0, 99.0])
+    floor = max(share * float(high - low), 1e-9)
     if len(value) < 8:
         return floor
     spread = np.median(np.abs(np.diff(value, 3))) / 0.6745 / np.sqrt(20.0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.twin.twin import Twin
+from vpptwin.twin.twin import Driven, Twin
 
 WARM_UP = 0.15
 """Past commands run through the actuators before a window, so that they start where they were [s]."""
@@ -29,6 +30,7 @@ class Windows:
         rotor_speed: measured rotor speed, mean over each step, (K, steps, 2); None where it was not measured.
         pose: estimated pose at the start, (K, nv).
         velocity: estimated velocity at the start, (K, nv).
+        driven: tracks of joints that follow the log; None where there are none.
     """
 
     flight: np.ndarray
@@ -40,10 +42,16 @@ class Windows:
     rotor_speed: np.ndarray | None
     pose: np.ndarray
     velocity: np.ndarray
+    driven: Driven | None = None
 
     def __len__(self) -> int:
         """Number of windows."""
         return len(self.start)
+
+    @property
+    def free_dofs(self) -> int:
+        """Degrees of freedom that are simulated."""
+        return self.pose.shape[1] - (0 if self.driven is None else len(self.driven.dofs))
 
     def take(self, ids: np.ndarray) -> Windows:
         """Some of the windows; repeats are allowed."""
@@ -57,6 +65,7 @@ class Windows:
             rotor_speed=speed,
             pose=self.pose[ids],
             velocity=self.velocity[ids],
+            driven=self.driven and Driven(self.driven.dofs, self.driven.pose[ids], self.driven.velocity[ids]),
         )
 
     def shift(self, pose: np.ndarray, velocity: np.ndarray) -> Windows:
@@ -108,6 +117,9 @@ def cut_windows(
         speed = average_sampled(measurements.rotor_speed, edges[:, warm:])
     gravity = -float(spec.model.opt.gravity[2])
     pose, velocity = estimate_states(measurements, starts, spec.model.nv, gravity, causal)
+    driven = follow_log(measurements, edges[:, warm:]) if measurements.driven else None
+    if driven is not None:
+        pose[:, driven.dofs], velocity[:, driven.dofs] = driven.pose[:, 0], driven.velocity[:, 0]
     return Windows(
         flight=np.full(len(starts), flight),
         start=starts,
@@ -118,12 +130,28 @@ def cut_windows(
         rotor_speed=speed,
         pose=pose,
         velocity=velocity,
+        driven=driven,
     )
+
+
+def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
+    """Tracks of the driven joints at the start of every step, from a spline through their log; edges (K, steps + 1)."""
+    poses, velocities = [], []
+    for series in measurements.driven.values():
+        spline = make_interp_spline(series.time, series.value, k=3)
+        poses.append(spline(edges[:, :-1]))
+        velocities.append(spline.derivative()(edges[:, :-1]))
+    return Driven(np.array(list(measurements.driven)), np.stack(poses, axis=-1), np.stack(velocities, axis=-1))
 
 
 def join_windows(parts: list[Windows]) -> Windows:
     """All windows of several flights as one set."""
     speeds = [part.rotor_speed for part in parts]
+    tracks = [part.driven for part in parts if part.driven is not None]
+    driven = None
+    if tracks:
+        pose, velocity = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("pose", "velocity"))
+        driven = Driven(tracks[0].dofs, pose, velocity)
     known = [speed for speed in speeds if speed is not None]
     return replace(
         parts[0],
@@ -134,6 +162,7 @@ def join_windows(parts: list[Windows]) -> Windows:
         rotor_speed=np.concatenate(known) if len(known) == len(parts) else None,
         pose=np.concatenate([p.pose for p in parts]),
         velocity=np.concatenate([p.velocity for p in parts]),
+        driven=driven,
     )
 
 
@@ -154,7 +183,7 @@ def simulate_windows(
     layer = replace(start.actuators, output=windows.warm[:, 0].copy())
     history = np.repeat(windows.warm[:, :1], layer.history.shape[1], axis=1)
     start = replace(start, actuators=twin.warm_up(replace(layer, history=history), windows.warm))
-    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed, disturbance=disturbance)
+    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed, None, disturbance, windows.driven)
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     return pose, velocity

@@ -36,11 +36,16 @@ FileEffects = Annotated[
 
 
 class Signals(BaseModel):
-    """Topics that carry a rig's joints and control inputs, by MJCF name."""
+    """Topics that carry a rig's joints and control inputs, by MJCF name.
+
+    Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
+    question.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     joints: dict[str, str]
     actuators: dict[str, str] = {}
+    driven: dict[str, str] = {}
 
 
 class TwinFile(BaseModel):
@@ -174,7 +179,9 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
     else:
         check_signals(name, model, file.signals)
         actuators = filter(None, (model.actuator(i).name for i in range(model.nu)))
-        catalogue = effects_for_rig(describe_joints(model), actuators)
+        driven = file.signals.driven if file.signals is not None else {}
+        joints = [joint for joint in describe_joints(model) if joint[0] not in driven]
+        catalogue = effects_for_rig(joints, actuators)
     effects = check_effects(file.effects, catalogue, name)
     return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file)
 
@@ -191,7 +198,14 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
             "signals that map joints and actuators to topics, as the rig is not ours",
             f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
         )
-    for kind, given, known in (("joint", signals.joints, joints), ("actuator", signals.actuators, actuators)):
+    both = sorted(set(signals.joints) & set(signals.driven))
+    if both:
+        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
+    for kind, given, known in (
+        ("joint", signals.joints, joints),
+        ("joint", signals.driven, joints),
+        ("actuator", signals.actuators, actuators),
+    ):
         for key in given:
             if key not in known:
                 listed = ", ".join(filter(None, known))

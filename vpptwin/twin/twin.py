@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mujoco.batch import Batch
@@ -22,6 +22,15 @@ from vpptwin.twin.constants import ConstantTable
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
 from vpptwin.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Joints that follow a log: their degrees of freedom (D,), poses and velocities at every step, (N, steps, D)."""
+
+    dofs: np.ndarray
+    pose: np.ndarray
+    velocity: np.ndarray
 
 
 class Twin:
@@ -161,6 +170,7 @@ class Twin:
         rotor_speed: np.ndarray | None = None,
         throttle: np.ndarray | None = None,
         disturbance: np.ndarray | None = None,
+        driven: Driven | None = None,
     ) -> tuple[TwinState, np.ndarray, np.ndarray]:
         """Run under logged actuator commands, one per inner step.
 
@@ -170,6 +180,7 @@ class Twin:
             rotor_speed: measured rotor speed, (N, steps, 2) rad/s; None simulates it from `throttle`.
             throttle: (N, steps, 2), 0..1; used when `rotor_speed` is None.
             disturbance: generalized force added, (N, segments, nv) N, N m, each held for an equal part of the steps.
+            driven: joints that follow given tracks instead of the engine.
 
         Returns:
             The final state, and qpos, qvel after every step, (N, steps, nq) and (N, steps, nv).
@@ -186,6 +197,9 @@ class Twin:
             elif self.spec.vehicle is not None and throttle is not None:
                 layer = spin_rotors(self.spec.vehicle, layer, throttle[:, k], self.dt)
             extra = None if disturbance is None else disturbance[:, k * disturbance.shape[1] // steps]
+            if driven is not None:
+                self._live["qpos"][:, driven.dofs] = self.pose_for_engine(driven.pose[:, k], driven.velocity[:, k])
+                self._live["qvel"][:, driven.dofs] = driven.velocity[:, k]
             self._step_engine(layer, extra)
             qpos[:, k], qvel[:, k] = self._live["qpos"], self._live["qvel"]
         return self._unload(layer).copy(), qpos, qvel  # a copy, as the layer still holds arrays of the arguments
