@@ -10,6 +10,7 @@ from pathlib import Path
 
 import yaml
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from tqdm import tqdm
 
@@ -108,7 +109,7 @@ def print_verdict(verdict: Verdict, out: Path) -> None:
     tables = tabulate_errors(verdict.before, verdict.after)
     table.add_column("horizon")
     for entry in tables:
-        table.add_column(f"{entry.title}\nbefore", justify="right")
+        table.add_column(escape(f"{entry.title}\nbefore"), justify="right")
         table.add_column("\nafter", justify="right")
     for i, (horizon, _, _) in enumerate(tables[0].rows):
         table.add_row(horizon, *[cell for entry in tables for cell in entry.rows[i][1:]])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
@@ -56,7 +57,7 @@ def print_score(score: Score, twin: str) -> None:
     table = Table(title=f"prediction error of twin {twin}", title_justify="left", show_edge=False)
     table.add_column("horizon")
     for entry in tables:
-        table.add_column(entry.title, justify="right")
+        table.add_column(escape(entry.title), justify="right")
     for i, (horizon, _, _) in enumerate(tables[0].rows):
         table.add_row(horizon, *[entry.rows[i][1] for entry in tables])
     console.print(table)
