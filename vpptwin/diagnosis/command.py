@@ -34,7 +34,8 @@ def diagnose_logs(logs: Sequence[Path], twin: str, out: Path, topic_map: Path | 
     flights = [read_flight(log, topic_map) for log in logs]
     made = open_folder(out)
     try:
-        with tqdm(unit=" steps", unit_scale=True, desc="diagnose", dynamic_ncols=True) as bar:
+        # The delay draws nothing before the first step, so that logs that are refused leave one line and no bar.
+        with tqdm(unit=" steps", unit_scale=True, desc="diagnose", dynamic_ncols=True, delay=1e-6) as bar:
             diagnosis = diagnose(spec, flights, bar.set_postfix_str, bar.update)
         write_json(diagnosis.verdict.as_dict(), out / "verdict.json")
         write_text(write_twin(spec, diagnosis, logs, out), out / "twin.yaml")

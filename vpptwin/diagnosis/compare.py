@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from errno import EISDIR
 from pathlib import Path
 
 from rich.console import Console
@@ -30,12 +32,13 @@ def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: 
     """
     spec = load_twin(twin)
     flights = [read_flight(log, topic_map) for log in logs]
-    if json is not None and not json.parent.is_dir():
-        raise InputError(f"no folder {json.parent}", "an existing folder for --json", "create it")
+    if json is not None:
+        check_target(json)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+    starts = list_starts(measurements, window_length(spec))
     with threadpool_limits(limits=1, user_api="blas"), tqdm(unit=" steps", unit_scale=True, desc="compare") as bar:
-        held_out = open_held_out(spec, measurements, list_starts(measurements, window_length(spec)), bar.update)
+        held_out = open_held_out(spec, measurements, starts, bar.update)
         score = held_out.score({})
     print_score(score, twin)
     if json is not None:
@@ -48,6 +51,21 @@ def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: 
         }
         write_json(content, json)
     return score
+
+
+def check_target(path: Path) -> None:
+    """Refuse a --json that cannot be written, before the work rather than after it."""
+    probe = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(
+            f"cannot write --json {path} ({reason})", "a file in an existing folder", "choose another"
+        ) from error
 
 
 def print_score(score: Score, twin: str) -> None:

@@ -23,9 +23,11 @@ SEGMENT = 0.1
 SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
-"""A single flight is split into blocks of this length [s], every third of them held out."""
+"""A single flight is split into blocks of at most this length [s], every third of them held out."""
 MIN_DURATION = 5.0
 """Shortest flight that can be diagnosed [s]."""
+MIN_RATE = 20.0
+"""Lowest mean rate of poses [Hz]: a window needs a few of them."""
 MAX_WINDOWS = 400
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
 
@@ -54,10 +56,18 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
     for flight in measurements:
         if flight.duration < MIN_DURATION:
             raise InputError(
-                f"{flight.name}: {flight.duration:.1f} s in which all needed topics were recorded",
+                f"{flight.name}: {max(flight.duration, 0.0):.1f} s in which all needed topics were recorded",
                 f"at least {MIN_DURATION:g} s",
                 "log a longer flight",
             )
+        for series in flight.positions.values():
+            rate = (len(series.time) - 1) / max(float(np.ptp(series.time)), 1e-9)
+            if rate < MIN_RATE:
+                raise InputError(
+                    f"{flight.name}: {series.name} was measured {rate:.2g} times a second on average",
+                    f"at least {MIN_RATE:g} Hz",
+                    "look for what interrupts the tracker or the recorder",
+                )
         starts.append(np.arange(flight.start + SETTLE, flight.end - window, window))
     return starts
 
@@ -71,7 +81,7 @@ def split_flights(measurements: Sequence[Measurements], window: float) -> Split:
         empty = np.empty(0)
         fitted = [empty if i in out else s for i, s in enumerate(starts)]
         return Split(fitted, [s if i in out else empty for i, s in enumerate(starts)], True)
-    block = ((starts[0] - starts[0][0]) / BLOCK).astype(int)
+    block = ((starts[0] - starts[0][0]) / min(BLOCK, measurements[0].duration / 3.0)).astype(int)
     return Split([starts[0][block % 3 != 2]], [starts[0][block % 3 == 2]], False)
 
 
