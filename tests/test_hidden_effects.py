@@ -22,7 +22,8 @@ from vpptwin.effects import CATALOGUE, find_effect
 
 Effects = dict[str, dict[str, float]]
 ROOT = Path(__file__).resolve().parents[1]
-MANOEUVRES = ("aggressive", "mixed", "x_steps")  # one flight each; the last one is held out
+# One flight each. The last is held out to judge: it must move in every direction, or what acts along z cannot show.
+MANOEUVRES = ("x_steps", "aggressive", "mixed")
 DURATION = 16.0  # s
 CONFIDENT = 0.5  # a cause named with less is a guess and said to be one
 STDS, SHARE = 4.0, 0.15  # a fitted parameter is right within 4 of its own std, or 15 % of what was hidden
@@ -64,9 +65,9 @@ def draw_two(rng: np.random.Generator) -> Effects:
     """Two effects of different families that are not stated look-alikes of one another."""
     while True:
         families = rng.choice(len(FAMILIES), 2, replace=False)
-        first, second = (draw_effect(rng, list(FAMILIES.values())[i]) for i in families)
-        if next(iter(second)) not in find_effect(CATALOGUE, next(iter(first))).look_alikes:
-            return first | second
+        hidden = {k: v for i in families for k, v in draw_effect(rng, list(FAMILIES.values())[i]).items()}
+        if not any(other in find_effect(CATALOGUE, effect).look_alikes for effect in hidden for other in hidden):
+            return hidden
 
 
 def hide(seed: int, kind: str) -> tuple[Effects, int]:
