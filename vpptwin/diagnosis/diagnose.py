@@ -26,6 +26,9 @@ TEMPER = 4.0
 """Cost differences are divided by this before they become probabilities: the noise is not exactly what is assumed."""
 SIGMAS_HELD_OUT = 2.0
 """Standard errors by which a cause must improve the held-out windows."""
+POWERLESS = 50.0
+"""Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
+then named on twice the evidence, unless they speak against it."""
 TOLERANCES = 2.5
 """Build tolerances that a parameter must leave its nominal by before its effect is named."""
 
@@ -137,7 +140,10 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str) -> bool
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
         return False
-    gain, error = improvement(held_out.cost(step.before.values), held_out.cost(tried.values))
+    before, after = held_out.whitened(step.before.values), held_out.whitened(tried.values)
+    gain, error = improvement((before**2).sum(axis=1), (after**2).sum(axis=1))
+    if ((before - after) ** 2).sum() < POWERLESS:
+        return step.drop(effect) > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
     return gain > SIGMAS_HELD_OUT * error
 
 

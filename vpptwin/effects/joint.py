@@ -8,7 +8,7 @@ from vpptwin.effects.base import Constants, Effect, Plant, Site, Stage
 from vpptwin.effects.parameter import Parameter, Prior
 
 JOINT_SHOWS = ("/mocap/pose", "/imu/data", "/joint_states")
-TOLERANCE = 0.015
+TOLERANCE = 0.012
 """Friction that a well-built rail may have unremarked, as a share of the typical force."""
 SIZE = 0.1
 """Physical size for secants, as a share of the typical force."""
@@ -88,7 +88,7 @@ def bias(
     rotary: bool = False,
     scale: float = 1.0,
     others: tuple[str, ...] = (),
-    tolerance: float = 2.0 * TOLERANCE,
+    tolerance: float = TOLERANCE,
     size: float = SIZE,
 ) -> Effect:
     """Constant force [N] or torque [N m] on a joint; `scale` is a typical size."""

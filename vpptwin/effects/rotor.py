@@ -27,7 +27,7 @@ THRUST_GAIN = Effect(
     id="rotor.thrust_gain",
     summary="a wrong thrust constant of the rotors",
     equation="T × gain",
-    parameters=(Parameter("gain", "", 1.0, 0.5, 1.5, Prior("normal", 1.0, 0.05), 0.04, 0.008),),
+    parameters=(Parameter("gain", "", 1.0, 0.5, 1.5, Prior("normal", 1.0, 0.05), 0.04, 0.004),),
     stage=Stage.THRUST,
     apply=apply_thrust_gain,
     shows=("/mocap/pose", "/imu/data"),
@@ -38,7 +38,7 @@ ASYMMETRY = Effect(
     id="rotor.asymmetry",
     summary="rotors of unequal thrust",
     equation="T_1 × (1 + fraction), T_2 × (1 - fraction)",
-    parameters=(Parameter("fraction", "", 0.0, -0.5, 0.5, Prior("normal", 0.0, 0.02), 0.02, 0.004),),
+    parameters=(Parameter("fraction", "", 0.0, -0.5, 0.5, Prior("normal", 0.0, 0.02), 0.02, 0.003),),
     stage=Stage.THRUST,
     apply=apply_asymmetry,
     shows=("/imu/data", "/mocap/pose"),
@@ -51,7 +51,7 @@ SERVO_LAG = Effect(
     equation="α̇ = (α_cmd - α)/time_constant",
     parameters=(
         Parameter(
-            "time_constant", "s", 0.020, 0.001, 0.2, Prior("normal", 0.020, 0.003), 0.004, 0.0008, "servo.time_constant"
+            "time_constant", "s", 0.020, 0.001, 0.2, Prior("normal", 0.020, 0.003), 0.004, 0.0006, "servo.time_constant"
         ),
     ),
     stage=Stage.CONSTANT,
