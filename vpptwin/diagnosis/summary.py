@@ -30,10 +30,12 @@ def format_value(estimate: Estimate) -> str:
 def describe_cause(cause: Cause) -> str:
     """One sentence: what, how much, and what it explains."""
     sizes = ", ".join(f"{name} {format_value(e)}" for name, e in cause.parameters.items())
-    wrong = all(e.nominal == 0.0 for e in cause.parameters.values())
-    beside = "" if wrong else " (twin: " + ", ".join(f"{e.nominal:g}" for e in cause.parameters.values()) + ")"
-    article = cause.summary[0].upper() + cause.summary[1:]
-    return f"{article} [{cause.effect}], {sizes}{beside}, explains {100 * cause.gain:.0f} % of the error."
+    if all(e.nominal == 0.0 for e in cause.parameters.values()):
+        beside = "which the twin lacks, "
+    else:
+        beside = "where the twin has " + ", ".join(f"{e.nominal:g}" for e in cause.parameters.values()) + ", "
+    what = cause.summary[0].upper() + cause.summary[1:]
+    return f"{what} ({cause.effect}), {sizes}, {beside}explains {100 * cause.gain:.0f} % of the error."
 
 
 def headline(verdict: Verdict) -> str:
