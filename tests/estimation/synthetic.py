@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vpptwin.estimation.initial import HORIZON
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin import Twin, TwinSpec
@@ -25,6 +26,20 @@ def locate(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pose = AMPLITUDE * np.sin(phase) + np.array([0.0, 1.5, 0.0])
     velocity = AMPLITUDE * FREQUENCY * np.cos(phase)
     return pose, velocity, -AMPLITUDE * FREQUENCY**2 * np.sin(phase)
+
+
+def expect_noise(std: float, prior: float, causal: bool) -> tuple[float, float]:
+    """Standard deviations of position and velocity at an instant, from 100 Hz samples within the horizon."""
+    t = np.arange(-HORIZON, 1e-9 if causal else HORIZON + 1e-9, 0.01)
+    design = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1) / std
+    information = design.T @ design + np.diag([0.0, 0.0, prior**-2])
+    spread = np.sqrt(np.diag(np.linalg.inv(information)))
+    return float(spread[0]), float(spread[1])
+
+
+def expect_rate_noise(causal: bool) -> float:
+    """Standard deviation [rad/s] of a line through 1 kHz gyro samples: at its end, 10 ms, or in its middle, 20 ms."""
+    return float(GYRO_STD * (2 / np.sqrt(10) if causal else 1 / np.sqrt(20)))
 
 
 @dataclass(frozen=True)
@@ -76,9 +91,12 @@ class OwnFlight:
     velocity: np.ndarray
 
     def state_at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """True pose and velocity at whole milliseconds, (K, 3)."""
-        index = np.round(times * 1000).astype(int)
-        return self.pose[index], self.velocity[index]
+        """True pose and velocity at any times, (K, 3), by the line between milliseconds."""
+        pose, velocity = (
+            np.stack([np.interp(times, self.time, series[:, i]) for i in range(3)], axis=1)
+            for series in (self.pose, self.velocity)
+        )
+        return pose, velocity
 
 
 def fly_own(spec: TwinSpec, commands: np.ndarray, imu: bool = True, rotors: bool = True) -> OwnFlight:
@@ -111,7 +129,7 @@ def draw_commands(count: int, seed: int, quiet: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     hover = 0.5 * 0.5 * GRAVITY / (0.0505 * 471.239)
     drawn = hover + rng.normal(size=(count // 20 + 1, 2)) * [0.01, 0.01]
-    drawn -= 0.5 * (drawn[:, :1] - drawn[:, 1:]) * [[0.9, -0.9]]  # mostly together, so that it does not tumble
+    drawn -= 0.5 * (drawn[:, :1] - drawn[:, 1:]) * [[0.7, -0.7]]  # mostly together, so that it does not tumble
     commands = np.repeat(drawn, 20, axis=0)[:count]
     commands[:quiet] = hover
     return commands

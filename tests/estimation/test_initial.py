@@ -8,22 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.estimation.synthetic import ANGLE_STD, GRAVITY, GYRO_STD, POSITION_STD, Sensors, locate
+from tests.estimation.synthetic import (
+    ANGLE_STD,
+    GRAVITY,
+    POSITION_STD,
+    Sensors,
+    expect_noise,
+    expect_rate_noise,
+    locate,
+)
 from vpptwin.estimation.initial import DRIFT_STD, HORIZON, SLOPE_STD, estimate_states
 from vpptwin.estimation.measurements import Measurements, Series
 
 TIMES = 0.5 + 0.0731 * np.arange(40)
 """Instants that fall between samples as often as on them [s]."""
 ENTIRE = 4.0
-
-
-def expect_noise(std: float, prior: float, causal: bool) -> tuple[float, float]:
-    """Standard deviations of position and velocity at an instant, from 100 Hz samples within the horizon."""
-    t = np.arange(-HORIZON, 1e-9 if causal else HORIZON + 1e-9, 0.01)
-    design = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1) / std
-    information = design.T @ design + np.diag([0.0, 0.0, prior**-2])
-    spread = np.sqrt(np.diag(np.linalg.inv(information)))
-    return float(spread[0]), float(spread[1])
 
 
 @pytest.mark.parametrize("causal", [True, False])
@@ -37,9 +36,7 @@ def test_errors_are_what_the_noise_allows(causal: bool) -> None:
     pose_error, velocity_error = (np.concatenate(part) for part in zip(*errors))
     position, speed = expect_noise(POSITION_STD, SLOPE_STD, causal)
     angle, _ = expect_noise(ANGLE_STD, DRIFT_STD, causal)
-    # The rate is the end of a line through 10 gyro samples, sigma 2/sqrt(10), or the middle of one through 20; sines
-    # bend by 51 rad/s³ * (10 ms)²/12 besides.
-    rate = GYRO_STD * (2 / np.sqrt(10) if causal else 1 / np.sqrt(20)) + 51 * 1e-4 / 12
+    rate = expect_rate_noise(causal) + 51 * 1e-4 / 12  # sines bend by 51 rad/s³ * (10 ms)²/12
     expected = np.array([position, position, angle, speed, speed, rate])
     error = np.concatenate([pose_error, velocity_error], axis=1)
     # What is left to the prior is not drawn from it, so the fit does better than its own covariance rather than worse;
