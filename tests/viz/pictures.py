@@ -6,6 +6,8 @@ import tempfile
 from pathlib import Path
 
 from tests.viz.browser import Browser
+from vpptwin.demo import DIAGNOSED
+from vpptwin.diagnosis.command import diagnose_logs
 from vpptwin.estimation.replay import replay
 from vpptwin.logs import read_flight
 from vpptwin.twin.spec import load_twin
@@ -29,5 +31,17 @@ def draw_flip(out: Path) -> None:
             out.write_bytes(browser.take_picture())
 
 
+def draw_report(out: Path) -> None:
+    """The top of the report that `make demo` writes."""
+    flights = [ROOT / f"demo/flights/{name}.mcap" for name in DIAGNOSED]
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        diagnose_logs(flights, "nominal", Path(folder))
+        with Browser(Path(folder) / "profile", size=(1120, 800)) as browser:
+            browser.open(Path(folder) / "report.html")
+            browser.draw_frames()
+            out.write_bytes(browser.take_picture())
+
+
 if __name__ == "__main__":
+    draw_report(ROOT / "docs/pictures/report.png")
     draw_flip(ROOT / "docs/pictures/flip.png")
