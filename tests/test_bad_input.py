@@ -250,6 +250,12 @@ def test_missing_twins_and_maps_are_refused(shelf: Path, refusals: Refusals) -> 
     refusals.check_diagnose(shelf / "sound.mcap", "--topic-map", "m.yaml", parts=["no topic map m.yaml"])
 
 
+def test_a_flight_must_not_judge_itself(shelf: Path, refusals: Refusals) -> None:
+    """The same log twice, under two names."""
+    again = shelf / ".." / shelf.name / "sound.mcap"
+    refusals.check_diagnose(shelf / "sound.mcap", again, parts=["sound.mcap is given twice", "leave one out"])
+
+
 @pytest.mark.parametrize("out", ["file", "file/out", "/proc/vpptwin/out"])
 def test_diagnose_refuses_an_unwritable_folder(out: str, shelf: Path, refusals: Refusals) -> None:
     """--out is tried before minutes of work: a file, a folder below a file, a file system that takes none."""

@@ -131,6 +131,10 @@ def run_diagnose(options: argparse.Namespace) -> None:
     """`vpptwin diagnose`."""
     from vpptwin.diagnosis.command import diagnose_logs
 
+    for i, log in enumerate(options.logs):
+        if log.resolve() in [other.resolve() for other in options.logs[:i]]:
+            expected = "every flight once, as those that judge must not be those that are fitted"
+            raise InputError(f"{log} is given twice", expected, "leave one out")
     diagnose_logs(options.logs, options.twin, options.out, options.topic_map)
 
 
