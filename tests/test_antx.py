@@ -1,0 +1,90 @@
+"""A real rig that is not ours: the ANT-X drone on its rail, measured at Politecnico di Milano, with examples/antx."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+from vpptwin.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+TWIN = ROOT / "examples/antx/rail.yaml"
+HALF_SECOND, SECOND = 3, 4
+"""Indices among the horizons of SPEC 7."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The logs of the rig and what the diagnosis of the first one says.
+
+    Attributes:
+        logs: folder of the logs.
+        verdict: verdict.json of rail_velocity_doublets_1.
+        extended: the extended twin.
+    """
+
+    logs: Path
+    verdict: dict
+    extended: Path
+
+
+@pytest.fixture(scope="module")
+def rig(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    """One diagnosis, about 50 s of a core, shared by all tests."""
+    logs, out = shared_data / "antx", tmp_path_factory.mktemp("antx") / "out"
+    code = main(["diagnose", str(logs / "rail_velocity_doublets_1.mcap"), "--twin", str(TWIN), "--out", str(out)])
+    assert code == 0
+    return Rig(logs, json.loads((out / "verdict.json").read_text()), out / "twin.yaml")
+
+
+def test_dry_friction_is_the_first_cause(rig: Rig) -> None:
+    """The cart's dry friction is named, surely, with a size far from zero; the lab's model has none."""
+    first = rig.verdict["causes"][0]
+    force = first["parameters"]["force"]
+    assert first["effect"] == "slide.coulomb"
+    assert first["confidence"] > 0.9
+    assert force["unit"] == "N"
+    assert force["nominal"] == 0.0
+    assert force["value"] > 4.0 * force["std"]
+
+
+def test_friction_is_that_of_a_small_cart(rig: Rig) -> None:
+    """A cart and drone of 0.534 kg weigh 5.2 N; rails on rollers have a friction coefficient of 0.5 to 5 %."""
+    assert 0.005 < rig.verdict["causes"][0]["parameters"]["force"]["value"] / (0.534 * 9.81) < 0.05
+
+
+def test_held_out_blocks_of_the_same_flight_improve(rig: Rig) -> None:
+    """Velocity and position errors at 1 s on blocks that no fit has seen fall by more than half."""
+    before, after = rig.verdict["before"], rig.verdict["after"]
+    assert after["velocity_rmse"]["slide rate"][SECOND] < 0.5 * before["velocity_rmse"]["slide rate"][SECOND]
+    assert after["position_rmse_m"][SECOND] < 0.5 * before["position_rmse_m"][SECOND]
+    assert after["chi2"] < 0.5 * before["chi2"]
+
+
+def test_another_flight_is_predicted_better(rig: Rig, tmp_path: Path) -> None:
+    """On rail_velocity_doublets_2 the error of velocity falls: by well over half at 1 s, clearly at 0.5 s."""
+    errors = []
+    for name, twin in (("nominal", TWIN), ("extended", rig.extended)):
+        log, report = rig.logs / "rail_velocity_doublets_2.mcap", tmp_path / f"{name}.json"
+        assert main(["compare", str(log), "--twin", str(twin), "--json", str(report)]) == 0
+        errors.append(json.loads(report.read_text())["error"]["velocity_rmse"]["slide rate"])
+    nominal, extended = errors
+    assert extended[SECOND] < 0.45 * nominal[SECOND]
+    assert extended[HALF_SECOND] < 0.75 * nominal[HALF_SECOND]
+
+
+def test_the_extended_twin_says_where_it_comes_from(rig: Rig) -> None:
+    """The model and signals are the example's, the interval holds the value, and the log is named with a checksum."""
+    content = yaml.safe_load(rig.extended.read_text())
+    assert (rig.extended.parent / content["model"]).resolve() == TWIN.parent / "antx.xml"
+    assert content["signals"]["driven"] == {"pitch": "/joint_states"}
+    low, high = content["provenance"]["intervals_90_percent"]["slide.coulomb.force"]
+    assert low < content["effects"]["slide.coulomb"]["force"] < high
+    (log, checksum), *others = content["provenance"]["logs"].items()
+    assert not others
+    assert Path(log).name == "rail_velocity_doublets_1.mcap"
+    assert len(checksum) == 64
