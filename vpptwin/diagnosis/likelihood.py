@@ -24,6 +24,8 @@ GUST = 0.01
 """Force that nobody modelled, as a share of the drone's weight."""
 GENERIC_GUST = 0.001
 """The same on other rigs, as a share of the force that moves a joint about: indoors, without rotors."""
+GUST_TIME = 0.3
+"""Time over which gusts stay alike [s]."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -81,6 +83,12 @@ def rotary_dofs(spec: TwinSpec) -> np.ndarray:
     return rotary
 
 
+def correlate_segments(bench: Bench) -> np.ndarray:
+    """Cholesky factor of the correlation of gusts between the segments of a window, (segments, segments)."""
+    middle = (np.arange(bench.segments) + 0.5) * bench.windows.steps * bench.windows.dt / bench.segments
+    return np.linalg.cholesky(np.exp(-np.abs(middle[:, None] - middle) / GUST_TIME))
+
+
 def build_likelihood(bench: Bench, values: dict[tuple[str, str], float]) -> Likelihood:
     """Linearise the windows about a twin with the parameters `values` and assemble their covariances."""
     spec, nv = bench.spec, bench.spec.model.nv
@@ -110,7 +118,8 @@ def build_likelihood(bench: Bench, values: dict[tuple[str, str], float]) -> Like
     diagonal = np.arange(sensor.shape[1])
     sensor[:, diagonal, diagonal] += noise**2
     gusts = np.moveaxis(push, 0, -1)
-    full = sensor + np.einsum("kmi,kni->kmn", gusts, gusts)
+    correlated = gusts @ np.kron(correlate_segments(bench), np.eye(nv))
+    full = sensor + np.einsum("kmi,kni->kmn", correlated, correlated)
     return Likelihood(
         np.linalg.cholesky(full),
         np.linalg.cholesky(sensor),

@@ -11,6 +11,8 @@ from vpptwin.diagnosis.bench import Key
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
 
+STRETCH = 4
+"""Neighbouring windows that count as one when the scatter of a parameter is judged: gusts outlast a window."""
 MOST_TOLERATED = 3.0
 """An effect that is not freed stays within this many of its build tolerances."""
 
@@ -109,12 +111,13 @@ def solve_hypothesis(
 
 
 def scatter_by_window(fit: Linearisation, solution: Solution, windows: int, scale: float) -> np.ndarray:
-    """Standard deviation of every parameter from how much the windows disagree about it, (P,).
+    """Standard deviation of every parameter from how much stretches of flight disagree about it, (P,).
 
-    The sandwich estimate with windows as clusters: unlike the curvature alone it notices residuals that are larger, or
-    more alike within a window, than the noise model says.
+    The sandwich estimate with stretches of a few windows as clusters: unlike the curvature alone it notices residuals
+    that are larger, or more alike from window to window, than the noise model says.
     """
     residual = fit.residual - solution.deviation @ fit.columns
     scores = (fit.columns * residual).reshape(len(fit.columns), windows, -1).sum(axis=2) / scale
-    spread = solution.covariance @ scores
+    starts = np.arange(0, windows, STRETCH)
+    spread = solution.covariance @ np.add.reduceat(scores, starts, axis=1)
     return np.sqrt((spread**2).sum(axis=1))
