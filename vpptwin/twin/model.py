@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Iterable
 from functools import reduce
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from vpptwin.vehicle import Vehicle
 
 CRAFT_JOINTS = ("rail_x", "rail_z", "pitch")
 """Joints of the drone in the order of its generalized coordinates x, z, θ."""
+
+HEAVY = 1e6
+"""Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
 
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -112,6 +116,20 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
         dof = model.jnt_dofadr[i]
         described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * (30.0 if rotary else 10.0)))
     return described
+
+
+def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:
+    """A copy of the model in which these joints are so heavy that only the force meant to lead them moves them."""
+    held, data = copy.copy(model), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    for name in joints:
+        dof = int(model.joint(name).dofadr[0])
+        held.dof_armature[dof] += HEAVY * inertia[dof, dof]
+    held.opt.tolerance /= HEAVY  # the solver takes it relative to the mean inertia
+    mujoco.mj_setConst(held, mujoco.MjData(held))
+    return held
 
 
 def locate_effect(model: mujoco.MjModel, effect: Effect, drone: bool) -> Site:

@@ -19,6 +19,7 @@ from vpptwin.actuators.layer import (
 from vpptwin.effects import Effect, Stage
 from vpptwin.effects.base import Plant
 from vpptwin.twin.constants import ConstantTable
+from vpptwin.twin.model import hold_joints
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
 from vpptwin.vehicle import Vehicle
@@ -62,7 +63,10 @@ class Twin:
         self.num_sims = num_sims
         self.effects: dict[str, Effect] = {e.id: e for e in spec.catalogue if e.id in wanted}
         self.dt = float(spec.model.opt.timestep)
-        self._batch = Batch(spec.model, num_sims, num_threads)
+        driven = spec.signals.driven if spec.signals is not None else {}
+        model = hold_joints(spec.model, driven) if driven else spec.model
+        self._armature = np.array(model.dof_armature)
+        self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch)
         names = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl", "qfrc_applied")
         self._live = {name: self._batch.bind(name) for name in names}
@@ -198,11 +202,20 @@ class Twin:
                 layer = spin_rotors(self.spec.vehicle, layer, throttle[:, k], self.dt)
             extra = None if disturbance is None else disturbance[:, k * disturbance.shape[1] // steps]
             if driven is not None:
-                self._live["qpos"][:, driven.dofs] = self.pose_for_engine(driven.pose[:, k], driven.velocity[:, k])
-                self._live["qvel"][:, driven.dofs] = driven.velocity[:, k]
+                extra = self._lead_joints(driven, k, extra)
             self._step_engine(layer, extra)
             qpos[:, k], qvel[:, k] = self._live["qpos"], self._live["qvel"]
         return self._unload(layer).copy(), qpos, qvel  # a copy, as the layer still holds arrays of the arguments
+
+    def _lead_joints(self, driven: Driven, k: int, extra: np.ndarray | None) -> np.ndarray:
+        """Put driven joints where their tracks are at step k; `extra` with the force that leads them to the next."""
+        dofs, last = driven.dofs, max(driven.velocity.shape[1] - 2, 0)
+        self._live["qpos"][:, dofs] = self.pose_for_engine(driven.pose[:, k], driven.velocity[:, k])
+        self._live["qvel"][:, dofs] = driven.velocity[:, k]
+        ahead = np.diff(driven.velocity[:, min(k, last) : min(k, last) + 2], axis=1).sum(axis=1)
+        force = np.zeros_like(self._live["qfrc_applied"]) if extra is None else extra.copy()
+        force[:, dofs] += self._armature[dofs] * ahead / self.dt
+        return force
 
     def _actuator_constants(self) -> ActuatorConstants:
         table = self._constants.table
