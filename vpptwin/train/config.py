@@ -76,7 +76,7 @@ class TrainConfig:
     out: str | None = None
     resume: str | None = None
     seed: int = 0
-    total_steps: int = 1_000_000
+    total_steps: int = 800_000
     num_envs: int = 256
     rollout: int = 32
     noise: float = 0.0
@@ -93,7 +93,7 @@ class TrainConfig:
     critic_weight: float = 1.0
     max_grad_norm: float = 1.0
     learning_rate: Ramp = field(default_factory=lambda: Ramp(1e-3, 9e-5))
-    exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.25))
+    exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.1, finish=0.9))
     checkpoint_every: int = 100_000
     sim_threads: int = 2
     torch_threads: int = 1

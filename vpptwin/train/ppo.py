@@ -87,7 +87,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
             logger=CSVLogger("log", log_dir=str(folder)), log_interval=0, enable_logging=False, progress_bar=False,
         )  # fmt: skip
     statistics = EpisodeStatistics(env)
-    bar = ProgressBar(statistics, config.progress)
+    bar = ProgressBar(statistics, batches * batch, config.progress)
     Minibatches(config.minibatch).register(trainer)
     statistics.register(trainer)
     LRSchedulerHook(scheduler).register(trainer)

@@ -69,21 +69,21 @@ class ProgressBar(TrainerHookBase):
 
     Args:
         statistics: where the numbers come from.
+        total: steps when training is over.
         shown: whether to show it.
     """
 
-    def __init__(self, statistics: EpisodeStatistics, shown: bool = True) -> None:
-        self.statistics, self.shown = statistics, shown
+    def __init__(self, statistics: EpisodeStatistics, total: int, shown: bool = True) -> None:
+        self.statistics, self.total, self.shown = statistics, total, shown
         self.trainer: Trainer | None = None
         self.bar: tqdm | None = None
 
     def open(self) -> None:
         """Start at the steps already collected, which a resumed run has."""
         assert self.trainer is not None
-        total, done = self.trainer.total_frames, self.trainer.collected_frames
         self.bar = tqdm(
-            total=total, initial=done, unit=" steps", unit_scale=True, disable=not self.shown, mininterval=0.5,
-            dynamic_ncols=True, bar_format=LAYOUT,
+            total=self.total, initial=self.trainer.collected_frames, unit=" steps", unit_scale=True,
+            disable=not self.shown, mininterval=0.5, dynamic_ncols=True, bar_format=LAYOUT,
         )  # fmt: skip
 
     def __call__(self) -> None:
