@@ -84,7 +84,12 @@ def rotary_dofs(spec: TwinSpec) -> np.ndarray:
 
 
 def correlate_segments(bench: Bench) -> np.ndarray:
-    """Cholesky factor of the correlation of gusts between the segments of a window, (segments, segments)."""
+    """Cholesky factor of the correlation of gusts between the segments of a window, (segments, segments).
+
+    Wind outlasts a segment; what disturbs a rig without rotors is taken as independent from segment to segment.
+    """
+    if bench.spec.vehicle is None:
+        return np.eye(bench.segments)
     middle = (np.arange(bench.segments) + 0.5) * bench.windows.steps * bench.windows.dt / bench.segments
     return np.linalg.cholesky(np.exp(-np.abs(middle[:, None] - middle) / GUST_TIME))
 
