@@ -48,9 +48,17 @@ def test_of_one_flight_every_third_block_is_held_out() -> None:
 
 
 def test_the_shortest_flight_of_the_drone_has_windows_that_judge() -> None:
-    """5 s hold 15 windows of 0.3 s in blocks of 1.67 s: the last three begin after 3.33 s."""
+    """5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge."""
     split = split_flights([fly(5.0)], 0.3)
-    assert (len(split.fitted[0]), len(split.held_out[0])) == (12, 3)
+    assert (len(split.fitted[0]), len(split.held_out[0])) == (10, 5)
+
+
+@pytest.mark.parametrize("duration", [5.0, 6.5, 9.0])
+def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
+    """Windows of 1 s need a flight of 9.4 s: with fewer than three that judge, chance would name causes."""
+    with pytest.raises(InputError, match="held out; expected at least 10 s"):
+        split_flights([fly(duration)], 1.0)
+    assert len(split_flights([fly(9.5)], 1.0).held_out[0]) == 3
 
 
 def test_too_many_windows_are_thinned_out_evenly() -> None:

@@ -64,7 +64,6 @@ def test_other_rigs_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, r
     assert again.model_file.resolve() == (tmp_path / "rig.xml").resolve()
 
 
-@pytest.mark.xfail(strict=True, reason="six digits can lie beyond the bound, and the file is refused: see issue 2")
 @pytest.mark.parametrize("mass", ["1.2345678", "0.77777777", "3.3333333"])
 def test_a_value_at_its_bound_is_still_a_twin(tmp_path: Path, mass: str) -> None:
     """Rounding may not carry a value over the bound that the next command checks."""

@@ -19,6 +19,7 @@ from vpptwin.diagnosis.diagnose import Diagnosis, diagnose
 from vpptwin.diagnosis.report import write_report
 from vpptwin.diagnosis.summary import describe_cause, describe_leftover, describe_rivals, headline, tabulate_errors
 from vpptwin.diagnosis.verdict import Verdict, write_json, write_text
+from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -67,7 +68,9 @@ def write_twin(spec: TwinSpec, diagnosis: Diagnosis, logs: Sequence[Path], out: 
     """The extended twin as YAML, with where it comes from."""
     effects = {effect: dict(values) for effect, values in spec.effects.items()}
     for (effect, parameter), value in diagnosis.values.items():
-        effects.setdefault(effect, {})[parameter] = float(f"{value:.6g}")
+        bounds, rounded = find_effect(spec.catalogue, effect).parameter(parameter), float(f"{value:.6g}")
+        # Rounding may not carry a value at its bound over it: the file would be refused.
+        effects.setdefault(effect, {})[parameter] = rounded if bounds.low <= rounded <= bounds.high else float(value)
     content: dict[str, object] = {"model": name_file(spec.model_file, out)}
     if spec.vehicle_file is not None:
         content["vehicle"] = name_file(spec.vehicle_file, out)

@@ -26,6 +26,8 @@ BLOCK = 3.0
 """A single flight is split into blocks of at most this length [s], every third of them held out."""
 MIN_DURATION = 5.0
 """Shortest flight that can be diagnosed [s]."""
+MIN_JUDGES = 3
+"""Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
 MIN_RATE = 20.0
 """Lowest mean rate of poses [Hz]: a window needs a few of them."""
 MAX_WINDOWS = 400
@@ -81,8 +83,16 @@ def split_flights(measurements: Sequence[Measurements], window: float) -> Split:
         empty = np.empty(0)
         fitted = [empty if i in out else s for i, s in enumerate(starts)]
         return Split(fitted, [s if i in out else empty for i, s in enumerate(starts)], True)
-    block = ((starts[0] - starts[0][0]) / min(BLOCK, measurements[0].duration / 3.0)).astype(int)
-    return Split([starts[0][block % 3 != 2]], [starts[0][block % 3 == 2]], False)
+    since = starts[0] - starts[0][0]
+    block = (since / min(BLOCK, (since[-1] + window) / 3.0) + 1e-9).astype(int)
+    judges, flight = block % 3 == 2, measurements[0]
+    if judges.sum() < MIN_JUDGES:
+        raise InputError(
+            f"{flight.name}: {flight.duration:.1f} s, of which {judges.sum()} windows can be held out",
+            f"at least {3 * MIN_JUDGES * window + 2 * SETTLE + window:.0f} s, or several flights",
+            "log a longer flight",
+        )
+    return Split([starts[0][~judges]], [starts[0][judges]], False)
 
 
 def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:

@@ -35,7 +35,8 @@ def describe_cause(cause: Cause) -> str:
     else:
         beside = "where the twin has " + ", ".join(f"{e.nominal:g}" for e in cause.parameters.values()) + ", "
     what = cause.summary[0].upper() + cause.summary[1:]
-    return f"{what} ({cause.effect}), {sizes}, {beside}explains {100 * cause.gain:.0f} % of the error."
+    share = 100.0 * min(max(cause.gain, 0.0), 1.0)
+    return f"{what} ({cause.effect}), {sizes}, {beside}explains {share:.0f} % of the error."
 
 
 def headline(verdict: Verdict) -> str:
