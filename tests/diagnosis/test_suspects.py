@@ -19,7 +19,7 @@ from vpptwin.diagnosis.suspects import (
     solve_hypothesis,
 )
 from vpptwin.effects import Effect
-from vpptwin.effects.joint import bias, coulomb, spring, viscous
+from vpptwin.effects.joint import Place, bias, coulomb, spring, viscous
 from vpptwin.twin.spec import load_twin
 
 TOLERANCE = 0.02
@@ -32,10 +32,10 @@ def suspect(effect: Effect, *nominal: float) -> list[Unknown]:
 
 
 UNKNOWNS = (
-    *suspect(coulomb("a", "on a", tolerance=TOLERANCE), 0.0),
-    *suspect(viscous("b", "on b", tolerance=TOLERANCE), 0.5),
-    *suspect(bias("c", "on c", tolerance=TOLERANCE), 0.0),
-    *suspect(spring("d", "on d", tolerance=TOLERANCE), 0.0, 0.3),
+    *suspect(coulomb(Place("a", "on a", tolerance=TOLERANCE)), 0.0),
+    *suspect(viscous(Place("b", "on b", tolerance=TOLERANCE)), 0.5),
+    *suspect(bias(Place("c", "on c", tolerance=TOLERANCE)), 0.0),
+    *suspect(spring(Place("d", "on d", tolerance=TOLERANCE)), 0.0, 0.3),
 )
 """Five parameters of four effects: bounds 0..2, 0..5, -2..2, 0..5, -2..2."""
 NOMINAL = np.array([u.nominal for u in UNKNOWNS])

@@ -8,13 +8,16 @@ from collections.abc import Callable, Iterable
 from vpptwin.effects import actuator, airframe, joint, rotor, timing
 from vpptwin.effects.base import Effect
 
+RAIL = joint.Place("rail_x", "on the horizontal rail")
+GUIDE = joint.Place("rail_z", "on the vertical guide")
+
 CATALOGUE: tuple[Effect, ...] = (
-    joint.coulomb("rail_x", "on the horizontal rail"),
-    joint.coulomb("rail_z", "on the vertical guide"),
-    joint.viscous("rail_x", "on the horizontal rail", others=("air.drag",)),
-    joint.viscous("rail_z", "on the vertical guide", others=("air.drag",)),
-    joint.bias("rail_x", "along the horizontal rail"),
-    joint.bias("rail_z", "along the vertical guide", others=("airframe.mass", "rotor.thrust_gain")),
+    joint.coulomb(RAIL),
+    joint.coulomb(GUIDE),
+    joint.viscous(RAIL, others=("air.drag",)),
+    joint.viscous(GUIDE, others=("air.drag",)),
+    joint.bias(RAIL),
+    joint.bias(GUIDE, others=("airframe.mass", "rotor.thrust_gain")),
     *airframe.EFFECTS,
     *rotor.EFFECTS,
     *timing.EFFECTS,
@@ -42,9 +45,8 @@ def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterab
     """
     effects: list[Effect] = []
     for name, rotary, scale in joints:
-        where = f"on joint {name}"
-        for factory in GENERIC_JOINT:
-            effects.append(factory(name, where, rotary, scale, tolerance=GENERIC_TOLERANCE, size=GENERIC_SIZE))
+        place = joint.Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE)
+        effects.extend(factory(place) for factory in GENERIC_JOINT)
     for name in actuators:
         effects.extend(factory(name, f"of actuator {name}") for factory in GENERIC_ACTUATOR)
     return tuple(effects)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from vpptwin.effects.base import Constants, Effect, Plant, Site, Stage
@@ -12,6 +14,33 @@ TOLERANCE = 0.012
 """Friction that a well-built rail may have unremarked, as a share of the typical force."""
 SIZE = 0.1
 """Physical size for secants, as a share of the typical force."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A joint that effects are made for.
+
+    Attributes:
+        joint: its MJCF name.
+        where: how a sentence names it, e.g. "on the horizontal rail".
+        rotary: whether it is a hinge.
+        scale: a typical force there [N], or torque [N m]; damping and stiffness scale with it too.
+        tolerance: what a well-built joint may show unremarked, as a share of `scale`.
+        size: step for secants, as a share of `scale`.
+    """
+
+    joint: str
+    where: str
+    rotary: bool = False
+    scale: float = 1.0
+    tolerance: float = TOLERANCE
+    size: float = SIZE
+
+    def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior) -> Parameter:
+        """A parameter that is off at 0; bounds and prior are shares of `scale`."""
+        scaled = Prior(prior.kind, prior.a * self.scale, prior.b * self.scale)
+        bounds = (low * self.scale, high * self.scale)
+        return Parameter(name, unit, 0.0, *bounds, scaled, self.size * self.scale, self.tolerance * self.scale)
 
 
 def apply_coulomb(constants: Constants, site: Site, /, force: np.ndarray) -> None:
@@ -38,94 +67,47 @@ def apply_spring(total: np.ndarray, plant: Plant, site: Site, /, stiffness: np.n
     return result
 
 
-def coulomb(
-    joint: str,
-    where: str,
-    rotary: bool = False,
-    scale: float = 1.0,
-    others: tuple[str, ...] = (),
-    tolerance: float = TOLERANCE,
-    size: float = SIZE,
-) -> Effect:
-    """Dry friction on a joint; `scale` is a typical force [N] or torque [N m] there."""
-    name, unit = ("torque", "N m") if rotary else ("force", "N")
-    parameter = Parameter(
-        name, unit, 0.0, 0.0, 2.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), size * scale, tolerance * scale
-    )
+def coulomb(place: Place, others: tuple[str, ...] = ()) -> Effect:
+    """Dry friction on a joint."""
+    name, unit = ("torque", "N m") if place.rotary else ("force", "N")
+    parameter = place.parameter(name, unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.3))
 
     def apply(constants: Constants, site: Site, /, **values: np.ndarray) -> None:
         apply_coulomb(constants, site, values[name])
 
     return Effect(
-        f"{joint}.coulomb", f"dry friction {where}", f"-{name} sgn(v)", (parameter,), Stage.CONSTANT, apply,
-        JOINT_SHOWS, (f"{joint}.viscous", *others), ("dof_frictionloss",), joint, dissipative=True,
+        f"{place.joint}.coulomb", f"dry friction {place.where}", f"-{name} sgn(v)", (parameter,), Stage.CONSTANT, apply,
+        JOINT_SHOWS, (f"{place.joint}.viscous", *others), ("dof_frictionloss",), place.joint, dissipative=True,
     )  # fmt: skip
 
 
-def viscous(
-    joint: str,
-    where: str,
-    rotary: bool = False,
-    scale: float = 1.0,
-    others: tuple[str, ...] = (),
-    tolerance: float = TOLERANCE,
-    size: float = SIZE,
-) -> Effect:
-    """Viscous friction on a joint; `scale` is a typical damping [N s/m] or [N m s/rad] there."""
-    unit = "N m s/rad" if rotary else "N s/m"
-    parameter = Parameter(
-        "damping", unit, 0.0, 0.0, 5.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), size * scale, tolerance * scale
-    )
+def viscous(place: Place, others: tuple[str, ...] = ()) -> Effect:
+    """Viscous friction on a joint."""
+    unit = "N m s/rad" if place.rotary else "N s/m"
+    parameter = place.parameter("damping", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
     return Effect(
-        f"{joint}.viscous", f"viscous friction {where}", "-damping v", (parameter,), Stage.CONSTANT, apply_viscous,
-        JOINT_SHOWS, (f"{joint}.coulomb", *others), ("dof_damping",), joint, dissipative=True,
+        f"{place.joint}.viscous", f"viscous friction {place.where}", "-damping v", (parameter,), Stage.CONSTANT,
+        apply_viscous, JOINT_SHOWS, (f"{place.joint}.coulomb", *others), ("dof_damping",), place.joint,
+        dissipative=True,
     )  # fmt: skip
 
 
-def bias(
-    joint: str,
-    where: str,
-    rotary: bool = False,
-    scale: float = 1.0,
-    others: tuple[str, ...] = (),
-    tolerance: float = TOLERANCE,
-    size: float = SIZE,
-) -> Effect:
-    """Constant force [N] or torque [N m] on a joint; `scale` is a typical size."""
-    unit = "N m" if rotary else "N"
-    parameter = Parameter(
-        "force",
-        unit,
-        0.0,
-        -2.0 * scale,
-        2.0 * scale,
-        Prior("normal", 0.0, 0.2 * scale),
-        size * scale,
-        tolerance * scale,
-    )
-
+def bias(place: Place, others: tuple[str, ...] = ()) -> Effect:
+    """Constant force or torque on a joint."""
+    kind, unit = ("torque", "N m") if place.rotary else ("force", "N")
+    parameter = place.parameter("force", unit, -2.0, 2.0, Prior("normal", 0.0, 0.2))
     return Effect(
-        f"{joint}.bias", f"a constant {'torque' if rotary else 'force'} {where}", "+force", (parameter,), Stage.FORCE,
-        apply_bias, JOINT_SHOWS, others, (), joint, follows="position",
+        f"{place.joint}.bias", f"a constant {kind} {place.where}", "+force", (parameter,), Stage.FORCE,
+        apply_bias, JOINT_SHOWS, others, (), place.joint, follows="position",
     )  # fmt: skip
 
 
-def spring(
-    joint: str,
-    where: str,
-    rotary: bool = False,
-    scale: float = 1.0,
-    others: tuple[str, ...] = (),
-    tolerance: float = TOLERANCE,
-    size: float = SIZE,
-) -> Effect:
-    """Elastic force on a joint; `scale` is a typical stiffness [N/m] or [N m/rad]."""
-    unit, reach, angle = ("N m/rad", 3.2, "rad") if rotary else ("N/m", 2.0, "m")
-    stiffness = Parameter(
-        "stiffness", unit, 0.0, 0.0, 5.0 * scale, Prior("halfnormal", 0.0, 0.3 * scale), size * scale, tolerance * scale
-    )
-    rest = Parameter("rest", angle, 0.0, -reach, reach, Prior("normal", 0.0, 0.1 * reach), 0.1 * reach, reach)
+def spring(place: Place, others: tuple[str, ...] = ()) -> Effect:
+    """Elastic force on a joint."""
+    unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
+    stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
+    rest = Parameter("rest", length, 0.0, -reach, reach, Prior("normal", 0.0, 0.1 * reach), 0.1 * reach, reach)
     return Effect(
-        f"{joint}.spring", f"an elastic force {where}", "-stiffness (q - rest)", (stiffness, rest), Stage.FORCE,
-        apply_spring, JOINT_SHOWS, (f"{joint}.bias", *others), (), joint, follows="position",
+        f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
+        Stage.FORCE, apply_spring, JOINT_SHOWS, (f"{place.joint}.bias", *others), (), place.joint, follows="position",
     )  # fmt: skip
