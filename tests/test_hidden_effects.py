@@ -28,6 +28,10 @@ DURATION = 16.0  # s
 CONFIDENT = 0.5  # a cause named with less is a guess and said to be one
 STDS, SHARE = 4.0, 0.15  # a fitted parameter is right within 4 of its own std, or 15 % of what was hidden
 HORIZON = 2  # index of 0.25 s among the horizons of SPEC 7
+# Four standard deviations of what gusts push on average, in the effect's unit: a real force, which no fit
+# can tell from the effect. Gusts of 1 % of weight (0.044 N; 0.0088 N m) that last 0.3 s average to
+# sqrt(2 * 0.3 / 32) = 14 % of that over the 32 s that are fitted: 0.006 N, and 0.0012 N m, which divided by thrust times arm (0.98 N m) is 0.0012 of asymmetry.
+GUST_MEAN = {"rail_x.bias": 0.024, "rail_z.bias": 0.024, "rotor.asymmetry": 0.005}
 FAMILIES = {
     "horizontal rail": ("rail_x.coulomb", "rail_x.viscous", "rail_x.bias"),
     "vertical guide": ("rail_z.coulomb", "rail_z.viscous", "rail_z.bias"),
@@ -147,7 +151,7 @@ def find_size_faults(cause: dict, sizes: dict[str, float], number: int) -> list[
     for name, hidden in sizes.items():
         fitted = cause["parameters"][name]
         truth = true_size(cause["effect"], name, hidden, number)
-        allowed = max(STDS * fitted["std"], SHARE * abs(truth - fitted["nominal"]))
+        allowed = max(STDS * fitted["std"], SHARE * abs(truth - fitted["nominal"]), GUST_MEAN.get(cause["effect"], 0.0))
         if abs(fitted["value"] - truth) > allowed:
             faults.append(f"{name} is {fitted['value']:.5g} ± {fitted['std']:.2g}, truth {truth:.5g} ± {allowed:.2g}")
     return faults
@@ -182,7 +186,7 @@ def test_with_none_hidden_nothing_is_named(seed: int, tmp_path: Path) -> None:
 
 
 def test_of_two_hidden_effects_the_first_named_is_one(seed: int, tmp_path: Path) -> None:
-    """Two effects at once: both are named before anything else, and the twin predicts better with them."""
+    """Two effects at once: the first one named is one of them, and the twin predicts better with what is named."""
     session = run_session(seed, "two", tmp_path)
     causes = session.verdict["causes"]
     found = [set(session.hidden) & list_suspects(cause) for cause in causes]
