@@ -30,7 +30,8 @@ STDS, SHARE = 4.0, 0.15  # a fitted parameter is right within 4 of its own std, 
 HORIZON = 2  # index of 0.25 s among the horizons of SPEC 7
 # Four standard deviations of what gusts push on average, in the effect's unit: a real force, which no fit
 # can tell from the effect. Gusts of 1 % of weight (0.044 N; 0.0088 N m) that last 0.3 s average to
-# sqrt(2 * 0.3 / 32) = 14 % of that over the 32 s that are fitted: 0.006 N, and 0.0012 N m, which divided by thrust times arm (0.98 N m) is 0.0012 of asymmetry.
+# sqrt(2 * 0.3 / 32) = 14 % of that over the 32 s that are fitted: 0.006 N, and 0.0012 N m, which
+# divided by thrust times arm (0.98 N m) is 0.0012 of asymmetry.
 GUST_MEAN = {"rail_x.bias": 0.024, "rail_z.bias": 0.024, "rotor.asymmetry": 0.005}
 FAMILIES = {
     "horizontal rail": ("rail_x.coulomb", "rail_x.viscous", "rail_x.bias"),
