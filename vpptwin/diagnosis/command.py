@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from vpptwin import __version__
 from vpptwin.diagnosis.diagnose import Diagnosis, diagnose
-from vpptwin.diagnosis.report import write_report
+from vpptwin.diagnosis.report import render_report
 from vpptwin.diagnosis.summary import describe_cause, describe_leftover, describe_rivals, headline, tabulate_errors
 from vpptwin.diagnosis.verdict import Verdict, write_json, write_text
 from vpptwin.effects import find_effect
@@ -38,9 +38,11 @@ def diagnose_logs(logs: Sequence[Path], twin: str, out: Path, topic_map: Path | 
         # The delay draws nothing before the first step, so that logs that are refused leave one line and no bar.
         with tqdm(unit=" steps", unit_scale=True, desc="diagnose", dynamic_ncols=True, delay=1e-6) as bar:
             diagnosis = diagnose(spec, flights, bar.set_postfix_str, bar.update)
+        # Everything is rendered before anything is written: the three files always belong together.
+        extended, report = write_twin(spec, diagnosis, logs, out), render_report(diagnosis)
         write_json(diagnosis.verdict.as_dict(), out / "verdict.json")
-        write_text(write_twin(spec, diagnosis, logs, out), out / "twin.yaml")
-        write_report(diagnosis, out / "report.html")
+        write_text(extended, out / "twin.yaml")
+        write_text(report, out / "report.html")
     except BaseException:
         for folder in made:
             if folder.is_dir() and not any(folder.iterdir()):

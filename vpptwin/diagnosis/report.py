@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -22,7 +21,6 @@ from vpptwin.diagnosis.summary import (
     headline,
     tabulate_errors,
 )
-from vpptwin.diagnosis.verdict import write_text
 from vpptwin.diagnosis.wrench import plot_wrench
 from vpptwin.effects import find_effect
 from vpptwin.viz import plots
@@ -31,8 +29,8 @@ OVERLAY_WINDOWS = 8
 """Windows of one second that the overlay shows."""
 
 
-def write_report(diagnosis: Diagnosis, path: Path) -> None:
-    """Render the report of a diagnosis."""
+def render_report(diagnosis: Diagnosis) -> str:
+    """The report of a diagnosis as one HTML page."""
     verdict = diagnosis.verdict
     environment = Environment(
         loader=PackageLoader("vpptwin.diagnosis"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -48,7 +46,7 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
         }
         for cause in verdict.causes
     ]
-    page = template.render(
+    return template.render(
         version=__version__,
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdict=verdict,
@@ -60,7 +58,6 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
         ranking=Markup(draw_ranking(diagnosis)),
         overlay=Markup(draw_overlay(diagnosis.held_out, diagnosis)),
     )
-    write_text(page, path)
 
 
 def draw_horizon(before: Score, after: Score | None) -> str:

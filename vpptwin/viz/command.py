@@ -35,9 +35,9 @@ def play_log(
     flight = read_flight(list(logs), topic_map)
     if twin is None:
         check_craft(flight)
+    prediction = None if twin is None else replay(spec, flight, restart)
     for warning in flight.warnings:
         print(f"{flight.path.name}: {warning}", file=sys.stderr)
-    prediction = None if twin is None else replay(spec, flight, restart)
     if html is None:
         play_live(flight, prediction, spec=spec)
     else:
