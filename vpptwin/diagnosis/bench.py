@@ -42,7 +42,6 @@ class Bench:
         spec: the twin.
         windows: K windows.
         channels: what was measured in them.
-        suspects: ids of effects that variations may switch on.
         segments: force pulses in a window.
         progress: called with the number of simulated steps as they are done.
     """
@@ -52,12 +51,10 @@ class Bench:
         spec: TwinSpec,
         windows: Windows,
         channels: Sequence[Channel],
-        suspects: Sequence[str],
         segments: int,
         progress: Callable[[int], None] | None = None,
     ) -> None:
         self.spec, self.windows, self.channels, self.segments = spec, windows, list(channels), segments
-        self._suspects = tuple(suspects)
         self._progress = progress
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
@@ -100,12 +97,16 @@ class Bench:
         """The channels of simulated poses and velocities, (V, K, C B)."""
         predicted = []
         for i, variation in enumerate(variations):
-            age = np.repeat(self.twin_with(variation.values).constant("mocap.delay"), len(self.windows))
+            age = self.mocap_delay(variation.values)
             parts = [
                 predict_channel(c, pose[i], velocity[i], self.windows.dt, self._gravity, age) for c in self.channels
             ]
             predicted.append(np.concatenate(parts, axis=1))
         return np.stack(predicted)
+
+    def mocap_delay(self, values: Mapping[Key, float]) -> np.ndarray:
+        """Age of motion-capture poses in a twin with parameters set, (K,) s."""
+        return np.repeat(self.twin_with(values).constant("mocap.delay"), len(self.windows))
 
     def twin_with(self, values: Mapping[Key, float]) -> Twin:
         """One simulation of the twin with parameters set, for reading its constants."""

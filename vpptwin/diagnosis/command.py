@@ -22,6 +22,7 @@ from vpptwin.diagnosis.verdict import Verdict, write_json, write_text
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.logs.read import read_flight
+from vpptwin.resources import models_dir
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 
@@ -96,8 +97,6 @@ def write_twin(spec: TwinSpec, diagnosis: Diagnosis, logs: Sequence[Path], out: 
 
 def name_file(file: Path, out: Path) -> str:
     """How a twin in `out` names a file: shipped ones by name, others by a path relative to it."""
-    from vpptwin.resources import models_dir
-
     return file.name if file.parent == models_dir().resolve() else os.path.relpath(file, out.resolve())
 
 

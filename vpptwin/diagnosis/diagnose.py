@@ -127,7 +127,8 @@ def find_causes(search: Search, held_out: HeldOut, stage: Stage) -> tuple[Fit, l
         accepted = next((e for e in candidates if is_cause(search, held_out, step, e)), None)
         if accepted is None:
             break
-        fit = search.drop_superfluous(search.adopt(step.tried[accepted]))
+        best = step.tried[accepted]
+        fit = search.drop_superfluous(search.adopt(best.effects, best.values))
         barred |= step.before.effects - fit.effects
     return fit, steps
 

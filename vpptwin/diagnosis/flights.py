@@ -124,10 +124,7 @@ def build_bench(
             "the same topics in every log",
             "diagnose logs of one kind together",
         )
-    suspects = [effect.id for effect in spec.catalogue]
-    return Bench(
-        spec, join_windows(windows), join_channels(channels), suspects, max(round(length / SEGMENT), 1), progress
-    )
+    return Bench(spec, join_windows(windows), join_channels(channels), max(round(length / SEGMENT), 1), progress)
 
 
 def long_starts(starts: Sequence[np.ndarray], window: float) -> list[np.ndarray]:

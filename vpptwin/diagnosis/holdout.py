@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
-from vpptwin.diagnosis.channels import predict_channel
+from vpptwin.diagnosis.channels import BIN, predict_channel
 from vpptwin.diagnosis.likelihood import Likelihood, build_likelihood, rotary_dofs, whiten_with
 
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
@@ -77,15 +77,13 @@ class HeldOut:
         """Errors over the horizon from causally estimated states, and chi2."""
         pose, velocity = self.long.simulate([Variation(dict(values))])
         rotary = rotary_dofs(self.long.spec)
-        twin_delay = self._mocap_delay(values)
+        age = self.long.mocap_delay(values)
         squares: dict[str, list[np.ndarray]] = {"m": [], "rad": []}
         rates: dict[str, list[float]] = {}
         for channel in self.long.channels:
             if channel.kind == "specific force":
                 continue
-            predicted = predict_channel(
-                channel, pose[0], velocity[0], self.long.windows.dt, 0.0, np.full(len(self.long.windows), twin_delay)
-            )
+            predicted = predict_channel(channel, pose[0], velocity[0], self.long.windows.dt, 0.0, age)
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
             per_horizon = np.array([self._near(square, h) for h in HORIZONS_S])
@@ -98,16 +96,12 @@ class HeldOut:
 
     def _near(self, square: np.ndarray, horizon: float) -> float:
         """Mean of the last bins up to a horizon over all windows."""
-        end = round(horizon / 0.01)
+        end = round(horizon / BIN)
         found = square[:, max(end - 2, 0) : end]
         return float(np.nanmean(found)) if np.isfinite(found).any() else float("nan")
 
     def _root(self, squares: Sequence[np.ndarray]) -> list[float] | None:
         return [float(v) for v in np.sqrt(np.sum(squares, axis=0))] if squares else None
-
-    def _mocap_delay(self, values: Mapping[Key, float]) -> float:
-        twin = self.long.twin_with(values)
-        return float(twin.constant("mocap.delay")[0])
 
     def _residual(self, values: Mapping[Key, float]) -> np.ndarray:
         predicted = self.short.predict([Variation(dict(values))])[0]

@@ -92,7 +92,7 @@ def draw_overlay(held_out: HeldOut, diagnosis: Diagnosis) -> str:
     shown = np.arange(0, min(2 * OVERLAY_WINDOWS, len(bench.windows)), 2)
     variations = [Variation(), Variation(diagnosis.values)]
     pose, velocity = bench.simulate(variations)
-    delays = [bench.twin_with(v.values).constant("mocap.delay").repeat(len(bench.windows)) for v in variations]
+    delays = [bench.mocap_delay(v.values) for v in variations]
     channels = [c for c in bench.channels if c.kind == "position"]
     seen = np.all([c.weight[shown].sum(axis=2) > 0 for c in channels], axis=0)
     time = (bench.windows.start[:, None] + (channels[0].offset * channels[0].weight).sum(axis=2))[shown][seen]

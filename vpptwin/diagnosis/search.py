@@ -86,7 +86,7 @@ class Search:
         self.scale = 1.0
         self.likelihood: Likelihood = build_likelihood(bench, {})
         self.weight = np.ones(bench.valid.size)
-        self.start = self.adopt(self.fit(frozenset(), {}, None))
+        self.start = self.adopt(frozenset(), {})
 
     def linearise(
         self, values: Mapping[Key, float], effects: frozenset[str] | None = None, known: Linearisation | None = None
@@ -149,22 +149,23 @@ class Search:
                 tolerated[unknown.key] = float(about.at[i] + solution.deviation[i])
         return Fit(effects, point, std, self._cost_here(about, effects), about, tolerated)
 
-    def adopt(self, fit: Fit) -> Fit:
-        """Take a fit as the new state of knowledge: gusts and starting states act through it, and it is refitted so.
+    def adopt(self, effects: frozenset[str], values: Mapping[Key, float]) -> Fit:
+        """Take effects as the new state of knowledge: gusts and starting states act through them, and they are refit.
 
         A slider that sticks hardly feels its starting velocity or a gust, so the covariance changes with the effects.
         What is left of the misfit then sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
-        if fit.effects:
-            self.likelihood = build_likelihood(self.bench, fit.values)
+        if effects:
+            self.likelihood = build_likelihood(self.bench, dict(values))
         self.weight = np.ones(self.bench.valid.size)
-        about = self.linearise(fit.values)
-        residual = about.residual - self._tolerate(about, fit.effects).deviation @ about.columns
+        about = self.linearise(values)
+        residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
         self.weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
         misfit = float(((residual * self.weight) ** 2).sum()) / self.likelihood.freedom
         self.scale = max(1.0, misfit)
-        return self.fit(fit.effects, fit.values, None)
+        weighted = Linearisation(about.at, about.columns * self.weight, about.residual * self.weight)
+        return self.fit(effects, values, weighted)
 
     def complete(self, fit: Fit) -> Fit:
         """The same fit with all derivatives taken at its own parameters, and its cost under them."""
@@ -193,7 +194,7 @@ class Search:
             weakest = min(without, key=lambda e: without[e].cost)
             if without[weakest].cost - fit.cost > BAR:
                 return fit
-            fit = self.adopt(without[weakest])
+            fit = self.adopt(without[weakest].effects, without[weakest].values)
         return fit
 
     def _cost_here(self, about: Linearisation, effects: frozenset[str]) -> float:

@@ -11,6 +11,7 @@ from vpptwin.diagnosis.bench import Bench, Key, Variation
 from vpptwin.diagnosis.holdout import HeldOut
 from vpptwin.diagnosis.likelihood import gust_std, whiten_with
 from vpptwin.effects import Effect
+from vpptwin.twin.model import HINGE
 
 WIDE = 30.0
 """The pulses may be this many times stronger than gusts: strong enough to show any effect, bounded where unseen."""
@@ -56,7 +57,7 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench.spec) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
     joint = model.joint(int(model.dof_jntid[dof]))
-    rotary = int(joint.type[0]) == 3
+    rotary = int(joint.type[0]) == HINGE
     quantity, x_label = quantity_of_segments(bench, effect, dof, joint.name, rotary)
     kind, unit = ("torque", "N m") if rotary else ("force", "N")
     return WrenchPlot(
