@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,49 +18,104 @@ Constants = MutableMapping[str, np.ndarray]
 class Stage(Enum):
     """Where in the pipeline an effect acts, which fixes the signature of its function.
 
-    CONSTANT: `apply(constants, site, **parameters) -> None` adds to or replaces the named constants in place, starting
-    from their nominal values; run when parameters change, never inside the time loop.
-    THRUST: `apply(thrust, plant, site, **parameters) -> thrust`, rotor thrust (N, 2) [N], every inner step.
-    FORCE: `apply(total, plant, site, **parameters) -> total`, generalized force (N, nv) [N, N m], every inner step.
-    Parameters arrive as (N,) arrays by name, the rest by position (declare it with `/`).
-    Functions use arithmetic that broadcasts over simulations and keep no state.
+    CONSTANT: `apply(constants, site, /, *, parameter, ...) -> None` adds to or replaces rows of the named constants in
+    place, starting from their nominal values; parameters are (n,) arrays. Run when parameters change, never inside the
+    time loop.
+    THRUST: `apply(thrust, rotor, /, parameter, ...) -> thrust` of one rotor [N], every inner step.
+    FORCE: every inner step; on a joint (`target`) `apply(motion, /, parameter, ...) -> force` [N, N m], on the craft
+    `apply(craft, /, parameter, ...) -> (f_x, f_z, moment)` [N, N, N m] in the world's axes, about the hinge.
+    FRICTION: `apply(level, motion, /, parameter, ...) -> level` [N, N m], every inner step: the dry friction that the
+    joint can muster against `motion.direction`; the engine room turns it into a force that sticks.
+
+    Functions of the last three are compiled by numba and called with numbers. They use arithmetic and numpy functions
+    that take numbers and arrays alike (np.exp, np.minimum, np.where), so that they also run on arrays as they are.
+    Parameters arrive in the order of `Effect.parameters`. Functions keep no state.
     """
 
     CONSTANT = "constant"
     THRUST = "thrust"
     FORCE = "force"
+    FRICTION = "friction"
 
 
-@dataclass(frozen=True)
-class Plant:
-    """What a per-step effect may see: qpos, qvel (N, nv), rotor speed (N, nu) [rad/s], blade pitch (N, nu) [rad]."""
+class Motion(NamedTuple):
+    """One joint, as FORCE and FRICTION effects on a joint see it.
 
-    qpos: np.ndarray
-    qvel: np.ndarray
-    rotor_speed: np.ndarray
-    blade_pitch: np.ndarray
+    Attributes:
+        position: q [m, rad].
+        velocity: q̇ [m/s, rad/s].
+        direction: +1 or -1, the sense of motion that friction would oppose.
+        load: horizontal force between guide and slider [N]; 0 on other rigs.
+        lever: height of the slider above the rail over the spacing of the bearings; 0 on other rigs.
+    """
+
+    position: float
+    velocity: float
+    direction: float
+    load: float
+    lever: float
+
+
+class Craft(NamedTuple):
+    """The planar craft, as FORCE effects on it see it.
+
+    Attributes:
+        x, z: position of the hinge [m].
+        v_x, v_z: its velocity [m/s].
+        rate: q [rad/s].
+        sine, cosine: of θ.
+        arm: hinge to rotor [m].
+        speed_1, speed_2: of the rotors [rad/s].
+        time: s since the start of the log.
+    """
+
+    x: float
+    z: float
+    v_x: float
+    v_z: float
+    rate: float
+    sine: float
+    cosine: float
+    arm: float
+    speed_1: float
+    speed_2: float
+    time: float
+
+
+class Rotor(NamedTuple):
+    """One rotor, as THRUST effects see it.
+
+    Attributes:
+        side: -1 for rotor 1 on the left arm, +1 for rotor 2.
+        speed: rad/s.
+        pitch: blade pitch, mean over the step [rad].
+        height: of the hinge above the floor [m].
+        axial: velocity of the rotor along its thrust axis [m/s].
+    """
+
+    side: float
+    speed: float
+    pitch: float
+    height: float
+    axial: float
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect sits in the rig at hand: indices into the MuJoCo model, -1 where it has no such place.
+    """Where a CONSTANT effect sits in the rig at hand: indices into the MuJoCo model, -1 where it has no such place.
 
     Attributes:
         dof: index of the degree of freedom it acts on.
         actuator: index of the actuator it acts on.
-        body: index of the body it acts on.
-        x, z, pitch: degrees of freedom of the planar craft.
+        body: index of the body it acts on: `target` where that is a body, else the craft.
     """
 
     dof: int = -1
     actuator: int = -1
     body: int = -1
-    x: int = -1
-    z: int = -1
-    pitch: int = -1
 
 
-ApplyFunction = Callable[..., "np.ndarray | None"]
+ApplyFunction = Callable[..., Any]
 
 
 @dataclass(frozen=True)
@@ -76,7 +132,8 @@ class Effect:
         shows: signals in which it can be seen.
         look_alikes: ids that are hard to tell from it.
         writes: names of the constants it changes (CONSTANT effects declare every one).
-        target: the joint or actuator it acts on, "" for the craft.
+        target: the joint, actuator or body it acts on, "" for the craft.
+        needs: joints and bodies that the model must have besides those of the planar craft.
         dissipative: it can only take energy out.
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
@@ -92,6 +149,7 @@ class Effect:
     look_alikes: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     target: str = ""
+    needs: tuple[str, ...] = ()
     dissipative: bool = False
     follows: str = "velocity"
 
@@ -101,15 +159,6 @@ class Effect:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
-
-    def apply_step(
-        self, total: np.ndarray, plant: Plant, site: Site, parameters: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """Run a THRUST or FORCE effect: the total (N, n) with this effect's part in it."""
-        result = self.apply(total, plant, site, **parameters)
-        if result is None:
-            raise TypeError(f"{self.id} acts every step and must return an array")
-        return result
 
     def bind(self, nominal: Callable[[str], float]) -> Effect:
         """The effect with off values read from a vehicle: `nominal("servo.time_constant")` gives the number."""
