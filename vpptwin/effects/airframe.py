@@ -1,14 +1,14 @@
-"""Effects on the craft as a body: errors of mass and inertia, drag through the air."""
+"""Effects on the craft as a body: errors of mass and inertia, a centre of mass off the hinge."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vpptwin.effects.base import Constants, Effect, Plant, Site, Stage
+from vpptwin.effects.base import Constants, Effect, Site, Stage
 from vpptwin.effects.parameter import Parameter, Prior
 
-Y = 1
-"""Index of the axis into the page in a body's diagonal inertia."""
+X, Y, Z = 0, 1, 2
+"""Indices of the body's axes: along the arm, into the page, along the thrust."""
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
@@ -21,14 +21,14 @@ def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> N
     constants["body_inertia"][:, site.body, Y] += inertia
 
 
-def apply_drag(total: np.ndarray, plant: Plant, site: Site, /, k_d: np.ndarray) -> np.ndarray:
-    """Aerodynamic drag f_d = -k_d |v| v on the craft (paper, System Identification, item 2)."""
-    v_x, v_z = plant.qvel[:, site.x], plant.qvel[:, site.z]
-    speed = np.sqrt(v_x * v_x + v_z * v_z)
-    result = total.copy()
-    result[:, site.x] -= k_d * speed * v_x
-    result[:, site.z] -= k_d * speed * v_z
-    return result
+def apply_com(constants: Constants, site: Site, /, offset: np.ndarray) -> None:
+    """Centre of mass along the arm, towards rotor 2 [m]. The inertia about the hinge grows by m offset²."""
+    constants["body_ipos"][:, site.body, X] += offset
+
+
+def apply_com_height(constants: Constants, site: Site, /, offset: np.ndarray) -> None:
+    """Centre of mass above the hinge [m]. The inertia about the hinge grows by m offset²."""
+    constants["body_ipos"][:, site.body, Z] += offset
 
 
 MASS = Effect(
@@ -39,7 +39,7 @@ MASS = Effect(
     stage=Stage.CONSTANT,
     apply=apply_mass,
     shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain", "rail_z.bias"),
+    look_alikes=("rotor.thrust_gain", "rail_z.bias", "servo.trim"),
     writes=("body_mass",),
     follows="command",
 )
@@ -51,19 +51,30 @@ INERTIA = Effect(
     stage=Stage.CONSTANT,
     apply=apply_inertia,
     shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("rotor.thrust_gain", "servo.lag"),
+    look_alikes=("rotor.thrust_gain", "gyro.scale", "servo.lag"),
     writes=("body_inertia",),
     follows="command",
 )
-DRAG = Effect(
-    id="air.drag",
-    summary="aerodynamic drag on the craft",
-    equation="-k_d |v| v",
-    parameters=(Parameter("k_d", "N s^2/m^2", 0.0, 0.0, 1.0, Prior("halfnormal", 0.0, 0.08), 0.05, 0.006),),
-    stage=Stage.FORCE,
-    apply=apply_drag,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_x.viscous", "rail_z.viscous"),
-    dissipative=True,
+COM = Effect(
+    id="airframe.com",
+    summary="a centre of mass beside the hinge",
+    equation="c_arm = offset, I + m offset²",
+    parameters=(Parameter("offset", "m", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.005, 0.0005),),
+    stage=Stage.CONSTANT,
+    apply=apply_com,
+    shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("rotor.asymmetry", "servo.trim", "pitch.bias"),
+    writes=("body_ipos",),
+    follows="position",
 )
-EFFECTS = (MASS, INERTIA, DRAG)
+COM_HEIGHT = Effect(
+    id="airframe.com_height",
+    summary="a centre of mass above or below the hinge",
+    equation="c_up = offset, I + m offset²",
+    parameters=(Parameter("offset", "m", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.005, 0.0005),),
+    stage=Stage.CONSTANT,
+    apply=apply_com_height,
+    shows=("/imu/data", "/mocap/pose"),
+    writes=("body_ipos",),
+    follows="position",
+)

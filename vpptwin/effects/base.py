@@ -126,7 +126,8 @@ class Effect:
         id: name in twin YAML and verdict, e.g. `rail_x.coulomb`.
         summary: what it is, in a phrase that fits into a sentence ("dry friction on the horizontal rail").
         equation: how it enters, in plain text.
-        parameters: its numbers.
+        parameters: its numbers, strength first: while that is at its off value, those that shape the effect (speed,
+            place, width) do nothing. Their off value is a typical one.
         stage: where it acts.
         apply: the one implementation of its physics; see `Stage` for the signature.
         shows: signals in which it can be seen.
@@ -135,6 +136,7 @@ class Effect:
         target: the joint, actuator or body it acts on, "" for the craft.
         needs: joints and bodies that the model must have besides those of the planar craft.
         dissipative: it can only take energy out.
+        modifies: ids of effects that it only modifies: without any of them it does nothing.
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
     """
@@ -151,6 +153,7 @@ class Effect:
     target: str = ""
     needs: tuple[str, ...] = ()
     dissipative: bool = False
+    modifies: tuple[str, ...] = ()
     follows: str = "velocity"
 
     def parameter(self, name: str) -> Parameter:

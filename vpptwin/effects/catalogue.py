@@ -5,35 +5,89 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 
-from vpptwin.effects import actuator, airframe, joint, rotor, timing
+from vpptwin.effects import actuator, air, airframe, friction, joint, motor, rail, rotor, sensing, servo, timing
 from vpptwin.effects.base import Effect
+from vpptwin.effects.joint import Place
 
-RAIL = joint.Place("rail_x", "on the horizontal rail")
-GUIDE = joint.Place("rail_z", "on the vertical guide")
+RAIL = Place("rail_x", "on the horizontal rail")
+GUIDE = Place("rail_z", "on the vertical guide")
+PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1)
+PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03)
+PIVOT_TORQUE = Place("pitch", "in the pivot", rotary=True, scale=0.25)
 
 CATALOGUE: tuple[Effect, ...] = (
-    joint.coulomb(RAIL),
-    joint.coulomb(GUIDE),
-    joint.viscous(RAIL, others=("air.drag",)),
-    joint.viscous(GUIDE, others=("air.drag",)),
-    joint.bias(RAIL),
-    joint.bias(GUIDE, others=("airframe.mass", "rotor.thrust_gain")),
-    *airframe.EFFECTS,
-    *rotor.EFFECTS,
-    *timing.EFFECTS,
+    friction.coulomb(RAIL, ("rail_x.viscous", "rail_x.stiction", "rail_x.jamming", "rail_x.tight_spot")),
+    friction.coulomb(GUIDE, ("rail_z.viscous", "rail_z.stiction", "rail_z.jamming")),
+    friction.coulomb(PIVOT_FRICTION, ("pitch.viscous",)),
+    friction.stiction(RAIL, ("rail_x.coulomb",)),
+    friction.stiction(GUIDE, ("rail_z.coulomb",)),
+    rail.JAMMING_X,
+    rail.JAMMING_Z,
+    rail.TIGHT_SPOT,
+    # These scale all dry friction of their joint, so they come after it.
+    friction.asymmetry(RAIL, ("rail.tilt", "rail_x.bias")),
+    friction.asymmetry(GUIDE, ("rail_z.bias",)),
+    joint.viscous(RAIL, ("rail_x.coulomb", "air.drag", "rotor.in_plane")),
+    joint.viscous(GUIDE, ("rail_z.coulomb", "air.drag", "rotor.inflow")),
+    joint.viscous(PIVOT_DAMPING, ("pitch.coulomb", "rotor.inflow")),
+    joint.bias(RAIL, ("rail.tilt", "mocap.misalignment", "rail_x.asymmetry", "rail_x.spring")),
+    joint.bias(GUIDE, ("airframe.mass", "rotor.thrust_gain", "rail_z.asymmetry")),
+    joint.bias(PIVOT_TORQUE, ("rotor.asymmetry", "airframe.com", "servo.trim")),
+    joint.spring(RAIL, ("rail_x.bias", "carriage.mass")),
+    rail.TILT,
+    rail.CARRIAGE_MASS,
+    airframe.MASS,
+    airframe.INERTIA,
+    airframe.COM,
+    airframe.COM_HEIGHT,
+    air.DRAG,
+    rotor.THRUST_GAIN,
+    rotor.ASYMMETRY,
+    rotor.NEGATIVE_THRUST,
+    rotor.STALL,
+    rotor.INFLOW,
+    air.GROUND_EFFECT,  # strengthens whatever thrust the rotors are left with
+    rotor.IN_PLANE,
+    motor.DRAG,
+    motor.SAG,
+    servo.LAG,
+    servo.RATE_LIMIT,
+    servo.BACKLASH,
+    servo.TRIM,
+    timing.COMMAND_DELAY,
+    timing.MOCAP_DELAY,
+    timing.CLOCK_DRIFT,
+    sensing.MOCAP_MISALIGNMENT,
+    sensing.MOCAP_SCALE,
+    sensing.GYRO_BIAS,
+    sensing.GYRO_SCALE,
 )
 """Every effect of the drone on its rail rig (SPEC 5)."""
 
-GENERIC_JOINT: tuple[Callable[..., Effect], ...] = (joint.coulomb, joint.viscous, joint.bias, joint.spring)
-"""Factories that give joint j of any rig the effects j.coulomb, j.viscous, j.bias and j.spring."""
+GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
+    (friction.coulomb, ("viscous", "stiction")),
+    (friction.stiction, ("coulomb",)),
+    (joint.viscous, ("coulomb",)),
+    (joint.bias, ("spring",)),
+    (joint.spring, ("bias", "inertia")),
+    (joint.inertia, ("spring",)),
+)
+"""Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
 
 GENERIC_TOLERANCE = 0.002
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
 GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
 
-GENERIC_ACTUATOR: tuple[Callable[..., Effect], ...] = (actuator.gain, actuator.delay, actuator.lag)
-"""Factories that give actuator a of any rig the effects a.gain, a.delay and a.lag."""
+GENERIC_ACTUATOR: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
+    (actuator.gain, ("saturation",)),
+    (actuator.delay, ("lag", "backlash")),
+    (actuator.lag, ("delay", "rate_limit")),
+    (actuator.backlash, ("delay",)),
+    (actuator.rate_limit, ("lag",)),
+    (actuator.saturation, ("gain",)),
+)
+"""Factories that give actuator a of any rig the effects a.gain, a.delay and so on, with their look-alikes there."""
 
 
 def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str]) -> tuple[Effect, ...]:
@@ -45,10 +99,12 @@ def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterab
     """
     effects: list[Effect] = []
     for name, rotary, scale in joints:
-        place = joint.Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE)
-        effects.extend(factory(place) for factory in GENERIC_JOINT)
+        place = Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE)
+        for make, alike in GENERIC_JOINT:
+            effects.append(make(place, tuple(f"{name}.{kind}" for kind in alike)))
     for name in actuators:
-        effects.extend(factory(name, f"of actuator {name}") for factory in GENERIC_ACTUATOR)
+        for make, alike in GENERIC_ACTUATOR:
+            effects.append(make(name, f"of actuator {name}", tuple(f"{name}.{kind}" for kind in alike)))
     return tuple(effects)
 
 

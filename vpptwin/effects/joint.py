@@ -1,4 +1,4 @@
-"""Effects on any joint: dry friction, viscous friction, constant force. On our rails and on any other rig."""
+"""Effects on any joint but dry friction: viscous friction, constant force, spring, inertia. On ours and on any rig."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.effects.base import Constants, Effect, Plant, Site, Stage
+from vpptwin.effects.base import Constants, Effect, Motion, Site, Stage
 from vpptwin.effects.parameter import Parameter, Prior
 
 JOINT_SHOWS = ("/mocap/pose", "/imu/data", "/joint_states")
@@ -14,6 +14,8 @@ TOLERANCE = 0.012
 """Friction that a well-built rail may have unremarked, as a share of the typical force."""
 SIZE = 0.1
 """Physical size for secants, as a share of the typical force."""
+SLIDE_ACCELERATION, HINGE_ACCELERATION = 10.0, 30.0
+"""What the typical force of a joint accelerates its inertia by [m/s^2], [rad/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -43,71 +45,64 @@ class Place:
         return Parameter(name, unit, 0.0, *bounds, scaled, self.size * self.scale, self.tolerance * self.scale)
 
 
-def apply_coulomb(constants: Constants, site: Site, /, force: np.ndarray) -> None:
-    """Dry friction -F sgn(v), held exactly at rest by the engine's friction constraint."""
-    constants["dof_frictionloss"][:, site.dof] += force
-
-
 def apply_viscous(constants: Constants, site: Site, /, damping: np.ndarray) -> None:
     """Viscous friction -b v, integrated implicitly by the engine."""
     constants["dof_damping"][:, site.dof] += damping
 
 
-def apply_bias(total: np.ndarray, plant: Plant, site: Site, /, force: np.ndarray) -> np.ndarray:
+def apply_bias(motion: Motion, /, force: float) -> float:
     """Constant force or torque along the joint."""
-    result = total.copy()
-    result[:, site.dof] += force
-    return result
+    return force
 
 
-def apply_spring(total: np.ndarray, plant: Plant, site: Site, /, stiffness: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def apply_spring(motion: Motion, /, stiffness: float, rest: float) -> float:
     """Elastic force towards a rest position, -k (q - rest)."""
-    result = total.copy()
-    result[:, site.dof] -= stiffness * (plant.qpos[:, site.dof] - rest)
-    return result
+    return -stiffness * (motion.position - rest)
 
 
-def coulomb(place: Place, others: tuple[str, ...] = ()) -> Effect:
-    """Dry friction on a joint."""
-    name, unit = ("torque", "N m") if place.rotary else ("force", "N")
-    parameter = place.parameter(name, unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.3))
-
-    def apply(constants: Constants, site: Site, /, **values: np.ndarray) -> None:
-        apply_coulomb(constants, site, values[name])
-
-    return Effect(
-        f"{place.joint}.coulomb", f"dry friction {place.where}", f"-{name} sgn(v)", (parameter,), Stage.CONSTANT, apply,
-        JOINT_SHOWS, (f"{place.joint}.viscous", *others), ("dof_frictionloss",), place.joint, dissipative=True,
-    )  # fmt: skip
+def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> None:
+    """Inertia of the joint added to what it carries [kg, kg m^2]."""
+    constants["dof_armature"][:, site.dof] += inertia
 
 
-def viscous(place: Place, others: tuple[str, ...] = ()) -> Effect:
+def viscous(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Viscous friction on a joint."""
     unit = "N m s/rad" if place.rotary else "N s/m"
     parameter = place.parameter("damping", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
     return Effect(
         f"{place.joint}.viscous", f"viscous friction {place.where}", "-damping v", (parameter,), Stage.CONSTANT,
-        apply_viscous, JOINT_SHOWS, (f"{place.joint}.coulomb", *others), ("dof_damping",), place.joint,
-        dissipative=True,
+        apply_viscous, JOINT_SHOWS, look_alikes, ("dof_damping",), place.joint, dissipative=True,
     )  # fmt: skip
 
 
-def bias(place: Place, others: tuple[str, ...] = ()) -> Effect:
+def bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Constant force or torque on a joint."""
     kind, unit = ("torque", "N m") if place.rotary else ("force", "N")
     parameter = place.parameter("force", unit, -2.0, 2.0, Prior("normal", 0.0, 0.2))
     return Effect(
         f"{place.joint}.bias", f"a constant {kind} {place.where}", "+force", (parameter,), Stage.FORCE,
-        apply_bias, JOINT_SHOWS, others, (), place.joint, follows="position",
+        apply_bias, JOINT_SHOWS, look_alikes, (), place.joint, follows="position",
     )  # fmt: skip
 
 
-def spring(place: Place, others: tuple[str, ...] = ()) -> Effect:
+def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Elastic force on a joint."""
     unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
     stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
     rest = Parameter("rest", length, 0.0, -reach, reach, Prior("normal", 0.0, 0.1 * reach), 0.1 * reach, reach)
     return Effect(
         f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
-        Stage.FORCE, apply_spring, JOINT_SHOWS, (f"{place.joint}.bias", *others), (), place.joint, follows="position",
+        Stage.FORCE, apply_spring, JOINT_SHOWS, look_alikes, (), place.joint, follows="position",
+    )  # fmt: skip
+
+
+def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Mass or moment of inertia that a joint moves besides what the model says."""
+    kind, unit = ("moment of inertia", "kg m^2") if place.rotary else ("mass", "kg")
+    carried = place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
+    low, high, size, tolerance = (share * carried for share in (-0.2, 2.0, 0.05, 0.005))
+    parameter = Parameter("inertia", unit, 0.0, low, high, Prior("normal", 0.0, 0.05 * carried), size, tolerance)
+    return Effect(
+        f"{place.joint}.inertia", f"a wrong {kind} {place.where}", "M + inertia", (parameter,), Stage.CONSTANT,
+        apply_inertia, JOINT_SHOWS, look_alikes, ("dof_armature",), place.joint, follows="command",
     )  # fmt: skip

@@ -1,26 +1,47 @@
-"""Effects on the rotors' thrust and on the servos that pitch their blades."""
+"""Effects on the rotors' thrust, and the forces of air that flows through and across their discs."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vpptwin.effects.base import Constants, Effect, Plant, Site, Stage
+from vpptwin.effects.base import Craft, Effect, Rotor, Stage
 from vpptwin.effects.parameter import Parameter, Prior
 
+LOST_TO_STALL = 0.75
+"""Share of the pitch beyond onset that makes no thrust."""
 
-def apply_thrust_gain(thrust: np.ndarray, plant: Plant, site: Site, /, gain: np.ndarray) -> np.ndarray:
+
+def apply_thrust_gain(thrust: float, rotor: Rotor, /, gain: float) -> float:
     """k_T is off by a factor (paper Eq. 4)."""
-    return thrust * gain[:, None]
+    return thrust * gain
 
 
-def apply_asymmetry(thrust: np.ndarray, plant: Plant, site: Site, /, fraction: np.ndarray) -> np.ndarray:
+def apply_asymmetry(thrust: float, rotor: Rotor, /, fraction: float) -> float:
     """Rotor 1 is stronger and rotor 2 weaker by a fraction."""
-    return thrust * np.stack([1.0 + fraction, 1.0 - fraction], axis=1)
+    return thrust * (1.0 - rotor.side * fraction)
 
 
-def apply_servo_lag(constants: Constants, site: Site, /, time_constant: np.ndarray) -> None:
-    """The pitch servo's time constant [s] differs from the nominal (paper, System Identification, item 1)."""
-    constants["actuator.time_constant"][:] = time_constant[:, None]
+def apply_negative_thrust(thrust: float, rotor: Rotor, /, loss: float) -> float:
+    """Cambered blades make less thrust at negative pitch."""
+    return thrust * (1.0 - loss * (rotor.pitch < 0.0))
+
+
+def apply_stall(thrust: float, rotor: Rotor, /, onset: float) -> float:
+    """Only a quarter of the pitch beyond onset [rad] counts."""
+    pitch = np.abs(rotor.pitch)
+    return thrust * (1.0 - LOST_TO_STALL * np.maximum(pitch - onset, 0.0) / np.maximum(pitch, onset))
+
+
+def apply_inflow(thrust: float, rotor: Rotor, /, damping: float) -> float:
+    """A rotor that climbs along its thrust axis meets the air at a smaller angle."""
+    return thrust - damping * rotor.speed * rotor.axial
+
+
+def apply_in_plane(craft: Craft, /, damping: float) -> tuple[float, float, float]:
+    """H-force: the discs resist motion along the arm."""
+    along_arm = craft.v_x * craft.cosine + craft.v_z * craft.sine
+    force = -damping * (craft.speed_1 + craft.speed_2) * along_arm
+    return force * craft.cosine, force * craft.sine, 0.0
 
 
 THRUST_GAIN = Effect(
@@ -31,9 +52,12 @@ THRUST_GAIN = Effect(
     stage=Stage.THRUST,
     apply=apply_thrust_gain,
     shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("airframe.mass", "rail_z.bias", "airframe.inertia"),
+    look_alikes=(
+        "airframe.mass", "rail_z.bias", "airframe.inertia", "gyro.scale", "servo.trim", "rotor.negative_thrust",
+        "rotor.stall", "air.ground_effect",
+    ),
     follows="command",
-)
+)  # fmt: skip
 ASYMMETRY = Effect(
     id="rotor.asymmetry",
     summary="rotors of unequal thrust",
@@ -42,23 +66,51 @@ ASYMMETRY = Effect(
     stage=Stage.THRUST,
     apply=apply_asymmetry,
     shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("pitch.bias",),
+    look_alikes=("pitch.bias", "airframe.com", "servo.trim"),
     follows="command",
 )
-SERVO_LAG = Effect(
-    id="servo.lag",
-    summary="a wrong time constant of the pitch servos",
-    equation="α̇ = (α_cmd - α)/time_constant",
-    parameters=(
-        Parameter(
-            "time_constant", "s", 0.020, 0.001, 0.2, Prior("normal", 0.020, 0.003), 0.004, 0.0006, "servo.time_constant"
-        ),
-    ),
-    stage=Stage.CONSTANT,
-    apply=apply_servo_lag,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("command.delay",),
-    writes=("actuator.time_constant",),
-    follows="command change",
+NEGATIVE_THRUST = Effect(
+    id="rotor.negative_thrust",
+    summary="less thrust at negative blade pitch",
+    equation="T × (1 - loss) where α < 0",
+    parameters=(Parameter("loss", "", 0.0, 0.0, 0.9, Prior("halfnormal", 0.0, 0.05), 0.05, 0.005),),
+    stage=Stage.THRUST,
+    apply=apply_negative_thrust,
+    shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rotor.thrust_gain",),
+    follows="command",
 )
-EFFECTS = (THRUST_GAIN, ASYMMETRY, SERVO_LAG)
+STALL = Effect(
+    id="rotor.stall",
+    summary="blades that stall at large pitch",
+    equation="α beyond ±onset counts a quarter",
+    # No blade is pitched to the off value. Typical is 0.15 rad.
+    parameters=(Parameter("onset", "rad", 0.5, 0.05, 0.5, Prior("uniform", 0.15, 0.25), 0.36, 0.005),),
+    stage=Stage.THRUST,
+    apply=apply_stall,
+    shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rotor.thrust_gain",),
+    follows="command",
+)
+INFLOW = Effect(
+    id="rotor.inflow",
+    summary="thrust lost to the air that flows through the rotors",
+    equation="T - damping ω v_axis",
+    parameters=(Parameter("damping", "N s/(m rad)", 0.0, 0.0, 0.005, Prior("halfnormal", 0.0, 3e-4), 2e-4, 2e-5),),
+    stage=Stage.THRUST,
+    apply=apply_inflow,
+    shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_z.viscous", "pitch.viscous"),
+    dissipative=True,
+)
+IN_PLANE = Effect(
+    id="rotor.in_plane",
+    summary="drag of the rotors along the arm",
+    equation="-damping (ω_1 + ω_2) v_arm",
+    parameters=(Parameter("damping", "N s/(m rad)", 0.0, 0.0, 0.005, Prior("halfnormal", 0.0, 2e-4), 1e-4, 1e-5),),
+    stage=Stage.FORCE,
+    apply=apply_in_plane,
+    shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_x.viscous", "air.drag"),
+    dissipative=True,
+)

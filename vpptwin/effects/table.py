@@ -14,7 +14,8 @@ MORE_COLUMNS = ("tolerance", "prior", "equation", "acts on", "shown by", "look-a
 ACTS_ON = {
     Stage.CONSTANT: "constants of the model",
     Stage.THRUST: "rotor thrust, every step",
-    Stage.FORCE: "force on the joints, every step",
+    Stage.FORCE: "force, every step",
+    Stage.FRICTION: "dry friction, every step",
 }
 PREAMBLE = """\
 # Effects

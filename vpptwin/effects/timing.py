@@ -1,4 +1,4 @@
-"""Delays: from command to servo, and from the world to the motion capture's stamp."""
+"""Delays and clocks: from command to servo, and from the world to the motion capture's stamp."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ def apply_mocap_delay(constants: Constants, site: Site, /, delay: np.ndarray) ->
     constants["mocap.delay"][:] += delay
 
 
+def apply_drift(constants: Constants, site: Site, /, drift: np.ndarray) -> None:
+    """The motion capture's clock gains this much on the onboard clock [s/s]."""
+    constants["clock.drift"][:] += drift
+
+
 COMMAND_DELAY = Effect(
     id="command.delay",
     summary="a delay from command to servo",
@@ -26,7 +31,7 @@ COMMAND_DELAY = Effect(
     stage=Stage.CONSTANT,
     apply=apply_command_delay,
     shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("servo.lag",),
+    look_alikes=("servo.lag", "servo.backlash"),
     writes=("actuator.delay",),
     follows="command change",
 )
@@ -41,4 +46,14 @@ MOCAP_DELAY = Effect(
     look_alikes=("clock.drift",),
     writes=("mocap.delay",),
 )
-EFFECTS = (COMMAND_DELAY, MOCAP_DELAY)
+CLOCK_DRIFT = Effect(
+    id="clock.drift",
+    summary="a motion capture clock that runs fast or slow",
+    equation="pose(t - drift t)",
+    parameters=(Parameter("drift", "s/s", 0.0, -0.01, 0.01, Prior("normal", 0.0, 2e-4), 1e-3, 2e-5),),
+    stage=Stage.CONSTANT,
+    apply=apply_drift,
+    shows=("/mocap/pose",),
+    look_alikes=("mocap.delay",),
+    writes=("clock.drift",),
+)

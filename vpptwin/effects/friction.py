@@ -1,0 +1,63 @@
+"""Dry friction of any joint: sliding friction, breakaway, and a friction that depends on the direction.
+
+Each effect raises or scales the level that the joint can muster against its motion; the engine room makes it stick.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.effects.base import Effect, Motion, Stage
+from vpptwin.effects.joint import JOINT_SHOWS, Place
+from vpptwin.effects.parameter import Parameter, Prior
+
+
+def apply_coulomb(level: float, motion: Motion, /, force: float) -> float:
+    """Dry friction -F sgn(v), the same at any speed [N, N m]."""
+    return level + force
+
+
+def apply_stiction(level: float, motion: Motion, /, force: float, velocity: float) -> float:
+    """Breakaway exceeds sliding friction by `force` [N, N m], which fades out around `velocity` [m/s, rad/s]."""
+    ratio = motion.velocity / velocity
+    return level + force * np.exp(-ratio * ratio)
+
+
+def apply_asymmetry(level: float, motion: Motion, /, fraction: float) -> float:
+    """All dry friction of the joint is stronger in one direction than in the other."""
+    return level * (1.0 + fraction * motion.direction)
+
+
+def coulomb(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Dry friction on a joint."""
+    name, unit = ("torque", "N m") if place.rotary else ("force", "N")
+    parameter = place.parameter(name, unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.3))
+    return Effect(
+        f"{place.joint}.coulomb", f"dry friction {place.where}", f"-{name} sgn(v)", (parameter,), Stage.FRICTION,
+        apply_coulomb, JOINT_SHOWS, look_alikes, (), place.joint, dissipative=True,
+    )  # fmt: skip
+
+
+def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Breakaway friction on a joint, with the Stribeck curve that leads down to sliding friction F_c."""
+    unit, speed, typical = ("N m", "rad/s", 0.2) if place.rotary else ("N", "m/s", 0.05)
+    force = place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
+    prior = Prior("normal", typical, 0.2 * typical)
+    velocity = Parameter(
+        "velocity", speed, typical, 0.1 * typical, 10.0 * typical, prior, 0.4 * typical, 10.0 * typical
+    )
+    return Effect(
+        f"{place.joint}.stiction", f"breakaway friction {place.where}",
+        "-(F_c + force exp(-(v/velocity)²)) sgn(v)", (force, velocity), Stage.FRICTION, apply_stiction, JOINT_SHOWS,
+        look_alikes, (), place.joint, dissipative=True,
+    )  # fmt: skip
+
+
+def asymmetry(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Dry friction that depends on the direction. It follows the joint's other dry friction, which it scales."""
+    parameter = Parameter("fraction", "", 0.0, -0.9, 0.9, Prior("normal", 0.0, 0.05), 0.1, 0.02)
+    return Effect(
+        f"{place.joint}.asymmetry", f"dry friction {place.where} that depends on the direction",
+        "F × (1 + fraction sgn(v))", (parameter,), Stage.FRICTION, apply_asymmetry, JOINT_SHOWS, look_alikes, (),
+        place.joint, modifies=(f"{place.joint}.coulomb",),
+    )  # fmt: skip

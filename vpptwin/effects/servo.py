@@ -1,0 +1,87 @@
+"""Effects on the servos that pitch the blades: lag, limited rate, play, trim."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.effects.base import Constants, Effect, Site, Stage
+from vpptwin.effects.parameter import Parameter, Prior
+
+
+def apply_lag(constants: Constants, site: Site, /, time_constant: np.ndarray) -> None:
+    """The pitch servo's time constant [s] differs from the nominal (paper, System Identification, item 1)."""
+    constants["actuator.time_constant"][:] = time_constant[:, None]
+
+
+def apply_rate_limit(constants: Constants, site: Site, /, rate: np.ndarray) -> None:
+    """The servos turn no faster than this [rad/s]."""
+    limit = constants["actuator.rate_limit"]
+    limit[:] = np.minimum(limit, rate[:, None])
+
+
+def apply_backlash(constants: Constants, site: Site, /, gap: np.ndarray) -> None:
+    """Play between servo horn and blade [rad]."""
+    constants["actuator.gap"][:] += gap[:, None]
+
+
+def apply_trim(constants: Constants, site: Site, /, offset_1: np.ndarray, offset_2: np.ndarray) -> None:
+    """Pitch [rad] of each rotor's blades when none is commanded."""
+    constants["actuator.trim"][:] += np.stack([offset_1, offset_2], axis=1)
+
+
+LAG = Effect(
+    id="servo.lag",
+    summary="a wrong time constant of the pitch servos",
+    equation="α̇ = (α_cmd - α)/time_constant",
+    parameters=(
+        Parameter(
+            "time_constant", "s", 0.020, 0.001, 0.2, Prior("normal", 0.020, 0.003), 0.004, 0.0006, "servo.time_constant"
+        ),
+    ),
+    stage=Stage.CONSTANT,
+    apply=apply_lag,
+    shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("command.delay", "servo.rate_limit", "airframe.inertia"),
+    writes=("actuator.time_constant",),
+    follows="command change",
+)
+RATE_LIMIT = Effect(
+    id="servo.rate_limit",
+    summary="pitch servos of limited rate",
+    equation="|α̇| ≤ rate",
+    # No servo reaches the off value. Typical are 2 to 10 rad/s.
+    parameters=(Parameter("rate", "rad/s", 1000.0, 0.5, 1000.0, Prior("uniform", 4.0, 20.0), 998.0, 1.0),),
+    stage=Stage.CONSTANT,
+    apply=apply_rate_limit,
+    shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("servo.lag",),
+    writes=("actuator.rate_limit",),
+    follows="command change",
+)
+BACKLASH = Effect(
+    id="servo.backlash",
+    summary="play between servo horns and blades",
+    equation="α within ±gap/2 of the horn",
+    parameters=(Parameter("gap", "rad", 0.0, 0.0, 0.1, Prior("halfnormal", 0.0, 0.003), 0.005, 0.0005),),
+    stage=Stage.CONSTANT,
+    apply=apply_backlash,
+    shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("command.delay",),
+    writes=("actuator.gap",),
+    follows="command change",
+)
+TRIM = Effect(
+    id="servo.trim",
+    summary="blades that are not trimmed",
+    equation="α_1 + offset_1, α_2 + offset_2",
+    parameters=tuple(
+        Parameter(name, "rad", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.004, 0.0004)
+        for name in ("offset_1", "offset_2")
+    ),
+    stage=Stage.CONSTANT,
+    apply=apply_trim,
+    shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("rotor.asymmetry", "airframe.com", "pitch.bias", "airframe.mass", "rotor.thrust_gain"),
+    writes=("actuator.trim",),
+    follows="command",
+)
