@@ -7,57 +7,136 @@ import re
 import numpy as np
 import pytest
 
-from tests.effects.rigs import CART_EFFECTS
-from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, find_effect
+from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect
 from vpptwin.effects.table import print_catalogue
 
-# fmt: off
-SPEC_IDS = {
-    "rail_x.coulomb", "rail_z.coulomb", "rail_x.stiction", "rail_z.stiction", "rail_x.viscous",
-    "rail_z.viscous", "pitch.viscous", "rail_x.jamming", "rail_z.jamming", "rail_x.bias", "rail_z.bias",
-    "pitch.bias", "rail_x.spring", "rail_x.asymmetry", "rail_z.asymmetry", "rail_x.tight_spot",
-    "pitch.coulomb", "rail.tilt", "airframe.mass", "airframe.inertia", "carriage.mass", "airframe.com",
-    "airframe.com_height", "air.drag", "air.ground_effect", "rotor.thrust_gain", "rotor.asymmetry",
-    "rotor.negative_thrust", "rotor.stall", "rotor.inflow", "rotor.in_plane", "rotor.drag", "battery.sag",
-    "servo.lag", "servo.rate_limit", "servo.backlash", "servo.trim", "command.delay", "mocap.delay",
-    "mocap.misalignment", "mocap.scale", "clock.drift", "gyro.bias", "gyro.scale",
+CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+
+# Rows of SPEC 5: names of the parameters with their units.
+DAMPING, FORCE, STRIBECK = {"damping": "N s/m"}, {"force": "N"}, {"force": "N", "velocity": "m/s"}
+SPEC_EFFECTS: dict[str, dict[str, str]] = {
+    "rail_x.coulomb": FORCE,
+    "rail_z.coulomb": FORCE,
+    "rail_x.stiction": STRIBECK,
+    "rail_z.stiction": STRIBECK,
+    "rail_x.viscous": DAMPING,
+    "rail_z.viscous": DAMPING,
+    "pitch.viscous": {"damping": "N m s/rad"},
+    "rail_x.jamming": {"mu": ""},
+    "rail_z.jamming": {"mu": ""},
+    "rail_x.bias": FORCE,
+    "rail_z.bias": FORCE,
+    "pitch.bias": {"force": "N m"},
+    "rail_x.spring": {"stiffness": "N/m", "rest": "m"},
+    "rail_x.asymmetry": {"fraction": ""},
+    "rail_z.asymmetry": {"fraction": ""},
+    "rail_x.tight_spot": {"force": "N", "place": "m", "width": "m"},
+    "pitch.coulomb": {"torque": "N m"},
+    "rail.tilt": {"angle": "rad"},
+    "airframe.mass": {"mass": "kg"},
+    "airframe.inertia": {"inertia": "kg m^2"},
+    "carriage.mass": {"mass": "kg"},
+    "airframe.com": {"offset": "m"},
+    "airframe.com_height": {"offset": "m"},
+    "air.drag": {"k_d": "N s^2/m^2"},
+    "air.ground_effect": {"gain": "", "height": "m"},
+    "rotor.thrust_gain": {"gain": ""},
+    "rotor.asymmetry": {"fraction": ""},
+    "rotor.negative_thrust": {"loss": ""},
+    "rotor.stall": {"onset": "rad"},
+    "rotor.inflow": {"damping": "N s/(m rad)"},
+    "rotor.in_plane": {"damping": "N s/(m rad)"},
+    "rotor.drag": {"gain": ""},
+    "battery.sag": {"rate": "1/s"},
+    "servo.lag": {"time_constant": "s"},
+    "servo.rate_limit": {"rate": "rad/s"},
+    "servo.backlash": {"gap": "rad"},
+    "servo.trim": {"offset_1": "rad", "offset_2": "rad"},
+    "command.delay": {"delay": "s"},
+    "mocap.delay": {"delay": "s"},
+    "mocap.misalignment": {"angle": "rad"},
+    "mocap.scale": {"scale": ""},
+    "clock.drift": {"drift": "s/s"},
+    "gyro.bias": {"bias": "rad/s"},
+    "gyro.scale": {"scale": ""},
 }
-# fmt: on
-"""Ids of SPEC 5, whether there yet or not."""
 SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia"}
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
-# fmt: off
-FIRST_TWELVE = {
-    "rail_x.coulomb", "rail_z.coulomb", "rail_x.viscous", "rail_z.viscous", "rail_x.bias", "rail_z.bias",
-    "airframe.mass", "airframe.inertia", "air.drag", "rotor.thrust_gain", "rotor.asymmetry", "servo.lag",
-    "command.delay", "mocap.delay",
-}
-# fmt: on
 RATIOS = {"gain", "fraction", "mu", "loss", "scale"}
 """Parameters of SPEC 5 that are pure numbers."""
+SHAPES = {"velocity", "rest", "place", "width", "height"}
+"""Parameters that merely shape an effect whose strength another one gives."""
+LIMITS = {"rate_limit", "saturation", "stall"}
+"""Effects that are off where their limit is too far to be reached: at the upper bound."""
 
 EVERY_EFFECT = [pytest.param(effect, id=effect.id) for effect in (*CATALOGUE, *CART_EFFECTS)]
-EVERY_PARAMETER = [pytest.param(p, id=f"{e.id}.{p.name}") for e in (*CATALOGUE, *CART_EFFECTS) for p in e.parameters]
+EVERY_PARAMETER = [pytest.param(e, p, id=f"{e.id}.{p.name}") for e in (*CATALOGUE, *CART_EFFECTS) for p in e.parameters]
 
 
-def test_ids_are_unique() -> None:
-    """No id occurs twice, and the drone has the effects that were promised first."""
+def is_limit(effect: Effect) -> bool:
+    """Whether an effect is off at the upper bound of its parameter."""
+    return effect.id.rpartition(".")[2] in LIMITS
+
+
+def test_the_catalogue_is_that_of_the_spec() -> None:
+    """Every row of SPEC 5 is there once and nothing besides, with parameters of the names and units of the SPEC."""
     ids = [effect.id for effect in CATALOGUE]
     assert len(set(ids)) == len(ids)
-    assert set(ids) >= FIRST_TWELVE
-    assert len({effect.id for effect in CART_EFFECTS}) == len(CART_EFFECTS)
+    assert {e.id: {p.name: p.unit for p in e.parameters} for e in CATALOGUE} == SPEC_EFFECTS
+
+
+def test_any_rig_has_the_generic_effects() -> None:
+    """Every joint and every actuator of another rig has all the generic effects of SPEC 5, once."""
+    wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in SPEC_JOINT_KINDS}
+    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS}
+    assert {effect.id for effect in CART_EFFECTS} == wanted
+    assert len(CART_EFFECTS) == len(wanted)
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id)
-def test_ids_are_those_of_the_spec(effect: Effect) -> None:
-    """An id reads part.kind in lower case and stands in SPEC 5, as do its look-alikes, of which it is none itself."""
+def test_ids_name_what_the_effect_acts_on(effect: Effect) -> None:
+    """An id reads part.kind in lower case, and the part is the joint or body that the effect acts on, if any."""
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*\.[a-z]+(_[a-z]+)*", effect.id)
-    assert effect.id in SPEC_IDS
-    assert set(effect.look_alikes) <= SPEC_IDS
-    assert effect.id not in effect.look_alikes
-    assert len(set(effect.look_alikes)) == len(effect.look_alikes)
     assert effect.target in ("", effect.id.split(".")[0])
+    assert set(effect.needs) <= {"carriage", "slider"}
+
+
+@pytest.mark.parametrize("effects", [CATALOGUE, CART_EFFECTS], ids=["drone", "cart"])
+def test_look_alikes_are_mutual(effects: tuple[Effect, ...]) -> None:
+    """A look-alike is another effect of the same rig, listed once, and takes this one for its own look-alike."""
+    known = {effect.id: effect for effect in effects}
+    for effect in effects:
+        assert len(set(effect.look_alikes)) == len(effect.look_alikes)
+        assert effect.id not in effect.look_alikes
+        for alike in effect.look_alikes:
+            assert effect.id in known[alike].look_alikes, f"{alike} does not list {effect.id}"
+
+
+def test_known_look_alikes_are_listed() -> None:
+    """The groups that a study of this rig found hard to tell apart are there."""
+    groups = (
+        ("rail_x.bias", "rail.tilt", "mocap.misalignment"),
+        ("airframe.mass", "rotor.thrust_gain", "servo.trim"),
+        ("rotor.asymmetry", "servo.trim", "airframe.com"),
+        ("rail_x.viscous", "air.drag", "rotor.in_plane"),
+        ("command.delay", "servo.lag"),
+        ("airframe.inertia", "gyro.scale", "rotor.thrust_gain"),
+        ("mocap.delay", "clock.drift"),
+        ("rail_x.asymmetry", "rail.tilt"),
+        ("rail_x.spring", "carriage.mass"),
+    )
+    for group in groups:
+        for effect_id in group:
+            assert set(group) - {effect_id} <= set(find_effect(CATALOGUE, effect_id).look_alikes)
+
+
+def test_what_scales_friction_comes_after_all_of_it() -> None:
+    """Friction that depends on the direction is the last friction of its joint, since it scales what came before."""
+    for joint in ("rail_x", "rail_z"):
+        rubbing = [e.id for e in CATALOGUE if e.stage is Stage.FRICTION and e.target == joint]
+        assert rubbing[-1] == f"{joint}.asymmetry"
+        assert rubbing[0] in find_effect(CATALOGUE, rubbing[-1]).modifies
 
 
 @pytest.mark.parametrize("effect", CART_EFFECTS, ids=lambda effect: effect.id)
@@ -93,25 +172,42 @@ def test_every_parameter_is_in_the_equation(effect: Effect) -> None:
     assert all(p.name in effect.equation for p in effect.parameters)
 
 
-@pytest.mark.parametrize("parameter", EVERY_PARAMETER)
-def test_parameter_numbers_make_sense(parameter: Parameter) -> None:
-    """Off lies within the bounds, the size is positive and fits between them, only ratios lack a unit."""
+@pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
+def test_parameter_numbers_make_sense(effect: Effect, parameter: Parameter) -> None:
+    """Off lies within the bounds, a step of the size from there too, and only ratios lack a unit."""
     assert parameter.low <= parameter.off <= parameter.high
-    assert 0.0 < parameter.size <= 0.5 * (parameter.high - parameter.low)
-    assert parameter.tolerance >= 0.0
+    if is_limit(effect):  # the step leads to a limit that is often reached
+        assert parameter.off == parameter.high
+        assert parameter.low < parameter.off - parameter.size
+    else:
+        assert 0.0 < parameter.size <= 0.5 * (parameter.high - parameter.low)
     assert np.isfinite([parameter.low, parameter.off, parameter.high, parameter.size, parameter.tolerance]).all()
     assert bool(parameter.unit) != (parameter.name in RATIOS)
 
 
-@pytest.mark.parametrize("parameter", EVERY_PARAMETER)
-def test_prior_lies_within_the_bounds(parameter: Parameter) -> None:
-    """Draws stay within the bounds, nearly all of them without being clipped, and are centred on or start at off."""
+@pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
+def test_tolerance_is_below_what_is_looked_for(effect: Effect, parameter: Parameter) -> None:
+    """A build tolerance is a fraction of the size; of what merely shapes an effect, any value passes unremarked."""
+    if parameter.name in SHAPES:
+        assert parameter is not effect.parameters[0]
+        assert parameter.tolerance >= parameter.high - parameter.off
+    else:
+        assert 0.0 < parameter.tolerance < 0.3 * parameter.size
+
+
+@pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
+def test_prior_lies_within_the_bounds(effect: Effect, parameter: Parameter) -> None:
+    """Draws stay within the bounds, nearly all without being clipped, and centre on or start at off, or are limits."""
     raw = parameter.prior.draw(np.random.default_rng(1), 4000)
     drawn = parameter.draw(np.random.default_rng(1), 4000)
     assert ((drawn >= parameter.low) & (drawn <= parameter.high)).all()
     assert np.mean(raw == drawn) > 0.98
-    assert parameter.prior.a == parameter.off
-    assert 0.1 * parameter.size < drawn.std() < 0.5 * (parameter.high - parameter.low)
+    if is_limit(effect):  # every real servo has its limit
+        assert parameter.off - drawn.mean() > 0.5 * parameter.size
+    else:
+        assert parameter.prior.a == parameter.off
+        assert 0.1 * parameter.size < drawn.std()
+    assert drawn.std() < 0.5 * (parameter.high - parameter.low)
 
 
 def test_unknown_effect_names_close_ones() -> None:

@@ -22,9 +22,13 @@ PREAMBLE = """\
 
 Written by `vpptwin effects --markdown`; to change it, change the catalogue in `vpptwin/effects` and write it anew.
 
-At `off` an effect does nothing. A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the
-deviation that a well-built rig may show unremarked: below it a diagnosis accuses nothing. Training draws from the
-prior. Look-alikes are hard to tell apart: that takes the right manoeuvre.
+At `off` an effect does nothing. Where `off` is the upper bound, the effect is a limit that nothing reaches there. A
+parameter that merely shapes an effect (`velocity`, `rest`, `place`, `width`, `height`) does nothing while the strength
+before it is off; its `off` is a typical value, and its tolerance lets any value pass.
+
+A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the deviation that a well-built rig may
+show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. Look-alikes are hard to tell
+apart: that takes the right manoeuvre.
 """
 
 

@@ -1,0 +1,260 @@
+"""The physics of every effect, against values worked out by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vpptwin.effects import CATALOGUE, Site, Stage, effects_for_rig, find_effect
+from vpptwin.effects.base import Craft, Motion, Rotor
+
+CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+EFFECTS = (*CATALOGUE, *CART_EFFECTS)
+ROUNDING = 1e-12
+"""The numbers below are exact, or carry functions that numpy computes to the last bit or two."""
+
+E = np.e
+
+# Friction: level [N, N m] before, motion, parameters, level after.
+FORWARD = Motion(position=0.3, velocity=0.1, direction=1.0, load=-2.0, lever=15.0)
+BACKWARD = Motion(position=0.3, velocity=-0.1, direction=-1.0, load=2.0, lever=-15.0)
+AT_REST = Motion(position=0.3, velocity=0.0, direction=1.0, load=0.0, lever=0.0)
+FRICTION_LAWS = [
+    ("rail_x.coulomb", 0.2, FORWARD, (0.3,), 0.5),  # 0.2 + 0.3, at any speed
+    ("rail_z.coulomb", 0.2, AT_REST, (0.3,), 0.5),
+    ("pitch.coulomb", 0.0, BACKWARD, (0.02,), 0.02),  # a level has no sign
+    ("slide.coulomb", 0.2, BACKWARD, (0.3,), 0.5),
+    ("swing.coulomb", 0.2, FORWARD, (0.3,), 0.5),
+    ("rail_x.stiction", 0.2, AT_REST, (0.3, 0.05), 0.5),  # breakaway: all of it, exp(0) = 1
+    ("rail_x.stiction", 0.2, FORWARD, (0.3, 0.1), 0.2 + 0.3 / E),  # (0.1/0.1)² = 1
+    ("rail_z.stiction", 0.2, BACKWARD, (0.3, 0.05), 0.2 + 0.3 / E**4),  # (-0.1/0.05)² = 4
+    ("slide.stiction", 0.2, FORWARD, (0.3, 0.1), 0.2 + 0.3 / E),
+    ("swing.stiction", 0.0, AT_REST, (0.3, 0.2), 0.3),
+    ("rail_x.jamming", 0.2, FORWARD, (0.02,), 0.8),  # 0.2 + 0.02 · |-2 · 15| = 0.2 + 0.6
+    ("rail_x.jamming", 0.2, BACKWARD, (0.02,), 0.8),
+    ("rail_x.jamming", 0.2, AT_REST, (0.02,), 0.2),  # nothing carried
+    ("rail_z.jamming", 0.2, FORWARD, (0.25,), 0.7),  # 0.2 + 0.25 · |-2|, whatever the lever
+    ("rail_x.tight_spot", 0.2, FORWARD, (0.5, 0.3, 0.1), 0.7),  # in its middle
+    ("rail_x.tight_spot", 0.2, AT_REST, (0.5, 0.5, 0.1), 0.2 + 0.5 / E**4),  # two widths away: (-0.2/0.1)² = 4
+    ("rail_x.asymmetry", 0.4, FORWARD, (0.25,), 0.5),  # 0.4 · (1 + 0.25)
+    ("rail_x.asymmetry", 0.4, BACKWARD, (0.25,), 0.3),  # 0.4 · (1 - 0.25)
+    ("rail_z.asymmetry", 0.4, FORWARD, (-0.25,), 0.3),
+]
+
+# Force on a joint: motion, parameters, force [N, N m].
+JOINT_LAWS = [
+    ("rail_x.bias", FORWARD, (0.3,), 0.3),
+    ("rail_z.bias", BACKWARD, (-0.3,), -0.3),
+    ("pitch.bias", AT_REST, (0.05,), 0.05),
+    ("slide.bias", FORWARD, (0.3,), 0.3),
+    ("swing.bias", BACKWARD, (0.3,), 0.3),
+    ("rail_x.spring", FORWARD, (2.0, -0.1), -0.8),  # -2 · (0.3 + 0.1)
+    ("rail_x.spring", AT_REST, (2.0, 0.5), 0.4),  # -2 · (0.3 - 0.5)
+    ("slide.spring", FORWARD, (2.0, 0.0), -0.6),
+    ("swing.spring", FORWARD, (2.0, 0.0), -0.6),
+]
+
+# Force on the craft [N, N, N m]: v = (3, -4) m/s, |v| = 5; arm along (cos θ, sin θ) = (0.8, 0.6).
+CRAFT = Craft(0.1, 1.2, 3.0, -4.0, 2.0, sine=0.6, cosine=0.8, arm=0.2, speed_1=450.0, speed_2=550.0, time=1.0)
+# Upright and climbing: nothing along the arm.
+CLIMBING = CRAFT._replace(v_x=0.0, v_z=2.0, sine=0.0, cosine=1.0)
+CRAFT_LAWS = [
+    ("air.drag", CRAFT, (0.1,), (-1.5, 2.0, 0.0)),  # -0.1 · 5 · (3, -4)
+    ("air.drag", CLIMBING, (0.1,), (0.0, -0.4, 0.0)),  # -0.1 · 2 · 2
+    # Along the arm 3 · 0.8 - 4 · 0.6 = 0: it slips along its thrust axis. Turned to (0.6, 0.8) it would not.
+    ("rotor.in_plane", CRAFT, (5e-4,), (0.0, 0.0, 0.0)),
+    # v_arm = 3 · 0.6 - 4 · 0.8 = -1.4; -5e-4 · (450 + 550) · -1.4 = 0.7 along the arm: 0.7 · (0.6, 0.8)
+    ("rotor.in_plane", CRAFT._replace(sine=0.8, cosine=0.6), (5e-4,), (0.42, 0.56, 0.0)),
+    ("rotor.in_plane", CLIMBING, (5e-4,), (0.0, 0.0, 0.0)),
+]
+
+# Thrust of one rotor [N]: before, rotor, parameters, after.
+LEFT = Rotor(side=-1.0, speed=500.0, pitch=0.12, height=0.6, axial=0.5)
+RIGHT = Rotor(side=1.0, speed=500.0, pitch=-0.20, height=0.6, axial=-0.5)
+THRUST_LAWS = [
+    ("rotor.thrust_gain", 3.0, LEFT, (0.9,), 2.7),
+    ("rotor.thrust_gain", -3.0, RIGHT, (0.9,), -2.7),
+    ("rotor.asymmetry", 3.0, LEFT, (0.1,), 3.3),  # rotor 1 · (1 + 0.1)
+    ("rotor.asymmetry", 3.0, RIGHT, (0.1,), 2.7),  # rotor 2 · (1 - 0.1)
+    ("rotor.negative_thrust", 3.0, LEFT, (0.2,), 3.0),  # pitch is positive
+    ("rotor.negative_thrust", -3.0, RIGHT, (0.2,), -2.4),  # -3 · (1 - 0.2)
+    ("rotor.negative_thrust", 0.0, LEFT._replace(pitch=0.0), (0.2,), 0.0),
+    ("rotor.stall", 3.0, LEFT, (0.16,), 3.0),  # 0.12 rad is below onset
+    # 0.20 rad with onset 0.16 counts as 0.16 + 0.04/4 = 0.17: -4 · 0.17/0.20 = -3.4
+    ("rotor.stall", -4.0, RIGHT, (0.16,), -3.4),
+    ("rotor.stall", 4.0, RIGHT._replace(pitch=0.20), (0.16,), 3.4),
+    ("rotor.stall", 0.0, LEFT._replace(pitch=0.0), (0.16,), 0.0),
+    ("rotor.inflow", 3.0, LEFT, (1e-3,), 2.75),  # 3 - 1e-3 · 500 · 0.5: it climbs
+    ("rotor.inflow", -3.0, RIGHT, (1e-3,), -2.75),  # it sinks
+    ("air.ground_effect", 3.0, LEFT, (0.4, 0.3), 3.0 * (1.0 + 0.4 / E**2)),  # 0.6/0.3 = 2
+    ("air.ground_effect", -3.0, LEFT._replace(height=0.0), (0.4, 0.3), -4.2),  # on the floor: 1 + 0.4
+    ("air.ground_effect", 3.0, LEFT._replace(height=-900.0), (0.4, 0.3), 4.2),  # a free craft may fall for ever
+]
+
+# Constants: what the effect writes, at parameters that differ between two simulations. Body 2, dof 1 and actuator 0 are
+# those that the effect acts on; the craft is body 2, its nominal mass 0.45 kg.
+SITE = Site(dof=1, actuator=0, body=2)
+G = 9.81
+SIXTH = np.pi / 6  # sin = 1/2
+CONSTANT_LAWS = [
+    ("rail_x.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),  # 0.1 besides
+    ("rail_z.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
+    ("pitch.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
+    ("slide.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
+    ("swing.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
+    ("slide.inertia", {"inertia": (0.1, -0.1)}, {"dof_armature": [[0, 0.3, 0], [0, 0.1, 0]]}),  # 0.2 besides
+    ("swing.inertia", {"inertia": (0.1, -0.1)}, {"dof_armature": [[0, 0.3, 0], [0, 0.1, 0]]}),
+    # Raised by 30° along +x, half of gravity pulls back along x; what pulls along z stays.
+    ("rail.tilt", {"angle": (SIXTH, -SIXTH)}, {"opt.gravity": [[-G / 2, 0, -G], [G / 2, 0, -G]]}),
+    ("carriage.mass", {"mass": (0.05, -0.05)}, {"body_mass": [[0, 0.08, 0.50], [0, 0.08, 0.40]]}),
+    ("airframe.mass", {"mass": (0.05, -0.05)}, {"body_mass": [[0, 0.08, 0.50], [0, 0.08, 0.40]]}),
+    # About the axis into the page alone.
+    (
+        "airframe.inertia",
+        {"inertia": (1e-3, -1e-3)},
+        {"body_inertia": [[[0] * 3, [0] * 3, [6e-3, y, 6e-3]] for y in (7e-3, 5e-3)]},
+    ),
+    ("airframe.com", {"offset": (0.01, -0.01)}, {"body_ipos": [[[0] * 3, [0] * 3, [x, 0, 0]] for x in (0.01, -0.01)]}),
+    (
+        "airframe.com_height",
+        {"offset": (0.01, -0.01)},
+        {"body_ipos": [[[0] * 3, [0] * 3, [0, 0, z]] for z in (0.01, -0.01)]},
+    ),
+    ("rotor.drag", {"gain": (1.2, 0.8)}, {"rotor.drag_gain": [1.2, 0.8]}),
+    ("battery.sag", {"rate": (0.005, 0.0)}, {"battery.sag": [0.005, 0.0]}),
+    # Both servos.
+    ("servo.lag", {"time_constant": (0.03, 0.01)}, {"actuator.time_constant": [[0.03, 0.03], [0.01, 0.01]]}),
+    ("servo.rate_limit", {"rate": (3.0, 1000.0)}, {"actuator.rate_limit": [[3.0, 3.0], [1000.0, 1000.0]]}),
+    ("servo.backlash", {"gap": (0.01, 0.02)}, {"actuator.gap": [[0.01, 0.01], [0.02, 0.02]]}),
+    (
+        "servo.trim",
+        {"offset_1": (0.01, 0.02), "offset_2": (-0.01, 0.0)},
+        {"actuator.trim": [[0.01, -0.01], [0.02, 0.0]]},
+    ),
+    ("command.delay", {"delay": (0.004, 0.008)}, {"actuator.delay": [[0.004, 0.004], [0.008, 0.008]]}),
+    ("mocap.delay", {"delay": (0.004, 0.008)}, {"mocap.delay": [0.004, 0.008]}),
+    ("clock.drift", {"drift": (1e-4, -1e-4)}, {"clock.drift": [1e-4, -1e-4]}),
+    ("mocap.misalignment", {"angle": (0.02, -0.02)}, {"mocap.angle": [0.02, -0.02]}),
+    ("mocap.scale", {"scale": (1.02, 0.98)}, {"mocap.scale": [1.02, 0.98]}),
+    ("gyro.bias", {"bias": (0.05, -0.05)}, {"gyro.bias": [0.05, -0.05]}),
+    ("gyro.scale", {"scale": (1.05, 0.95)}, {"gyro.scale": [1.05, 0.95]}),
+    # The first actuator alone.
+    ("motor.gain", {"gain": (1.2, 0.8)}, {"actuator.gain": [[1.2, 1.0], [0.8, 1.0]]}),
+    ("motor.delay", {"delay": (0.004, 0.008)}, {"actuator.delay": [[0.004, 0.0], [0.008, 0.0]]}),
+    ("motor.lag", {"time_constant": (0.03, 0.01)}, {"actuator.time_constant": [[0.03, 0.02], [0.01, 0.02]]}),
+    ("motor.rate_limit", {"rate": (3.0, 10.0)}, {"actuator.rate_limit": [[3.0, 1e9], [10.0, 1e9]]}),
+    ("motor.backlash", {"gap": (0.01, 0.02)}, {"actuator.gap": [[0.01, 0.0], [0.02, 0.0]]}),
+    ("motor.saturation", {"limit": (0.5, 2.0)}, {"actuator.limit": [[0.5, 1e9], [2.0, 1e9]]}),
+]
+
+
+def nominal_constants() -> dict[str, np.ndarray]:
+    """Constants of two simulations with three bodies, three degrees of freedom and two actuators."""
+
+    def rows(*values: Any) -> np.ndarray:  # noqa: ANN401
+        return np.repeat(np.array([values], dtype=float), 2, axis=0)
+
+    per_actuator = {"delay": 0.0, "time_constant": 0.02, "rate_limit": 1e9, "gap": 0.0, "trim": 0.0, "gain": 1.0}
+    table = {f"actuator.{name}": rows(value, value) for name, value in per_actuator.items()}
+    table["actuator.limit"] = rows(1e9, 1e9)
+    zeros = ("battery.sag", "gyro.bias", "mocap.delay", "mocap.angle", "clock.drift")
+    table |= {name: np.zeros(2) for name in zeros}
+    table |= {name: np.ones(2) for name in ("rotor.drag_gain", "gyro.scale", "mocap.scale")}
+    return table | {
+        "body_mass": rows(0.0, 0.08, 0.45),
+        "body_inertia": rows([0.0] * 3, [0.0] * 3, [6e-3] * 3),
+        "body_ipos": rows([0.0] * 3, [0.0] * 3, [0.0] * 3),
+        "dof_damping": rows(0.0, 0.1, 0.0),
+        "dof_armature": rows(0.0, 0.2, 0.0),
+        "opt.gravity": rows(0.0, 0.0, -G),
+    }
+
+
+def name_case(value: object) -> str | None:
+    """Cases are called by their effect."""
+    return value if isinstance(value, str) else ""
+
+
+def test_every_effect_has_a_law() -> None:
+    """No effect of the catalogue, and no generic one, is without a value worked out by hand."""
+    laws = {
+        Stage.FRICTION: {law[0] for law in FRICTION_LAWS},
+        Stage.FORCE: {law[0] for law in (*JOINT_LAWS, *CRAFT_LAWS)},
+        Stage.THRUST: {law[0] for law in THRUST_LAWS},
+        Stage.CONSTANT: {law[0] for law in CONSTANT_LAWS},
+    }
+    for stage, ids in laws.items():
+        assert ids == {effect.id for effect in EFFECTS if effect.stage is stage}
+
+
+@pytest.mark.parametrize(("effect_id", "level", "motion", "parameters", "expected"), FRICTION_LAWS, ids=name_case)
+def test_friction(effect_id: str, level: float, motion: Motion, parameters: tuple[float, ...], expected: float) -> None:
+    """Dry friction that a joint can muster is as the law says."""
+    found = find_effect(EFFECTS, effect_id).apply(level, motion, *parameters)
+    assert found == pytest.approx(expected, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(("effect_id", "motion", "parameters", "expected"), JOINT_LAWS, ids=name_case)
+def test_force_on_a_joint(effect_id: str, motion: Motion, parameters: tuple[float, ...], expected: float) -> None:
+    """The force on a joint is as the law says."""
+    found = find_effect(EFFECTS, effect_id).apply(motion, *parameters)
+    assert found == pytest.approx(expected, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(("effect_id", "craft", "parameters", "expected"), CRAFT_LAWS, ids=name_case)
+def test_force_on_the_craft(
+    effect_id: str, craft: Craft, parameters: tuple[float, ...], expected: tuple[float, float, float]
+) -> None:
+    """Force and moment on the craft are as the law says."""
+    found = find_effect(EFFECTS, effect_id).apply(craft, *parameters)
+    assert found == pytest.approx(expected, rel=ROUNDING, abs=ROUNDING)
+
+
+@pytest.mark.parametrize(("effect_id", "thrust", "rotor", "parameters", "expected"), THRUST_LAWS, ids=name_case)
+def test_thrust(effect_id: str, thrust: float, rotor: Rotor, parameters: tuple[float, ...], expected: float) -> None:
+    """The thrust of a rotor is as the law says."""
+    found = find_effect(EFFECTS, effect_id).apply(thrust, rotor, *parameters)
+    assert found == pytest.approx(expected, rel=ROUNDING)
+
+
+@pytest.mark.parametrize(("effect_id", "parameters", "expected"), CONSTANT_LAWS, ids=name_case)
+def test_constants(effect_id: str, parameters: dict[str, tuple[float, float]], expected: dict[str, list]) -> None:
+    """An effect writes what the law says, in every simulation its own, and leaves all other constants alone."""
+    effect, table = find_effect(EFFECTS, effect_id), nominal_constants()
+    effect.apply(table, SITE, **{name: np.array(values) for name, values in parameters.items()})
+    assert tuple(expected) == effect.writes
+    for name, value in (nominal_constants() | expected).items():
+        np.testing.assert_allclose(table[name], value, rtol=ROUNDING, atol=ROUNDING, err_msg=name)
+
+
+@pytest.mark.parametrize("effect_id", [law[0] for law in CONSTANT_LAWS])
+def test_constants_stay_at_off(effect_id: str) -> None:
+    """At its off value an effect leaves every bit of the constants; a limit comes down to one that nothing reaches."""
+    effect, table = find_effect(EFFECTS, effect_id), nominal_constants()
+    nominal = nominal_constants()
+    off = {p.name: np.full(2, p.off) for p in effect.parameters}
+    actuators = slice(None) if effect.target != "motor" else SITE.actuator
+    if effect_id == "motor.lag":  # other rigs have no nominal lag
+        table["actuator.time_constant"][:] = nominal["actuator.time_constant"][:] = 0.0
+    if effect_id.endswith(("rate_limit", "saturation")):
+        (limit,) = effect.parameters
+        assert limit.off >= 1000.0  # servos turn at some 10 rad/s, and controls are of the order of one
+        nominal[effect.writes[0]][:, actuators] = limit.off
+    effect.apply(table, SITE, **off)
+    for name, value in nominal.items():
+        np.testing.assert_array_equal(table[name], value, err_msg=name)
+
+
+def test_dry_frictions_add_and_asymmetry_scales_them() -> None:
+    """Sliding friction and the rest add; a friction that depends on the direction scales the sum."""
+    level = 0.0
+    values = {"rail_x.coulomb": (0.2,), "rail_x.stiction": (0.3, 0.05), "rail_x.jamming": (0.02,)}
+    values |= {"rail_x.tight_spot": (0.5, 0.3, 0.1), "rail_x.asymmetry": (0.1,)}
+    motion = AT_REST._replace(load=1.0, lever=10.0)
+    for effect in CATALOGUE:
+        if effect.id in values:
+            level = effect.apply(level, motion, *values[effect.id])
+    # (0.2 + 0.3 + 0.02 · 10 + 0.5) · (1 + 0.1) = 1.2 · 1.1
+    assert level == pytest.approx(1.32, rel=ROUNDING)
