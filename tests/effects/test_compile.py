@@ -24,12 +24,13 @@ pytestmark = pytest.mark.parametrize("effect", EVERY_STEP, ids=lambda effect: ef
 def draw_inputs(effect: Effect, rng: np.random.Generator) -> tuple[Any, ...]:
     """What the effect is called with before its parameters, COUNT of each, zero and either sign among them."""
 
-    def draw(low: float, high: float) -> np.ndarray:
+    def draw(low: float, high: float) -> Any:  # noqa: ANN401
         return np.append(np.clip([0.0], low, high), rng.uniform(low, high, COUNT - 1))
 
     level = draw(0.0, 2.0)
-    motion = Motion(draw(-2, 2), draw(-2, 2), rng.choice([-1.0, 1.0], COUNT), draw(-10, 10), draw(0, 25))
-    rotor = Rotor(rng.choice([-1.0, 1.0], COUNT), draw(0, 550), draw(-0.25, 0.25), draw(-1, 3), draw(-5, 5))
+    sign: Any = rng.choice([-1.0, 1.0], COUNT)
+    motion = Motion(draw(-2, 2), draw(-2, 2), sign, draw(-10, 10), draw(0, 25))
+    rotor = Rotor(sign, draw(0, 550), draw(-0.25, 0.25), draw(-1, 3), draw(-5, 5))
     angle = draw(-np.pi, np.pi)
     pose = (draw(-1.5, 1.5), draw(-1, 3), draw(-4, 4), draw(-4, 4), draw(-15, 15), np.sin(angle), np.cos(angle))
     craft = Craft(*pose, draw(0.1, 0.4), draw(0, 550), draw(0, 550), draw(0, 60))
@@ -50,7 +51,8 @@ def call_one_by_one(
 
     def pick(values: Any, i: int) -> Any:  # noqa: ANN401
         if isinstance(values, tuple):
-            return type(values)(*(float(v[i]) for v in values))
+            make: Any = type(values)
+            return make(*(float(v[i]) for v in values))
         return float(values[i])
 
     return [
