@@ -32,14 +32,17 @@ class Contact:
         near |= position[Z] > self.high[Z, 0] - _MARGIN
         return bool(near.any())
 
-    def add_forces(
-        self, force: np.ndarray, position: np.ndarray, velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray
-    ) -> None:
-        """Add the contact forces N and their moment N m to `force`, (3, flights)."""
+    def push_slides(self, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Forces of the end stops on carriage and slider, N. (2, flights)."""
         slides, rates = position[:PITCH], velocity[:PITCH]
         over, under = slides - self.high, self.low - slides
-        force[:PITCH] -= np.where(over > 0, np.maximum(STIFFNESS * over + DAMPING * rates, 0.0), 0.0)
-        force[:PITCH] += np.where(under > 0, np.maximum(STIFFNESS * under - DAMPING * rates, 0.0), 0.0)
+        back = np.where(over > 0, np.maximum(STIFFNESS * over + DAMPING * rates, 0.0), 0.0)
+        return np.where(under > 0, np.maximum(STIFFNESS * under - DAMPING * rates, 0.0), 0.0) - back
+
+    def add_to_tips(
+        self, force: np.ndarray, position: np.ndarray, velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray
+    ) -> None:
+        """Add what floor and wall do to the craft's arm tips to `force`, N and N m about the hinge. (3, flights)."""
         reach = self.reach  # (2, 1): arm tips in body axes
         depth = TIP_RADIUS - (position[Z] + reach * sine)
         sinking = -(velocity[Z] + reach * cosine * velocity[PITCH])

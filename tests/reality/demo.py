@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .flight import fly_many
+from .flight import FlightPlan, fly_many
 from .recording import write_mcap
 
 FOLDER = Path(__file__).resolve().parents[2] / "demo" / "flights"
@@ -26,7 +26,13 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     for name, manoeuvre, duration, seed in FLIGHTS:
-        flight = {"effects": HIDDEN, "manoeuvre": manoeuvre, "duration": duration, "seed": seed, "session": SESSION}
+        flight: FlightPlan = {
+            "effects": HIDDEN,
+            "manoeuvre": manoeuvre,
+            "duration": duration,
+            "seed": seed,
+            "session": SESSION,
+        }
         path = write_mcap(fly_many([flight])[0], out / name)
         print(f"{path}  {path.stat().st_size / 1e6:.2f} MB")
 

@@ -87,6 +87,7 @@ EXTENDED: dict[str, dict[str, Size]] = {
     },
     "mocap.misalignment": {"angle": Size("rad", 0.0, _either_sign(0.02, 0.06))},
     "mocap.scale": {"scale": Size("1", 1.0, ((0.96, 0.985), (1.015, 1.04)))},
+    "clock.drift": {"drift": Size("s/s", 0.0, _either_sign(3e-4, 1e-3))},
     "gyro.bias": {"bias": Size("rad/s", 0.0, _either_sign(0.04, 0.15))},
     "gyro.scale": {"scale": Size("1", 1.0, ((0.90, 0.96), (1.04, 1.10)))},
 }
@@ -118,7 +119,7 @@ def draw_effect(rng: np.random.Generator, among: Sequence[str] = tuple(CORE)) ->
     Returns:
         {id: {parameter: value in SI}}.
     """
-    effect = among[rng.integers(len(among))]
+    effect = among[int(rng.integers(len(among)))]
     return {effect: {name: size.draw(rng) for name, size in EFFECTS[effect].items()}}
 
 

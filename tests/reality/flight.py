@@ -143,10 +143,9 @@ class Batch:
         trim = np.full((2, self.count), hover * self.firmware.per_newton)
         self.servo, self.motor, self.propeller = Servo(self.rig, trim), Motor(self.rig), Propeller(self.rig)
         self.propeller.pitch = trim.copy()
-        age = (-self.chances.phase - _LATENCY) % MOCAP_PERIOD + _LATENCY
-        self.age = age
-        self.estimator = Estimator(state[:3], state[3:], age.astype(float), self.rig.gravity)
         self._allocate()
+        age = (-self.chances.phase - _LATENCY) % MOCAP_PERIOD + _LATENCY
+        self.estimator = Estimator(state[:3], state[3:], age.astype(float), self.rig.gravity)
 
     def _allocate(self) -> None:
         shape, steps, frames = (self.steps + 1, 3, self.count), self.steps, self.steps // MOCAP_PERIOD + 1
@@ -161,6 +160,8 @@ class Batch:
         self.policy = np.zeros((frames, 2, self.count))
         hidden = self.rig.hidden
         self.mocap_delay = hidden.get("mocap.delay", "delay")
+        self.drift, self.drifting = hidden.get("clock.drift", "drift"), hidden.any("clock.drift")
+        self.newest = np.full(self.count, -1)  # frame that the pilot has had
         self.misalignment = hidden.get("mocap.misalignment", "angle")
         self.mocap_scale = hidden.get("mocap.scale", "scale")
         self.gyro_bias, self.gyro_scale = hidden.get("gyro.bias", "bias"), hidden.get("gyro.scale", "scale")
@@ -210,18 +211,14 @@ class Batch:
         """Estimate and command at policy tick k / 10."""
         tick = k // MOCAP_PERIOD
         self._read_accelerometer(slice(max(k - MOCAP_PERIOD + 1, 0), k + 1))
-        # Frame n of a flight is taken at 10 n + phase ms; the newest that has arrived is `age` ms old.
-        frame = (k - self.age - self.chances.phase) // MOCAP_PERIOD
-        arrived = frame >= 0
+        frame = self._find_frame(k)
+        arrived = frame > self.newest
+        self.newest = frame
+        if self.drifting:  # a fast clock brings two frames in one period now and then
+            self._take_frame(np.maximum(frame - 1, 0), k, arrived & (frame > 0))
+            self.estimator.blend = (k - self.stamp_frame(np.maximum(frame, 0))[1] - MOCAP_PERIOD) / MOCAP_PERIOD
         frame = np.maximum(frame, 0)
-        taken = frame * MOCAP_PERIOD + self.chances.phase
-        pose = look_back(self.position, self.velocity, np.minimum(taken, k), self.mocap_delay, self.all)
-        pose[:PITCH] *= self.mocap_scale
-        pose[PITCH] += self.misalignment
-        pose += self.chances.mocap[frame, :, self.all].T
-        pose[:PITCH] = quantise(pose[:PITCH], POSITION_LSB)
-        pose[PITCH] = quantise(pose[PITCH], ANGLE_LSB)
-        self.frames[frame[arrived], :, self.all[arrived]] = pose.T[arrived]
+        pose = self._take_frame(frame, k, arrived)
         if k:
             span = slice(k - MOCAP_PERIOD + 1, k + 1)
             seen = arrived & self.chances.seen[frame, self.all]
@@ -230,6 +227,32 @@ class Batch:
         thrust, rate = self.pilot.command(tick - lead, self.estimator.pose, self.estimator.speed)
         self.policy[tick] = thrust, rate
         return thrust, rate
+
+    def stamp_frame(self, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When frames are taken by the mocap's clock, which stamps them, and by the onboard clock, ms. (flights,) each.
+
+        The clocks agree at the start of the log.
+        """
+        stamp = frame * MOCAP_PERIOD + self.chances.phase
+        return stamp, stamp - self.drift * (stamp - self.lead)
+
+    def _find_frame(self, k: int) -> np.ndarray:
+        """Newest frame that has reached the pilot at step k, -1 before the first. (flights,)."""
+        stamp = (k - _LATENCY - self.drift * self.lead) / (1 - self.drift)
+        frame = np.floor((stamp - self.chances.phase) / MOCAP_PERIOD).astype(int)
+        return np.clip(frame, -1, len(self.frames) - 1)
+
+    def _take_frame(self, frame: np.ndarray, k: int, arrived: np.ndarray) -> np.ndarray:
+        """Measure the pose of a frame not after step k and keep it where it has arrived. (3, flights)."""
+        taken = np.minimum(self.stamp_frame(frame)[1], k)
+        pose = look_back(self.position, self.velocity, taken, self.mocap_delay, self.all)
+        pose[:PITCH] *= self.mocap_scale
+        pose[PITCH] += self.misalignment
+        pose += self.chances.mocap[frame, :, self.all].T
+        pose[:PITCH] = quantise(pose[:PITCH], POSITION_LSB)
+        pose[PITCH] = quantise(pose[PITCH], ANGLE_LSB)
+        self.frames[frame[arrived], :, self.all[arrived]] = pose.T[arrived]
+        return pose
 
     def read_currents(self) -> np.ndarray:
         """Measured motor currents, A. (steps + 1, 2, flights)."""

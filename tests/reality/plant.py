@@ -19,15 +19,16 @@ _UNEVEN_WAVE = 2 * np.pi / 0.6  # rad/m, of the rail's small unevenness
 class Plant:
     """Positions and velocities of a batch of flights, and the forces on them."""
 
-    def __init__(self, rig: Rig, position: np.ndarray, velocity: np.ndarray) -> None:
+    def __init__(self, rig: Rig, position: np.ndarray, velocity: np.ndarray, step: float = STEP) -> None:
         """Start a batch.
 
         Args:
             rig: The true rigs.
             position: x m, z m, theta rad. (3, flights).
             velocity: Its rate. (3, flights).
+            step: s by which `advance` advances.
         """
-        self.rig = rig
+        self.rig, self.step = rig, step
         self.position, self.velocity = position.copy(), velocity.copy()
         self.accel = np.zeros_like(position)
         self.friction, self.contact = DryFriction(rig), Contact(rig)
@@ -55,6 +56,7 @@ class Plant:
         self.constant = rig.bias.copy()
         self.constant[X] -= rig.mass_x * rig.gravity * rig.tilt_sine
         self.constant[Z] -= rig.mass_z * rig.gravity
+        self.on_carriage = rig.bias[X] - rig.carriage_mass * rig.gravity * rig.tilt_sine  # what of it acts there
 
     def drop_ballast(self, time: float) -> None:
         """Lose mass once its time (s after the start of the log) has come."""
@@ -106,30 +108,36 @@ class Plant:
         force[X] -= total * sine
         force[Z] += total * cosine
         force[PITCH] += (thrust[1] - thrust[0]) * rig.half_length
-        if self.viscous:
-            force -= rig.damping * velocity
         if self.dragged:
             force[:PITCH] -= rig.drag * np.hypot(velocity[X], velocity[Z]) * velocity[:PITCH]
         if along_arm is not None:
             hub_force = self.in_plane * (speed[0] + speed[1]) * along_arm
             force[X] -= hub_force * cosine
             force[Z] -= hub_force * sine
+        if self.crossed:
+            force[X] += self.crosswind * velocity[X] * velocity[Z]
+        if touching:
+            self.contact.add_to_tips(force, position, velocity, sine, cosine)
+        if self.unbalanced:
+            self._couple(force, velocity, sine, cosine)
+        if self.side_load is not None:
+            # What slider and craft need for their acceleration and nothing else gives them comes from the guide.
+            self.side_load = rig.mass_z * self.accel[X] - (force[X] - self.on_carriage)
+        self._add_joint_forces(force, position, velocity, touching)
+        return force * rig.inverse
+
+    def _add_joint_forces(self, force: np.ndarray, position: np.ndarray, velocity: np.ndarray, touching: bool) -> None:
+        """Add what acts in the joints to `force`: along x it acts on the carriage, so the guide does not carry it."""
+        if self.viscous:
+            force -= self.rig.damping * velocity
         if self.sprung:
             force[X] -= self.spring[0] * (position[X] - self.spring[1])
         if self.cogged:
             force[X] -= self.cogging[0] * np.sin(2 * np.pi * position[X] / self.cogging[1])
         if self.uneven:
-            force[X] -= rig.uneven * np.sin(_UNEVEN_WAVE * position[X])
-        if self.crossed:
-            force[X] += self.crosswind * velocity[X] * velocity[Z]
+            force[X] -= self.rig.uneven * np.sin(_UNEVEN_WAVE * position[X])
         if touching:
-            self.contact.add_forces(force, position, velocity, sine, cosine)
-        if self.side_load is not None:
-            on_craft = force[X] + rig.carriage_mass * rig.gravity * rig.tilt_sine
-            self.side_load = on_craft - rig.mass_z * self.accel[X]
-        if self.unbalanced:
-            self._couple(force, velocity, sine, cosine)
-        return force * rig.inverse
+            force[:PITCH] += self.contact.push_slides(position, velocity)
 
     def _couple(self, force: np.ndarray, velocity: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> None:
         """Add the coupling by a centre of mass off the hinge.
@@ -141,11 +149,12 @@ class Plant:
         whirl = velocity[PITCH] ** 2
         force[X] += rig.craft_mass * (along * accel[PITCH] + across * whirl)
         force[Z] -= rig.craft_mass * (across * accel[PITCH] - along * whirl)
-        force[PITCH] -= rig.craft_mass * (across * (accel[Z] + rig.gravity) - along * accel[X])
+        leak = rig.gravity * rig.tilt_sine
+        force[PITCH] -= rig.craft_mass * (across * (accel[Z] + rig.gravity) - along * (accel[X] + leak))
 
     def compute_acceleration(self, thrust: np.ndarray, speed: np.ndarray, gust: np.ndarray) -> np.ndarray:
         """True acceleration at the present instant, dry friction included. Arguments as in compute_push."""
-        touching = self.contact.is_near(self.position)
+        touching = not self.rig.free and self.contact.is_near(self.position)
         push = self.compute_push(self.position, self.velocity, thrust, speed, gust, touching)
         if not self.friction.active:
             return push
@@ -164,15 +173,15 @@ class Plant:
         return sliding, sliding if breakaway is sliding else breakaway * inverse, direction
 
     def advance(self, thrust: np.ndarray, speed: np.ndarray, gusts: np.ndarray) -> None:
-        """Advance one millisecond.
+        """Advance one step, a millisecond unless told otherwise at the start.
 
         Args:
-            thrust: At rotor.NODES, N. (nodes, 2, flights).
-            speed: At rotor.NODES, rad/s. (nodes, 2, flights).
+            thrust: At rotor.NODES of the step, N. (nodes, 2, flights).
+            speed: There too, rad/s. (nodes, 2, flights).
             gusts: At the substeps' midpoints, N and N m. (substeps, 3, flights).
         """
-        step, half = STEP / SUBSTEPS, 0.5 * STEP / SUBSTEPS
-        touching = self.contact.is_near(self.position)
+        step, half = self.step / SUBSTEPS, 0.5 * self.step / SUBSTEPS
+        touching = not self.rig.free and self.contact.is_near(self.position)
         for node in range(SUBSTEPS):
             velocity = self.velocity
             middle = self.position + half * velocity

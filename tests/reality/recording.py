@@ -115,11 +115,12 @@ def _gather_topics(batch: Batch, row: int) -> dict[str, Topic]:
     policy = {"thrust": batch.policy[ticks, 0, row], "rate": batch.policy[ticks, 1, row]}
 
     frames = np.arange(len(batch.frames))
-    taken = frames * MOCAP_PERIOD + batch.chances.phase[row]
-    kept = batch.chances.seen[frames, row] & (taken >= lead) & (taken + batch.age[row] <= steps)
-    seen_at = (taken[kept] - lead) * STEP + batch.chances.jitter[frames[kept], row]
+    stamps = frames * MOCAP_PERIOD + batch.chances.phase[row]
+    kept = batch.chances.seen[frames, row] & (stamps >= lead) & (frames <= batch.newest[row])
+    seen_at = (stamps[kept] - lead) * STEP + batch.chances.jitter[frames[kept], row]
     pose = batch.frames[frames[kept], :, row]
     late = np.maximum(0.008 + 4e-4 * np.round(rng.standard_normal(kept.sum()), 1), 0.006)
+    late = late - batch.drift[row] * seen_at  # the stamp is the mocap clock's, the record the onboard clock's
 
     plan = batch.pilot.script["setpoint"][: len(ticks), :, row]
     changed = np.append(True, (np.diff(plan, axis=0) != 0).any(1))

@@ -12,6 +12,7 @@ import yaml
 from .effects import COMPANIONS, EFFECTS, Effects, check_effects
 
 X, Z, PITCH = 0, 1, 2  # rows of every (3, flights) array
+ON_THE_RIG = ("carriage.mass", "rail_x.jamming", "rail_z.jamming")  # effects that need carriage and slider
 VEHICLE = Path(__file__).resolve().parents[2] / "models" / "vehicle.yaml"
 
 
@@ -66,17 +67,21 @@ def draw_tolerances(session: int) -> dict[str, float]:
 class Rig:
     """Constants of the true rigs. Arrays end in the flight axis."""
 
-    def __init__(self, flights: Sequence[Effects], sessions: Sequence[int | None]) -> None:
+    def __init__(self, flights: Sequence[Effects], sessions: Sequence[int | None], free: bool = False) -> None:
         """Put the rigs together.
 
         Args:
             flights: Hidden effects of each flight.
             sessions: Session number of each flight, None for a rig without tolerances.
+            free: Whether the craft flies free: no carriage, no slider, nothing to run into.
         """
         nominal = load_nominal()
         self.nominal = nominal
         self.count = len(flights)
         self.hidden = hidden = Hidden(flights)
+        self.free = free
+        if free and hidden.any(*ON_THE_RIG):
+            raise ValueError(f"a free craft has none of {', '.join(ON_THE_RIG)}")
         drawn = [dict.fromkeys(draw_tolerances(0), 0.0) if s is None else draw_tolerances(s) for s in sessions]
         tolerance = {name: np.array([d[name] for d in drawn]) for name in drawn[0]}
 
@@ -87,8 +92,8 @@ class Rig:
         self.bearing_spacing = float(rig["bearing_spacing"])
         self.craft_mass = airframe["mass"] * (1 + tolerance["mass"]) + hidden.get("airframe.mass", "mass")
         self.com = np.stack([hidden.get("airframe.com", "offset"), hidden.get("airframe.com_height", "offset")])
-        self.slider_mass = float(rig["slider_mass"])
-        self.carriage_mass = rig["carriage_mass"] + hidden.get("carriage.mass", "mass")
+        self.slider_mass = 0.0 if free else float(rig["slider_mass"])
+        self.carriage_mass = 0.0 if free else rig["carriage_mass"] + hidden.get("carriage.mass", "mass")
         self.inertia = airframe["inertia"] * (1 + tolerance["inertia"]) + hidden.get("airframe.inertia", "inertia")
         self.inertia = self.inertia + self.craft_mass * (self.com**2).sum(0)
         self.update_mass()

@@ -8,36 +8,36 @@ from .rig import Rig
 
 STEP = 0.001  # s, inner loop
 SUBSTEPS = 4
-# Where within a millisecond blade pitch is needed: the substeps' midpoints, then the end. Shape (SUBSTEPS + 1,).
+# Where within a step blade pitch is needed: the substeps' midpoints, then the end, s. Shape (SUBSTEPS + 1,).
 NODES = np.append((np.arange(SUBSTEPS) + 0.5) / SUBSTEPS, 1.0) * STEP
 
 
 class Servo:
     """First-order lag behind a pure delay, solved exactly for piecewise constant commands."""
 
-    def __init__(self, rig: Rig, blade_pitch: np.ndarray) -> None:
-        """Start settled at `blade_pitch` rad, (2, flights)."""
-        hidden = rig.hidden
+    def __init__(self, rig: Rig, blade_pitch: np.ndarray, step: float = STEP) -> None:
+        """Start settled at `blade_pitch` rad, (2, flights); `advance` advances by `step` s."""
+        hidden, nodes = rig.hidden, NODES * (step / STEP)
         self.trim = np.stack([hidden.get("servo.trim", "offset_1"), hidden.get("servo.trim", "offset_2")])
         self.horn = blade_pitch.copy()
         self.blade = blade_pitch.copy()
-        whole = np.floor(rig.command_delay / STEP + 1e-9).astype(int)
+        whole = np.floor(rig.command_delay / step + 1e-9).astype(int)
         self.whole = whole
         self.delayed = bool(rig.command_delay.any())
         self.history = np.repeat(blade_pitch[None], whole.max() + 2, axis=0)
         self.tick = 0
         self.flight = np.arange(rig.count)
-        switch = np.maximum(rig.command_delay - whole * STEP, 0.0)
-        self.gains = self._solve(NODES[:, None], switch, rig.servo_lag)
+        switch = np.maximum(rig.command_delay - whole * step, 0.0)
+        self.gains = self._solve(nodes[:, None], switch, rig.servo_lag)
         self.rate = hidden.get("servo.rate_limit", "rate")
         self.gap = hidden.get("servo.backlash", "gap") / 2
         self.limited = hidden.any("servo.rate_limit", "servo.backlash")
-        self.spans = np.diff(NODES, prepend=0.0)
-        starts = (NODES - self.spans)[:, None]
+        self.spans = np.diff(nodes, prepend=0.0)
+        starts = (nodes - self.spans)[:, None]
         self.increments = self._solve(self.spans[:, None], np.maximum(switch - starts, 0.0), rig.servo_lag)
 
     @staticmethod
-    def _solve(time: np.ndarray, switch: np.ndarray, lag: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _solve(time: np.ndarray, switch: np.ndarray, lag: np.ndarray) -> tuple[np.ndarray, ...]:
         """Weights of start value, command before `switch` and command after it, each (nodes, 1, flights)."""
         before = np.exp(-np.minimum(time, switch) / lag)
         after = np.exp(-np.maximum(time - switch, 0.0) / lag)
@@ -45,7 +45,7 @@ class Servo:
         return tuple(np.ascontiguousarray(w)[:, None, :] for w in weights)
 
     def advance(self, command: np.ndarray) -> np.ndarray:
-        """Advance one millisecond.
+        """Advance one step.
 
         Args:
             command: Blade pitch commanded at its start, rad. (2, flights).
@@ -108,9 +108,10 @@ class Propeller:
 
 
 class Motor:
-    """Brushless motor on the battery, midpoint rule over a millisecond (its time constant is 60 ms)."""
+    """Brushless motor on the battery, midpoint rule over a step of a millisecond (its time constant is 60 ms)."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, step: float = STEP) -> None:
+        self.step = step
         rotor, motor = rig.nominal["rotor"], rig.nominal["motor"]
         self.k_v, self.k_q, self.resistance = motor["k_v"], motor["k_q"], motor["resistance"]
         self.no_load, self.battery = motor["no_load_current"], float(motor["battery"])
@@ -140,7 +141,7 @@ class Motor:
         return ((current - self.no_load) / self.k_q - self.compute_drag(speed, pitch)) / self.inertia
 
     def advance(self, throttle: np.ndarray, pitch: np.ndarray, time: float) -> np.ndarray:
-        """Advance one millisecond.
+        """Advance one step.
 
         Args:
             throttle: Share of battery voltage. (2, flights).
@@ -152,8 +153,8 @@ class Motor:
         """
         self.voltage = throttle * self.compute_supply(time)
         middle = 0.5 * (pitch[SUBSTEPS // 2 - 1] + pitch[SUBSTEPS // 2])
-        half = self.speed + 0.5 * STEP * self._accelerate(self.speed, middle)
-        change = STEP * self._accelerate(half, middle)
+        half = self.speed + 0.5 * self.step * self._accelerate(self.speed, middle)
+        change = self.step * self._accelerate(half, middle)
         path = self.speed + self.fraction * change
         self.speed = path[-1]
         return path

@@ -5,7 +5,9 @@ Readings are quantised to a power of two well under the noise, as real converter
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +77,7 @@ def _draw_gaps(rng: np.random.Generator, frames: int) -> np.ndarray:
     return seen
 
 
-def draw_chances(flights: list[dict], steps: int, nominal: dict) -> Chances:
+def draw_chances(flights: Sequence[Mapping[str, Any]], steps: int, nominal: dict) -> Chances:
     """Draw the random series of a batch.
 
     Args:
@@ -103,14 +105,14 @@ def draw_chances(flights: list[dict], steps: int, nominal: dict) -> Chances:
 
 
 def look_back(
-    position: np.ndarray, velocity: np.ndarray, step: int, delay: np.ndarray, flights: np.ndarray
+    position: np.ndarray, velocity: np.ndarray, step: np.ndarray, delay: np.ndarray, flights: np.ndarray
 ) -> np.ndarray:
     """True pose `delay` s before step `step`, by cubic Hermite interpolation between the milliseconds.
 
     Args:
-        position: (steps, 3, flights), filled up to `step`.
+        position: (steps, 3, flights), filled up to the millisecond that follows `step`.
         velocity: Likewise.
-        step: ms since the arrays' start; a whole number, one per flight or for all.
+        step: ms since the arrays' start. (len(flights),).
         delay: s, (len(flights),).
         flights: Indices of the flights looked at.
 
@@ -118,7 +120,7 @@ def look_back(
         (3, len(flights)).
     """
     when = np.maximum(step - delay / STEP, 0.0)
-    left = np.minimum(np.floor(when + 1e-9).astype(int), np.maximum(step - 1, 0))
+    left = np.minimum(np.floor(when + 1e-9), np.maximum(np.ceil(step) - 1, 0)).astype(int)
     u = when - left
     p0, p1 = position[left, :, flights].T, position[left + 1, :, flights].T
     v0, v1 = velocity[left, :, flights].T * STEP, velocity[left + 1, :, flights].T * STEP
