@@ -19,7 +19,8 @@ from vpptwin.diagnosis.suspects import (
     solve_hypothesis,
 )
 from vpptwin.effects import Effect
-from vpptwin.effects.joint import Place, bias, coulomb, spring, viscous
+from vpptwin.effects.friction import coulomb
+from vpptwin.effects.joint import Place, bias, spring, viscous
 from vpptwin.twin.spec import load_twin
 
 TOLERANCE = 0.02

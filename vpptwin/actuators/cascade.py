@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import max_thrust
-from vpptwin.vehicle import Vehicle
+from vpptwin.actuators.numbers import Number, VehicleNumbers
 
 
-def filter_gyro(vehicle: Vehicle, filtered: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """One inner step of the gyro low-pass, (N,) rad/s."""
+@register_jitable
+def filter_gyro(vehicle: VehicleNumbers, filtered: Number, rate: Number) -> Number:
+    """One inner step of the gyro low-pass [rad/s]."""
     return filtered + vehicle.control.gyro_filter * (rate - filtered)
 
 
+@register_jitable
 def compute_torque(
-    vehicle: Vehicle, rate_command: np.ndarray, filtered: np.ndarray, previous: np.ndarray, dt: float
-) -> np.ndarray:
+    vehicle: VehicleNumbers, rate_command: Number, filtered: Number, previous: Number, dt: float
+) -> Number:
     """PD on angular rate: torque command [N m], positive for positive q̇, from filtered rates [rad/s] one step apart."""
     slope = (filtered - previous) / dt
     return vehicle.control.rate_kp * (rate_command - filtered) - vehicle.control.rate_kd * slope
 
 
-def allocate(vehicle: Vehicle, thrust: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Rotor thrusts f_1,2 = f/2 ∓ τ/(2 l) within what a rotor can give, (N, 2) N; rate control wins over thrust.
+@register_jitable
+def allocate(vehicle: VehicleNumbers, thrust: Number, torque: Number) -> tuple[Number, Number]:
+    """Rotor thrusts f_1,2 = f/2 ∓ τ/(2 l) within what a rotor can give [N]; rate control wins over thrust.
 
     Args:
         vehicle: nominal numbers.
-        thrust: total thrust f, (N,) N.
-        torque: torque τ, positive for positive q̇, (N,) N m.
+        thrust: total thrust f [N].
+        torque: torque τ, positive for positive q̇ [N m].
     """
     limit = max_thrust(vehicle.rotor)
-    difference = np.clip(torque / (2.0 * vehicle.airframe.half_length), -limit, limit)
+    difference = np.minimum(np.maximum(torque / (2.0 * vehicle.airframe.half_length), -limit), limit)
     room = limit - np.abs(difference)
-    common = np.clip(0.5 * thrust, -room, room)
-    return np.stack([common - difference, common + difference], axis=1)
+    common = np.minimum(np.maximum(0.5 * thrust, -room), room)
+    return common - difference, common + difference

@@ -1,95 +1,148 @@
-"""The actuator layer: everything between a command and the force it makes, one inner step at a time.
+"""The actuator layer: everything between a command and the force it makes, one inner step of one simulation at a time.
 
-Its state is an explicit record of arrays; `replace_rows` in `vpptwin.twin.state` and a saved copy cover all there is.
+Its state is an explicit record; rows of an array of them are copied, saved and put back like any numbers.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numba.extending import register_jitable
 
-from vpptwin.actuators.blade import compute_thrust, pitch_for_thrust
+from vpptwin.actuators.blade import pitch_for_thrust
 from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
 from vpptwin.actuators.motor import hold_speed, step_speed
-from vpptwin.actuators.servo import push_command, read_delayed, step_lag
-from vpptwin.vehicle import Vehicle
+from vpptwin.actuators.numbers import VehicleNumbers
+from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
+
+Record = Any
+"""One row of a structured array: fields by name, written in place."""
+NO_LIMIT = 1e9
+"""Stands for no limit of an actuator's rate or output."""
 
 
-@dataclass(frozen=True)
-class ActuatorState:
-    """State of the actuator layer, leading axis N.
+def layer_dtype(actuators: int, depth: int) -> np.dtype:
+    """State of the actuator layer of one simulation.
 
-    Attributes:
-        output: what the actuators do now, (N, nu): blade pitch [rad] on the drone, control input on other rigs.
-        mean: their mean over the last step, (N, nu), which is what the engine's step applies.
-        history: commands on their way, newest first, (N, depth, nu).
-        rotor_speed: (N, nu) rad/s; zero on other rigs.
-        governor: integral of the speed error, (N, nu) rad.
-        gyro: low-passed rate, (N,) rad/s.
-        throttle: last throttle, (N, nu), 0..1.
+    Fields:
+        horn: where the servos are, (nu,): blade pitch [rad] on the drone, control input on other rigs.
+        output: where the actuators are, behind the play of their linkages and with trim, (nu,).
+        mean: their mean over the last step, (nu,), which is what the engine's step applies.
+        blade: `output` without trim, (nu,).
+        history: ring of commands on their way, (depth, nu).
+        newest: index of the last one.
+        rotor_speed: (nu,) rad/s; zero on other rigs.
+        governor: integral of the speed error, (nu,) rad.
+        throttle: last throttle, (nu,), 0..1.
+        gyro: low-passed rate [rad/s].
     """
-
-    output: np.ndarray
-    mean: np.ndarray
-    history: np.ndarray
-    rotor_speed: np.ndarray
-    governor: np.ndarray
-    gyro: np.ndarray
-    throttle: np.ndarray
-
-
-@dataclass(frozen=True)
-class ActuatorConstants:
-    """Per-simulation constants of the layer: delay and time_constant [s] and gain, each (N, nu)."""
-
-    delay: np.ndarray
-    time_constant: np.ndarray
-    gain: np.ndarray
+    pair = (np.float64, (actuators,))
+    return np.dtype(
+        [
+            *((name, *pair) for name in ("horn", "blade", "output", "mean")),
+            ("history", np.float64, (depth, actuators)),
+            ("newest", np.int64),
+            *((name, *pair) for name in ("rotor_speed", "governor", "throttle")),
+            ("gyro", np.float64),
+        ]
+    )
 
 
+def constants_dtype(actuators: int) -> np.dtype:
+    """Constants of actuators and sensors of one simulation, which effects may change.
+
+    Fields:
+        actuator.delay, actuator.time_constant: s. actuator.rate_limit: 1/s. actuator.gap, actuator.trim: in the
+        unit of the command. actuator.gain, actuator.limit: of the control that the engine gets. All (nu,).
+        rotor.drag_gain: factor on drag torque. battery.sag: 1/s.
+        gyro.scale: factor; gyro.bias: rad/s. mocap.delay: s; mocap.angle: rad; mocap.scale: factor. clock.drift: s/s.
+    """
+    of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit")
+    single = ("rotor.drag_gain", "battery.sag", "gyro.scale", "gyro.bias", "mocap.delay", "mocap.angle", "mocap.scale",
+              "clock.drift")  # fmt: skip
+    return np.dtype(
+        [
+            *((f"actuator.{name}", np.float64, (actuators,)) for name in of_actuators),
+            *((name, np.float64) for name in single),
+        ]
+    )
+
+
+@register_jitable
 def command_from_policy(
-    vehicle: Vehicle, state: ActuatorState, policy: np.ndarray, rate: np.ndarray, speed: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray, ActuatorState]:
-    """Inner loop of the flight controller, on believed numbers only.
+    vehicle: VehicleNumbers, state: Record, constants: Record, thrust: float, rate: float, turn: float, dt: float
+) -> tuple[float, float]:
+    """Inner loop of the flight controller, on believed numbers and what the gyro says.
 
     Args:
         vehicle: the believed vehicle.
-        state: layer state.
-        policy: commanded thrust [N] and rate [rad/s], (N, 2).
-        rate: gyro rate q, (N,) rad/s.
-        speed: measured rotor speed, (N, 2) rad/s.
-        dt: inner step, s.
+        state: of the layer; gyro filter, governor and throttle advance.
+        constants: of the layer; only the gyro's errors are used.
+        thrust: commanded by the policy [N].
+        rate: likewise [rad/s].
+        turn: true rate q [rad/s].
+        dt: inner step [s].
 
     Returns:
-        Blade-pitch command (N, 2) rad, throttle (N, 2), and the state with filter and governor advanced.
+        Blade-pitch commands of rotors 1 and 2 [rad].
     """
-    filtered = filter_gyro(vehicle, state.gyro, rate)
-    torque = compute_torque(vehicle, policy[:, 1], filtered, state.gyro, dt)
-    pitch_command = pitch_for_thrust(vehicle.rotor, allocate(vehicle, policy[:, 0], torque))
-    throttle, governor = hold_speed(vehicle.motor, vehicle.rotor, speed, pitch_command, state.governor, dt)
-    return pitch_command, throttle, replace(state, gyro=filtered, governor=governor)
+    before = state.gyro
+    measured = constants["gyro.scale"] * turn + constants["gyro.bias"]
+    state.gyro = filter_gyro(vehicle, before, measured)
+    torque = compute_torque(vehicle, rate, state.gyro, before, dt)
+    thrust_1, thrust_2 = allocate(vehicle, thrust, torque)
+    pitch_1 = pitch_for_thrust(vehicle.rotor, thrust_1)
+    pitch_2 = pitch_for_thrust(vehicle.rotor, thrust_2)
+    govern(vehicle, state, 0, pitch_1, dt)
+    govern(vehicle, state, 1, pitch_2, dt)
+    return pitch_1, pitch_2
 
 
-def move_actuators(state: ActuatorState, constants: ActuatorConstants, command: np.ndarray, dt: float) -> ActuatorState:
-    """Delay, then lag: the command issued now, (N, nu), shifts into the line and the actuators follow what arrives."""
-    if state.history.shape[1] == 0:
-        arriving = command
-        history = state.history
-    else:
-        history = push_command(state.history, command)
-        arriving = read_delayed(history, constants.delay, dt)
-    output, mean = step_lag(state.output, arriving, constants.time_constant, dt)
-    return replace(state, output=output, mean=mean, history=history)
+@register_jitable
+def govern(vehicle: VehicleNumbers, state: Record, i: int, pitch: float, dt: float) -> None:
+    """Set the throttle of rotor i at a commanded blade pitch [rad]."""
+    throttle, integral = hold_speed(vehicle.motor, vehicle.rotor, state.rotor_speed[i], pitch, state.governor[i], dt)
+    state.throttle[i] = throttle
+    state.governor[i] = integral
 
 
-def spin_rotors(vehicle: Vehicle, state: ActuatorState, throttle: np.ndarray, dt: float) -> ActuatorState:
-    """Advance the rotors' speeds under a throttle (N, 2)."""
-    voltage = throttle * vehicle.motor.battery
-    speed = step_speed(vehicle.motor, vehicle.rotor, state.rotor_speed, state.output, voltage, dt)
-    return replace(state, rotor_speed=speed, throttle=throttle)
+@register_jitable
+def push_commands(state: Record) -> None:
+    """Make room for the commands issued now, at `state.newest` of the ring."""
+    if state.history.shape[0] > 0:
+        state.newest = (state.newest + 1) % state.history.shape[0]
 
 
-def rotor_thrust(vehicle: Vehicle, state: ActuatorState) -> np.ndarray:
-    """Nominal thrust of the rotors, mean over the last step, (N, 2) N."""
-    return compute_thrust(vehicle.rotor, state.rotor_speed, state.mean)
+@register_jitable
+def move_actuator(state: Record, constants: Record, i: int, command: float, dt: float) -> None:
+    """Delay, lag limited in rate, play and trim: actuator i follows the command issued now for one step."""
+    arriving = command
+    if state.history.shape[0] > 0:
+        state.history[state.newest, i] = command
+        arriving = read_delayed(state.history[:, i], state.newest, constants["actuator.delay"][i], dt)
+    start = state.horn[i]
+    end, mean = step_lag(start, arriving, constants["actuator.time_constant"][i], dt)
+    end, mean = limit_rate(start, end, mean, constants["actuator.rate_limit"][i], dt)
+    gap, trim = constants["actuator.gap"][i], constants["actuator.trim"][i]
+    state.horn[i] = end
+    state.mean[i] = take_up_play(state.blade[i], mean, gap) + trim
+    state.blade[i] = take_up_play(state.blade[i], end, gap)
+    state.output[i] = state.blade[i] + trim
+
+
+@register_jitable
+def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int, time: float, dt: float) -> None:
+    """Advance the speed of rotor i under its throttle, at `time` [s] since the battery was full."""
+    sagged = np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
+    voltage = state.throttle[i] * vehicle.motor.battery * sagged
+    state.rotor_speed[i] = step_speed(
+        vehicle.motor, vehicle.rotor, state.rotor_speed[i], state.output[i], voltage, constants["rotor.drag_gain"], dt
+    )
+
+
+@register_jitable
+def limit_control(constants: Record, i: int, control: float) -> float:
+    """What the engine gets of actuator i: times its gain, within its limit."""
+    limit = constants["actuator.limit"][i]
+    return np.minimum(np.maximum(control * constants["actuator.gain"][i], -limit), limit)

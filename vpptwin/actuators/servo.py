@@ -1,28 +1,30 @@
-"""First-order lag of a servo and transport delay of a command."""
+"""A servo: transport delay of its command, first-order lag limited in rate, play in its linkage."""
 
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import register_jitable
+
+from vpptwin.actuators.numbers import Number
 
 TINY = 1e-300
 """Stands for a time constant of zero, which would divide by zero [s]."""
 
 
-def step_lag(
-    output: np.ndarray, command: np.ndarray, time_constant: np.ndarray, dt: float
-) -> tuple[np.ndarray, np.ndarray]:
+@register_jitable
+def step_lag(output: Number, command: Number, time_constant: Number, dt: float) -> tuple[Number, Number]:
     """First-order lag 1/(T s + 1) over one step with the command held (paper, System Identification, item 1).
 
     Exact for any step; a time constant of zero passes the command through.
 
     Args:
-        output: output at the start of the step, (N, nu).
-        command: command during the step, (N, nu).
-        time_constant: T, (N, nu) s.
-        dt: step, s.
+        output: output at the start of the step.
+        command: command during the step.
+        time_constant: T [s].
+        dt: step [s].
 
     Returns:
-        Output at the end of the step and its mean over the step, both (N, nu).
+        Output at the end of the step and its mean over the step.
     """
     ratio = np.maximum(time_constant, TINY) / dt
     left = np.exp(-1.0 / ratio)
@@ -30,25 +32,37 @@ def step_lag(
     return command - left * gap, command - ratio * (1.0 - left) * gap
 
 
-def push_command(history: np.ndarray, command: np.ndarray) -> np.ndarray:
-    """Shift a command (N, nu) into its history (N, depth, nu), newest first."""
-    return np.concatenate([command[:, None], history[:, :-1]], axis=1)
+@register_jitable
+def limit_rate(start: Number, end: Number, mean: Number, rate: Number, dt: float) -> tuple[Number, Number]:
+    """Keep a move from `start` to `end` within `rate` [1/s]: its end and its mean over the step."""
+    reach = rate * dt
+    limited = np.minimum(np.maximum(end, start - reach), start + reach)
+    return limited, np.where(limited == end, mean, 0.5 * (start + limited))
 
 
-def read_delayed(history: np.ndarray, delay: np.ndarray, dt: float) -> np.ndarray:
+@register_jitable
+def take_up_play(blade: Number, horn: Number, gap: Number) -> Number:
+    """Where a blade rests that a horn drags along through play of width `gap`."""
+    return np.minimum(np.maximum(blade, horn - 0.5 * gap), horn + 0.5 * gap)
+
+
+@register_jitable
+def read_delayed(history: np.ndarray, newest: int, delay: float, dt: float) -> float:
     """Mean over the coming step of a held command that arrives `delay` [s] late.
 
     The command was piecewise constant, so its mean over one step is the interpolation between two neighbours: delays
     are not rounded to whole steps.
 
     Args:
-        history: commands, newest first, (N, depth, nu).
-        delay: (N, nu) s, at most (depth - 2) dt.
-        dt: step, s.
+        history: ring of commands, (depth,).
+        newest: index of the one issued now.
+        delay: s, at most (depth - 2) dt.
+        dt: step [s].
     """
+    depth = len(history)
     steps = delay / dt
-    whole = steps.astype(np.intp)
+    whole = int(steps)
     part = steps - whole
-    newer = np.take_along_axis(history, whole[:, None, :], axis=1)[:, 0]
-    older = np.take_along_axis(history, whole[:, None, :] + 1, axis=1)[:, 0]
+    newer = history[(newest - whole) % depth]
+    older = history[(newest - whole - 1) % depth]
     return newer * (1.0 - part) + older * part

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from functools import cache
 
 import mujoco
@@ -61,29 +60,47 @@ def mirror_struct(name: str) -> type[ctypes.Structure]:
 
 
 @cache
-def _checked_offsets() -> tuple[Callable[[str], int], Callable[[str], int]]:
+def check_layout() -> None:
+    """Compare where fields should be with where they are in a small model.
+
+    Raises:
+        ImportError: if the installed MuJoCo does not keep its fields where it declares them.
+    """
     model = mujoco.MjModel.from_xml_string(PROBE)
     data = mujoco.MjData(model)
     for struct, thing, names in (
         ("mjModel", model, ("qpos0", "body_mass", "dof_damping", "M_colind", "actuator_gainprm")),
         ("mjData", data, ("qpos", "qvel", "ctrl", "userdata", "qfrc_passive", "qfrc_constraint", "M")),
     ):
-        mirror = mirror_struct(struct).from_address(thing._address)  # noqa: SLF001
+        mirror = mirror_struct(struct).from_address(thing._address)
         for name in names:
             if getattr(mirror, name) != getattr(thing, name).ctypes.data:
                 raise ImportError(
                     f"mujoco {mujoco.__version__} lays out {struct}.{name} otherwise than it declares; "
                     "expected a release that vpptwin was tested with: pip install 'mujoco>=4.0,<4.1'"
                 )
-    find = [lambda field, s=s: int(getattr(mirror_struct(s), field).offset) for s in ("mjModel", "mjData")]
-    return find[0], find[1]
+
+
+def field_offset(struct: str, path: str) -> int:
+    """Offset of a field in a struct [bytes]; `opt.timestep` for one within."""
+    check_layout()
+    mirror, offset = mirror_struct(struct), 0
+    for name in path.split("."):
+        offset += getattr(mirror, name).offset
+        mirror = {field[0]: field[1] for field in mirror._fields_}[name]  # type: ignore[assignment]
+    return offset
+
+
+def mirror_size(struct: str) -> int:
+    """Size of a struct [bytes]."""
+    return ctypes.sizeof(mirror_struct(struct))
 
 
 def model_offset(field: str) -> int:
     """Offset of a field in mjModel [bytes]."""
-    return _checked_offsets()[0](field)
+    return field_offset("mjModel", field)
 
 
 def data_offset(field: str) -> int:
     """Offset of a field in mjData [bytes]."""
-    return _checked_offsets()[1](field)
+    return field_offset("mjData", field)

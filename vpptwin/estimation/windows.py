@@ -179,10 +179,12 @@ def simulate_windows(
     Returns:
         Pose and velocity at the start and after every step, both at that very time, (K, steps + 1, nv).
     """
-    start = twin.initial_state(qpos=twin.pose_for_engine(windows.pose, windows.velocity), qvel=windows.velocity)
-    layer = replace(start.actuators, output=windows.warm[:, 0].copy())
-    history = np.repeat(windows.warm[:, :1], layer.history.shape[1], axis=1)
-    start = replace(start, actuators=twin.warm_up(replace(layer, history=history), windows.warm))
+    qpos = twin.pose_for_engine(windows.pose, windows.velocity)
+    start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
+    layer = start.actuators
+    layer["horn"] = layer["blade"] = windows.warm[:, 0]
+    layer["history"] = windows.warm[:, :1]
+    start = replace(start, actuators=twin.warm_up(layer, windows.warm))
     _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed, None, disturbance, windows.driven)
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -18,7 +17,7 @@ from vpptwin.train.observe import accumulate_error, observation_size, observe, s
 from vpptwin.train.randomize import randomize
 from vpptwin.train.reward import compute_reward
 from vpptwin.train.tasks import Task
-from vpptwin.twin import Twin, TwinState, load_twin
+from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.spec import check_effects
 
 
@@ -135,7 +134,7 @@ class VppEnv(EnvBase):
         pose, velocity = task.start.draw(rng, target)
         qpos, qvel = np.zeros_like(self.state.qpos), np.zeros_like(self.state.qvel)
         qpos[ids], qvel[ids] = pose, velocity
-        self.state = self.state.replace_rows(ids, self.twin.initial_state(qpos, qvel).take(ids))
+        self.state.write_rows(ids, self.twin.initial_state(qpos, qvel).take(ids))
         episodes.target[ids] = target
         episodes.switch[ids] = task.target.draw_dwell(rng, len(ids))
         episodes.integral[ids] = episodes.elapsed[ids, None] = episodes.total[ids] = 0.0
@@ -155,8 +154,8 @@ class VppEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = np.clip(tensordict.get("action").detach().numpy().astype(np.float64), -1.0, 1.0)
-        self.state = self.twin.step_policy(self.state, action * self._scale, self._period)
-        broken = ~finite_rows(self.state)
+        self.twin.advance_policy(self.state, action * self._scale, self._period)
+        broken = ~self.state.finite()
         if broken.any():
             self.faults += int(broken.sum())
             self._begin(np.flatnonzero(broken))
@@ -202,17 +201,6 @@ def as_column(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(values.astype(np.float32)[:, None])
 
 
-def finite_rows(state: TwinState) -> np.ndarray:
-    """Which simulations hold only finite numbers, (N,) bool."""
-    finite = np.ones(len(state.time), dtype=bool)
-    for record in (state, state.actuators):
-        for field in fields(record):
-            values = getattr(record, field.name)
-            if isinstance(values, np.ndarray):
-                finite &= np.isfinite(values).reshape(len(finite), -1).all(axis=1)
-    return finite
-
-
 def make_env(config: TrainConfig) -> VppEnv:
     """The environment of a run.
 
@@ -223,8 +211,6 @@ def make_env(config: TrainConfig) -> VppEnv:
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
     check_effects({effect: {} for effect in config.randomize}, spec.catalogue, "randomize")
-    # By itself the engine restarts a simulation that blows up and says so only in a log file.
-    spec.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     twin = Twin(spec, config.num_envs, active=config.randomize, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, config.randomize, config.paper_inputs, config.desynchronize

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from vpptwin.actuators.layer import ActuatorState
 from vpptwin.train.env import Episodes, VppEnv
 from vpptwin.twin import TwinState
 
@@ -21,8 +20,7 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
         for effect in env.randomized
     }
     return {
-        "state": to_tensors(vars(env.state)),
-        "actuators": to_tensors(vars(env.state.actuators)),
+        "state": to_tensors(env.state.arrays()),
         "episodes": to_tensors(vars(env.episodes)),
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
@@ -35,8 +33,7 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
     for effect, values in snapshot["parameters"].items():
         for name, value in values.items():
             env.twin.set_parameter(effect, name, value.numpy())
-    actuators = ActuatorState(**to_arrays(snapshot["actuators"]))
-    env.state = TwinState(**to_arrays(snapshot["state"]), actuators=actuators)
+    env.state = TwinState.from_arrays(to_arrays(snapshot["state"]))
     env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
     env.rng.bit_generator.state = json.loads(snapshot["random"])
     env.faults, env.restored = snapshot["faults"], True

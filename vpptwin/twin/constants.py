@@ -8,11 +8,16 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from vpptwin.actuators.layer import NO_LIMIT
 from vpptwin.effects import Effect, Stage
+from vpptwin.twin.kernel import Kernel
 from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
 
 DELAY_CONSTANT = "actuator.delay"
+NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
+           "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
+"""Constants of actuators and sensors that are not zero by themselves."""
 
 
 class ConstantTable:
@@ -20,63 +25,91 @@ class ConstantTable:
 
     Attributes:
         values: parameter values, (effect id, parameter) → (N,).
-        table: constants after the effects, name → (N, ...).
-        sites: where each effect acts.
-        delay_depth: commands that the delay line holds; 0 when no effect delays.
+        parameters: those of the effects that act every step, (N, P), in the order of the compiled pipeline.
+        records: constants of actuators and sensors after the effects, (N,) records.
+        table: all constants after the effects, name → (N, ...); those of `records` are views of it.
     """
 
-    def __init__(self, spec: TwinSpec, effects: Mapping[str, Effect], num_sims: int, batch: Batch) -> None:
+    def __init__(
+        self, spec: TwinSpec, effects: Mapping[str, Effect], num_sims: int, batch: Batch, kernel: Kernel
+    ) -> None:
         self._batch = batch
         self._effects = [e for e in effects.values() if e.stage is Stage.CONSTANT]
         self._by_id = effects
-        self.sites = {e.id: locate_effect(spec.model, e, spec.vehicle is not None) for e in effects.values()}
-        self.values = {
-            (e.id, p.name): np.full(num_sims, spec.value(e, p.name)) for e in effects.values() for p in e.parameters
-        }
-        self._nominal = nominal_constants(spec, num_sims)
+        self._sites = {e.id: locate_effect(spec.model, e, spec.vehicle is not None) for e in self._effects}
+        columns = kernel.pipeline.columns
+        self.parameters = np.zeros((num_sims, len(columns)))
+        for effect in spec.catalogue:
+            for p in effect.parameters:
+                if (effect.id, p.name) in columns:
+                    self.parameters[:, columns[effect.id, p.name]] = p.off
+        self.values: dict[tuple[str, str], np.ndarray] = {}
+        for effect in effects.values():
+            for p in effect.parameters:
+                key = (effect.id, p.name)
+                self.values[key] = self.parameters[:, columns[key]] if key in columns else np.zeros(num_sims)
+                self.values[key][:] = spec.value(effect, p.name)
+        self.records = np.zeros(num_sims, kernel.constants)
+        self._nominal = nominal_constants(spec, self.records)
+        self.table = {name: self.records[name] for name in kernel.constants.names or ()}
         written = {name for e in self._effects for name in e.writes}
-        self._fields = sorted(name for name in written if hasattr(spec.model, name))
+        self._fields = sorted(written - set(self.table))
         for name in self._fields:
-            self._nominal[name] = batch.expand(name).copy()
-        self.table = {name: value.copy() for name, value in self._nominal.items()}
-        self._derives = any(name in mujoco.MjModel._setconst_inputs for name in self._fields)
-        delays = [p.high for e in self._effects if DELAY_CONSTANT in e.writes for p in e.parameters]
-        self.delay_depth = int(np.ceil(max(delays) / float(spec.model.opt.timestep))) + 2 if delays else 0
-        self._stale = True
+            self._nominal[name] = batch.expand(name)[0].copy()
+            self.table[name] = batch.expand(name)
+        self._derives = any(name in mujoco.MjModel._setconst_inputs or name.startswith("opt.") for name in self._fields)
+        self._stale: np.ndarray | None = np.ones(num_sims, dtype=bool)
 
     def set_parameter(
         self, effect_id: str, parameter: str, values: np.ndarray | float, ids: np.ndarray | None = None
     ) -> None:
-        """Set one parameter, for all simulations or for `ids`; the constants follow at the next `refresh`."""
+        """Set one parameter, for all simulations or for `ids`; the constants follow at the next `refresh`.
+
+        Raises:
+            KeyError: if the effect is not switched on or has no such parameter.
+            ValueError: if a value lies outside the parameter's bounds or is not a number.
+        """
         if (effect_id, parameter) not in self.values:
             known = ", ".join(f"{e}.{p}" for e, p in self.values) or "none"
             raise KeyError(f"{effect_id}.{parameter} is not switched on; these are: {known}")
-        self.values[effect_id, parameter][slice(None) if ids is None else ids] = values
-        self._stale |= self._by_id[effect_id].stage is Stage.CONSTANT
+        effect = self._by_id[effect_id]
+        limits = effect.parameter(parameter)
+        given = np.asarray(values, dtype=float)
+        outside = ~((given >= limits.low) & (given <= limits.high))
+        if outside.any():
+            raise ValueError(
+                f"{effect_id}.{parameter} = {given[outside].flat[0]:g} {limits.unit}".rstrip()
+                + f"; expected {limits.low:g} to {limits.high:g}; clip it or change the catalogue's bounds"
+            )
+        rows = slice(None) if ids is None else ids
+        self.values[effect_id, parameter][rows] = given
+        if effect.stage is Stage.CONSTANT:
+            if self._stale is None:
+                self._stale = np.zeros(len(self.records), dtype=bool)
+            self._stale[rows] = True
 
     def refresh(self) -> None:
-        """Apply the CONSTANT effects to nominal values and hand the result to the engine, if anything changed."""
-        if not self._stale:
+        """Apply the CONSTANT effects to nominal values where parameters changed, and let the engine derive the rest."""
+        if self._stale is None:
             return
-        for name, nominal in self._nominal.items():
-            self.table[name][:] = nominal
+        rows = np.flatnonzero(self._stale)
+        whole = len(rows) == len(self.records)
+        fresh = {
+            name: np.repeat(np.asarray(nominal)[None], len(rows), axis=0) for name, nominal in self._nominal.items()
+        }
         for effect in self._effects:
-            parameters = {p.name: self.values[effect.id, p.name] for p in effect.parameters}
-            effect.apply(self.table, self.sites[effect.id], **parameters)
-        for name in self._fields:
-            self._batch.expand(name)[:] = self.table[name]
+            parameters = {p.name: self.values[effect.id, p.name][rows] for p in effect.parameters}
+            effect.apply(fresh, self._sites[effect.id], **parameters)
+        for name, values in fresh.items():
+            self.table[name][slice(None) if whole else rows] = values
         if self._derives:
-            self._batch.set_const()
-        self._stale = False
+            self._batch.set_const(None if whole else rows)
+        self._stale = None
 
 
-def nominal_constants(spec: TwinSpec, num_sims: int) -> dict[str, np.ndarray]:
-    """Constants of actuators and sensors with no effect switched on, each (N, ...)."""
-    actuators = (num_sims, spec.model.nu)
-    time_constant = spec.vehicle.servo.time_constant if spec.vehicle is not None else 0.0
-    return {
-        "actuator.delay": np.zeros(actuators),
-        "actuator.time_constant": np.full(actuators, time_constant),
-        "actuator.gain": np.ones(actuators),
-        "mocap.delay": np.zeros(num_sims),
-    }
+def nominal_constants(spec: TwinSpec, records: np.ndarray) -> dict[str, np.ndarray]:
+    """Constants of actuators and sensors of one simulation with no effect switched on, name → (...)."""
+    nominal = {name: np.full(records[name].shape[1:], NOMINAL.get(name, 0.0)) for name in records.dtype.names or ()}
+    if spec.vehicle is not None:
+        nominal["actuator.time_constant"][:] = spec.vehicle.servo.time_constant
+    return nominal

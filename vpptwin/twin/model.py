@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import reduce
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Effect, Site
+from vpptwin.engine.callback import WORDS
 from vpptwin.errors import InputError
 from vpptwin.vehicle import Vehicle
 
@@ -42,6 +43,7 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(str(path))
         if vehicle is not None:
             apply_vehicle(spec, vehicle, path)
+        spec.nuserdata = WORDS  # marks our simulations to the compiled step
         model = spec.compile()
     except InputError:
         raise
@@ -134,13 +136,17 @@ def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:
 
 def locate_effect(model: mujoco.MjModel, effect: Effect, drone: bool) -> Site:
     """Indices of the place in this model where an effect acts."""
-    joint_dof: Callable[[str], int] = lambda name: int(model.joint(name).dofadr[0])  # noqa: E731
-    joints = {model.joint(i).name for i in range(model.njnt)}
+    joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
     actuators = {model.actuator(i).name: i for i in range(model.nu)}
-    craft = dict(zip(("x", "z", "pitch"), (joint_dof(name) for name in CRAFT_JOINTS))) if drone else {}
+    bodies = {model.body(i).name: i for i in range(model.nbody)}
     return Site(
-        dof=joint_dof(effect.target) if effect.target in joints else -1,
+        dof=joints.get(effect.target, -1),
         actuator=actuators.get(effect.target, -1),
-        body=int(model.body("craft").id) if drone else -1,
-        **craft,
+        body=bodies.get(effect.target, bodies.get("craft", -1) if drone else -1),
     )
+
+
+def missing_parts(model: mujoco.MjModel, effect: Effect) -> list[str]:
+    """Joints and bodies that an effect needs and the model lacks."""
+    names = {model.joint(i).name for i in range(model.njnt)} | {model.body(i).name for i in range(model.nbody)}
+    return [name for name in effect.needs if name not in names]

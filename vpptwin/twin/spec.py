@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
 from vpptwin.errors import InputError
 from vpptwin.resources import find_model_file
-from vpptwin.twin.model import compile_model, describe_joints, read_nominal
+from vpptwin.twin.model import compile_model, describe_joints, missing_parts, read_nominal
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 EffectValues = dict[str, dict[str, float]]
@@ -175,7 +175,11 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
     if vehicle is not None:
         if file.signals is not None:
             raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
-        catalogue = tuple(effect.bind(lambda key: read_nominal(vehicle, key)) for effect in CATALOGUE)
+        catalogue = tuple(
+            effect.bind(lambda key: read_nominal(vehicle, key))
+            for effect in CATALOGUE
+            if not missing_parts(model, effect)
+        )
     else:
         check_signals(name, model, file.signals)
         actuators = filter(None, (model.actuator(i).name for i in range(model.nu)))

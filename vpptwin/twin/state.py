@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
-
-from vpptwin.actuators.layer import ActuatorState
 
 
 @dataclass(frozen=True)
@@ -17,56 +16,72 @@ class TwinState:
         time: (N,) s.
         qpos: generalized positions, (N, nq) m, rad; x, z, θ on the drone.
         qvel: generalized velocities, (N, nv) m/s, rad/s.
-        warmstart: the constraint solver's last accelerations, (N, nv): without them a restored run differs in rounding.
-        actuators: state of the actuator layer.
+        warmstart: accelerations of the last step, (N, nv): the constraint solver starts from them.
+        memory: force on the carriage in the last step [N], then the constraints' forces in it, (N, 1 + nv).
+        actuators: state of the actuator layer, (N,) records of `vpptwin.actuators.layer.layer_dtype`.
     """
 
     time: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
     warmstart: np.ndarray
-    actuators: ActuatorState
+    memory: np.ndarray
+    actuators: np.ndarray
 
     @property
     def blade_pitch(self) -> np.ndarray:
         """Blade pitch, (N, nu) rad (the control input on other rigs)."""
-        return self.actuators.output
+        return self.actuators["output"]
 
     @property
     def rotor_speed(self) -> np.ndarray:
         """Rotor speed, (N, nu) rad/s."""
-        return self.actuators.rotor_speed
+        return self.actuators["rotor_speed"]
 
     @property
     def throttle(self) -> np.ndarray:
         """Throttle, (N, nu), 0..1 of battery voltage."""
-        return self.actuators.throttle
+        return self.actuators["throttle"]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every array by name; numbers only, the records of the actuators as `actuators.horn` and so on."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "actuators"}
+        return plain | {f"actuators.{name}": self.actuators[name] for name in self.actuators.dtype.names or ()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> TwinState:
+        """The state of which `arrays()` gave these arrays; copies."""
+        prefix = "actuators."
+        layer = {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+        records = np.zeros(len(arrays["time"]), [(name, v.dtype, v.shape[1:]) for name, v in layer.items()])
+        for name, values in layer.items():
+            records[name] = values
+        plain = {f.name: arrays[f.name].copy() for f in fields(cls) if f.name != "actuators"}
+        return cls(**plain, actuators=records)
 
     def take(self, ids: np.ndarray) -> TwinState:
         """The rows `ids` as a state of their own (a copy); repeats are allowed."""
-        rows = {f.name: getattr(self, f.name)[ids] for f in fields(self) if f.name != "actuators"}
-        layer = {f.name: getattr(self.actuators, f.name)[ids] for f in fields(self.actuators)}
-        return TwinState(**rows, actuators=ActuatorState(**layer))
+        return TwinState(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
 
     def copy(self) -> TwinState:
         """A deep copy."""
-        return self.take(np.arange(len(self.time)))
+        return TwinState(**{f.name: getattr(self, f.name).copy() for f in fields(self)})
+
+    def write_rows(self, ids: np.ndarray, rows: TwinState) -> None:
+        """Put `rows`, which has len(ids) rows, in place of the rows `ids` of this very state."""
+        for f in fields(self):
+            getattr(self, f.name)[ids] = getattr(rows, f.name)
 
     def replace_rows(self, ids: np.ndarray, rows: TwinState) -> TwinState:
         """This state with its rows `ids` exchanged for `rows`, which has len(ids) rows; neither argument changes."""
+        result = self.copy()
+        result.write_rows(ids, rows)
+        return result
 
-        def exchange(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-            result = old.copy()
-            result[ids] = new
-            return result
-
-        top = {
-            f.name: exchange(getattr(self, f.name), getattr(rows, f.name))
-            for f in fields(self)
-            if f.name != "actuators"
-        }
-        layer = {
-            f.name: exchange(getattr(self.actuators, f.name), getattr(rows.actuators, f.name))
-            for f in fields(self.actuators)
-        }
-        return replace(self, **top, actuators=ActuatorState(**layer))
+    def finite(self) -> np.ndarray:
+        """Which simulations hold only finite numbers, (N,) bool."""
+        sound = np.ones(len(self.time), dtype=bool)
+        for values in self.arrays().values():
+            if values.size:
+                sound &= np.isfinite(values).reshape(len(sound), -1).all(axis=1)
+        return sound

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from vpptwin.actuators.layer import (
-    ActuatorConstants,
-    ActuatorState,
-    command_from_policy,
-    move_actuators,
-    rotor_thrust,
-    spin_rotors,
-)
-from vpptwin.effects import Effect, Stage
-from vpptwin.effects.base import Plant
+from vpptwin.actuators.numbers import record_vehicle
+from vpptwin.effects import Effect
+from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
+from vpptwin.twin.kernel import CONTEXT, compile_kernel, delay_depth, warm_up
 from vpptwin.twin.model import hold_joints
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
@@ -37,11 +33,15 @@ class Driven:
 class Twin:
     """N simulations that share a rig and differ in parameters and state.
 
-    A twin holds parameters; whatever evolves is in the `TwinState` that its functions take and return.
+    A twin holds parameters; whatever evolves is in the `TwinState` that its functions take and return. The whole inner
+    loop runs compiled inside the engine's step (`vpptwin.twin.step`): one call, however many steps.
 
     The engine's semi-implicit Euler step is second-order accurate if read as a leapfrog: `qvel` belongs to the state's
     time, `qpos` leads it by half a step, and forces are means over the step. `pose_at_time` undoes the lead where half
     a millisecond matters, which it does when a delay is to be told from nothing.
+
+    A simulation that diverges runs on with what it has (the engine's own silent restart is off): its numbers are not
+    finite, which `TwinState.finite` tells.
 
     Args:
         spec: the twin to simulate.
@@ -64,13 +64,26 @@ class Twin:
         self.effects: dict[str, Effect] = {e.id: e for e in spec.catalogue if e.id in wanted}
         self.dt = float(spec.model.opt.timestep)
         driven = spec.signals.driven if spec.signals is not None else {}
-        model = hold_joints(spec.model, driven) if driven else spec.model
-        self._armature = np.array(model.dof_armature)
+        model = hold_joints(spec.model, driven) if driven else copy.copy(spec.model)
+        self._dry = np.array(model.dof_frictionloss)
+        model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        depth = delay_depth(self.effects.values(), self.dt)
+        self._kernel = compile_kernel(model, spec.catalogue, spec.vehicle is not None, depth)
         self._batch = Batch(model, num_sims, num_threads)
-        self._constants = ConstantTable(spec, self.effects, num_sims, self._batch)
-        names = ("time", "qpos", "qvel", "qacc_warmstart", "ctrl", "qfrc_applied")
+        self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
+        names = ("time", "qpos", "qvel", "qacc_warmstart", "qfrc_constraint")
         self._live = {name: self._batch.bind(name) for name in names}
-        self._per_step = [e for e in self.effects.values() if e.stage is not Stage.CONSTANT]
+        places = self._kernel.pipeline.places
+        self._active = np.array([name in self.effects for name in places], dtype=np.bool_)
+        self._led = np.zeros(model.nv)
+        for name in driven:
+            dof = int(model.joint(name).dofadr[0])
+            self._led[dof] = model.dof_armature[dof]
+        self._vehicle = record_vehicle(spec.vehicle) if spec.vehicle is not None else np.zeros(1)
+        self._scratch = np.zeros(self._kernel.scratch_shape(num_sims, int(model.nv)))
+        self._context = np.zeros(1, CONTEXT)
+        mark_rows(self._batch.bind("userdata"), self._context)
 
     @property
     def vehicle(self) -> Vehicle:
@@ -87,8 +100,12 @@ class Twin:
         Args:
             effect_id: an id of `effects`.
             parameter: its parameter.
-            values: a scalar, or one value per simulation of the call, in the parameter's unit.
+            values: a scalar, or one value per simulation of the call, in the parameter's unit and bounds.
             ids: simulations, None for all.
+
+        Raises:
+            KeyError: if the effect is not switched on or has no such parameter.
+            ValueError: if a value lies outside the parameter's bounds.
         """
         self._constants.set_parameter(effect_id, parameter, values, ids)
 
@@ -101,32 +118,31 @@ class Twin:
         self._constants.refresh()
         return self._constants.table[name].copy()
 
-    def initial_state(self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None) -> TwinState:
+    def initial_state(
+        self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0
+    ) -> TwinState:
         """A state at rest by default, actuators neutral, rotors at their governed speed.
 
         Args:
             qpos: (N, nq) or (nq,); by default the model's reference pose, on the drone hovering height 1 m.
             qvel: (N, nv) or (nv,), zero by default.
+            time: s since the start of the log, (N,) or one for all.
         """
         self._constants.refresh()
         model, n = self.spec.model, self.num_sims
         start = np.array(model.qpos0)
         if self.spec.vehicle is not None:
             start[1] = 1.0
-        layer = ActuatorState(
-            output=np.zeros((n, model.nu)),
-            mean=np.zeros((n, model.nu)),
-            history=np.zeros((n, self._constants.delay_depth, model.nu)),
-            rotor_speed=np.full((n, model.nu), self.spec.vehicle.rotor.speed if self.spec.vehicle else 0.0),
-            governor=np.zeros((n, model.nu)),
-            gyro=np.zeros(n),
-            throttle=np.zeros((n, model.nu)),
-        )
+        layer = np.zeros(n, self._kernel.layer)
+        layer["output"] = layer["mean"] = self._constants.table["actuator.trim"]
+        if self.spec.vehicle is not None:
+            layer["rotor_speed"] = self.spec.vehicle.rotor.speed
         return TwinState(
-            time=np.zeros(n),
+            time=np.array(np.broadcast_to(time, n), dtype=float),
             qpos=np.array(np.broadcast_to(start if qpos is None else qpos, (n, model.nq)), dtype=float),
             qvel=np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float),
             warmstart=np.zeros((n, model.nv)),
+            memory=np.zeros((n, 1 + model.nv)),
             actuators=layer,
         )
 
@@ -149,23 +165,20 @@ class Twin:
         Returns:
             The state `duration` later.
         """
-        vehicle = self.vehicle
-        self._load(state)
-        layer = state.actuators
-        for _ in range(round(duration / self.dt)):
-            rate = self._live["qvel"][:, 2]
-            pitch, throttle, layer = command_from_policy(vehicle, layer, command, rate, layer.rotor_speed, self.dt)
-            layer = move_actuators(layer, self._actuator_constants(), pitch, self.dt)
-            layer = spin_rotors(vehicle, layer, throttle, self.dt)
-            self._step_engine(layer)
-        return self._unload(layer)
+        result = state.copy()
+        self.advance_policy(result, command, duration)
+        return result
 
-    def warm_up(self, layer: ActuatorState, commands: np.ndarray) -> ActuatorState:
-        """Run the delay and lag of the actuators alone over past commands, (N, steps, nu), oldest first."""
+    def advance_policy(self, state: TwinState, command: np.ndarray, duration: float = 0.01) -> None:
+        """As `step_policy`, in place: `state` becomes the state `duration` later."""
+        _ = self.vehicle
+        held = np.array(np.broadcast_to(command, (self.num_sims, 2)), dtype=float)
+        self._run(state, round(duration / self.dt), {"command": held}, policy=True)
+
+    def warm_up(self, layer: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first."""
         self._constants.refresh()
-        for k in range(commands.shape[1]):
-            layer = move_actuators(layer, self._actuator_constants(), commands[:, k], self.dt)
-        return layer
+        return warm_up(layer, self._constants.records, commands, self.dt)
 
     def replay_commands(
         self,
@@ -182,71 +195,59 @@ class Twin:
             state: N simulations; not modified.
             commands: blade pitch [rad] (control input on other rigs), (N, steps, nu).
             rotor_speed: measured rotor speed, (N, steps, 2) rad/s; None simulates it from `throttle`.
-            throttle: (N, steps, 2), 0..1; used when `rotor_speed` is None.
+            throttle: (N, steps, 2), 0..1; used when `rotor_speed` is None. With neither, speeds stay as they are.
             disturbance: generalized force added, (N, segments, nv) N, N m, each held for an equal part of the steps.
             driven: joints that follow given tracks instead of the engine.
 
         Returns:
             The final state, and qpos, qvel after every step, (N, steps, nq) and (N, steps, nv).
         """
-        self._load(state)
-        layer = state.actuators
-        steps = commands.shape[1]
-        qpos = np.empty((self.num_sims, steps, self.spec.model.nq))
-        qvel = np.empty((self.num_sims, steps, self.spec.model.nv))
-        for k in range(steps):
-            layer = move_actuators(layer, self._actuator_constants(), commands[:, k], self.dt)
-            if self.spec.vehicle is not None and rotor_speed is not None:
-                layer = replace(layer, rotor_speed=rotor_speed[:, k])
-            elif self.spec.vehicle is not None and throttle is not None:
-                layer = spin_rotors(self.spec.vehicle, layer, throttle[:, k], self.dt)
-            extra = None if disturbance is None else disturbance[:, k * disturbance.shape[1] // steps]
-            if driven is not None:
-                extra = self._lead_joints(driven, k, extra)
-            self._step_engine(layer, extra)
-            qpos[:, k], qvel[:, k] = self._live["qpos"], self._live["qvel"]
-        return self._unload(layer).copy(), qpos, qvel  # a copy, as the layer still holds arrays of the arguments
+        result, steps, model = state.copy(), commands.shape[1], self.spec.model
+        tape = {"command": commands}
+        if self.spec.vehicle is not None and rotor_speed is not None:
+            tape["speed"] = rotor_speed
+        elif self.spec.vehicle is not None and throttle is not None:
+            tape["throttle"] = throttle
+        if disturbance is not None:
+            tape["push"] = disturbance
+        if driven is not None:
+            tape["lead"] = self._lead_joints(result, driven, steps)
+        before = np.empty((self.num_sims, steps, model.nq)), np.empty((self.num_sims, steps, model.nv))
+        tape |= {"qpos": before[0], "qvel": before[1]}
+        self._run(result, steps, tape)
+        qpos = np.concatenate([before[0][:, 1:], result.qpos[:, None]], axis=1)
+        qvel = np.concatenate([before[1][:, 1:], result.qvel[:, None]], axis=1)
+        return result, qpos, qvel
 
-    def _lead_joints(self, driven: Driven, k: int, extra: np.ndarray | None) -> np.ndarray:
-        """Put driven joints where their tracks are at step k; `extra` with the force that leads them to the next."""
-        dofs, last = driven.dofs, max(driven.velocity.shape[1] - 2, 0)
-        self._live["qpos"][:, dofs] = self.pose_for_engine(driven.pose[:, k], driven.velocity[:, k])
-        self._live["qvel"][:, dofs] = driven.velocity[:, k]
-        ahead = np.diff(driven.velocity[:, min(k, last) : min(k, last) + 2], axis=1).sum(axis=1)
-        force = np.zeros_like(self._live["qfrc_applied"]) if extra is None else extra.copy()
-        force[:, dofs] += self._armature[dofs] * ahead / self.dt
-        return force
+    def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
+        """Put driven joints at the start of their tracks; where their qpos is to be after each step, (N, steps, nv)."""
+        track = self.pose_for_engine(driven.pose, driven.velocity)
+        state.qpos[:, driven.dofs], state.qvel[:, driven.dofs] = track[:, 0], driven.velocity[:, 0]
+        lead = np.zeros((self.num_sims, steps, self.spec.model.nv))
+        lead[:, :-1, driven.dofs] = track[:, 1:steps]
+        lead[:, -1, driven.dofs] = track[:, -1] + self.dt * driven.velocity[:, -1]
+        return lead
 
-    def _actuator_constants(self) -> ActuatorConstants:
-        table = self._constants.table
-        return ActuatorConstants(table["actuator.delay"], table["actuator.time_constant"], table["actuator.gain"])
-
-    def _step_engine(self, layer: ActuatorState, extra: np.ndarray | None = None) -> None:
-        live, values = self._live, self._constants.values
-        drone = self.spec.vehicle is not None
-        control = rotor_thrust(self.spec.vehicle, layer) if self.spec.vehicle else layer.mean
-        control = control * self._constants.table["actuator.gain"]
-        plant = Plant(live["qpos"], live["qvel"], layer.rotor_speed, layer.mean)
-        force = np.zeros_like(live["qfrc_applied"]) if extra is None else extra
-        for effect in self._per_step:
-            parameters = {p.name: values[effect.id, p.name] for p in effect.parameters}
-            site = self._constants.sites[effect.id]
-            if effect.stage is Stage.THRUST and drone:
-                control = effect.apply_step(control, plant, site, parameters)
-            elif effect.stage is Stage.FORCE:
-                force = effect.apply_step(force, plant, site, parameters)
-        live["ctrl"][:] = control
-        live["qfrc_applied"][:] = force
-        self._batch.step()
-
-    def _load(self, state: TwinState) -> None:
+    def _run(self, state: TwinState, steps: int, tape: dict[str, np.ndarray], policy: bool = False) -> None:
+        """Advance `state` in place by a number of inner steps under the inputs of a tape."""
         self._constants.refresh()
-        live = self._live
+        live, context = self._live, self._context[0]
+        held = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in tape.items()}
+        rows = {
+            "vehicle": self._vehicle, "layer": state.actuators, "constants": self._constants.records,
+            "parameters": self._constants.parameters, "memory": state.memory, "scratch": self._scratch,
+            "active": self._active, "dry": self._dry, "driven": self._led,
+            "counter": np.zeros(self.num_sims, np.int64),
+        }  # fmt: skip
+        for name in CONTEXT.names or ():
+            context[name] = 0
+        for name, array in (rows | held).items():
+            context[name] = array.ctypes.data
+        context["policy"], context["steps"] = int(policy), steps
+        context["segments"] = held["push"].shape[1] if "push" in held else 0
         live["time"][:], live["qpos"][:], live["qvel"][:] = state.time, state.qpos, state.qvel
         live["qacc_warmstart"][:] = state.warmstart
-
-    def _unload(self, layer: ActuatorState) -> TwinState:
-        live = self._live
-        return TwinState(
-            live["time"].copy(), live["qpos"].copy(), live["qvel"].copy(), live["qacc_warmstart"].copy(), layer
-        )
+        with installed(self._kernel.callback):
+            self._batch.step(nstep=steps)
+        state.time[:], state.qpos[:], state.qvel[:] = live["time"], live["qpos"], live["qvel"]
+        state.warmstart[:], state.memory[:, 1:] = live["qacc_warmstart"], live["qfrc_constraint"]

@@ -1,0 +1,140 @@
+"""What one simulation's mjModel and mjData show while MuJoCo's control callback runs, as numpy arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numba.extending import register_jitable
+
+GAIN_AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
+BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+
+class View(NamedTuple):
+    """Arrays over one simulation, with MuJoCo's names and units; `qfrc_applied` and `ctrl` are written.
+
+    Attributes:
+        time: s.
+        timestep: s.
+        qpos: (nq,).
+        qvel: (nv,).
+        ctrl: (nu,).
+        qfrc_applied: (nv,).
+        qfrc_passive: (nv,).
+        qfrc_bias: (nv,).
+        qacc_warmstart: acceleration of the last step, (nv,).
+        qfrc_constraint: of the last step, (nv,).
+        touching: whether a constraint is active.
+        inertia, row_length, row_start, column: the sparse joint-space inertia.
+        dof_damping: (nv,).
+        dof_armature: (nv,).
+        body_mass: (nbody,).
+        gravity: (3,) m/s².
+        moment, moment_length, moment_start, moment_column: the sparse actuator moments.
+        length, velocity: of the actuators, (nu,).
+        gain, bias: parameters of the actuators, (nu, 3) each.
+        gain_type, bias_type: (nu,).
+        ctrl_limited, force_limited: (nu,).
+        ctrl_range, force_range: (nu, 2).
+    """
+
+    time: float
+    timestep: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    qfrc_applied: np.ndarray
+    qfrc_passive: np.ndarray
+    qfrc_bias: np.ndarray
+    qfrc_constraint: np.ndarray
+    qacc_warmstart: np.ndarray
+    touching: bool
+    inertia: np.ndarray
+    row_length: np.ndarray
+    row_start: np.ndarray
+    column: np.ndarray
+    dof_damping: np.ndarray
+    dof_armature: np.ndarray
+    body_mass: np.ndarray
+    gravity: np.ndarray
+    moment: np.ndarray
+    moment_length: np.ndarray
+    moment_start: np.ndarray
+    moment_column: np.ndarray
+    length: np.ndarray
+    velocity: np.ndarray
+    gain: np.ndarray
+    bias: np.ndarray
+    gain_type: np.ndarray
+    bias_type: np.ndarray
+    ctrl_limited: np.ndarray
+    force_limited: np.ndarray
+    ctrl_range: np.ndarray
+    force_range: np.ndarray
+
+
+MODEL_ARRAYS = {
+    "row_length": ("M_rownnz", np.int32, "nv"),
+    "row_start": ("M_rowadr", np.int32, "nv"),
+    "column": ("M_colind", np.int32, "nC"),
+    "dof_damping": ("dof_damping", np.float64, "nv"),
+    "dof_armature": ("dof_armature", np.float64, "nv"),
+    "body_mass": ("body_mass", np.float64, "nbody"),
+    "gain": ("actuator_gainprm", np.float64, "nu"),
+    "bias": ("actuator_biasprm", np.float64, "nu"),
+    "gain_type": ("actuator_gaintype", np.int32, "nu"),
+    "bias_type": ("actuator_biastype", np.int32, "nu"),
+    "ctrl_limited": ("actuator_ctrllimited", np.bool_, "nu"),
+    "force_limited": ("actuator_forcelimited", np.bool_, "nu"),
+    "ctrl_range": ("actuator_ctrlrange", np.float64, "nu"),
+    "force_range": ("actuator_forcerange", np.float64, "nu"),
+}
+"""View field → field of mjModel, its type and its leading size."""
+DATA_ARRAYS = {
+    "qpos": ("qpos", np.float64, "nq"),
+    "qvel": ("qvel", np.float64, "nv"),
+    "ctrl": ("ctrl", np.float64, "nu"),
+    "qfrc_applied": ("qfrc_applied", np.float64, "nv"),
+    "qfrc_passive": ("qfrc_passive", np.float64, "nv"),
+    "qfrc_bias": ("qfrc_bias", np.float64, "nv"),
+    "qfrc_constraint": ("qfrc_constraint", np.float64, "nv"),
+    "qacc_warmstart": ("qacc_warmstart", np.float64, "nv"),
+    "inertia": ("M", np.float64, "nC"),
+    "moment": ("actuator_moment", np.float64, "nJmom"),
+    "moment_length": ("moment_rownnz", np.int32, "nu"),
+    "moment_start": ("moment_rowadr", np.int32, "nu"),
+    "moment_column": ("moment_colind", np.int32, "nJmom"),
+    "length": ("actuator_length", np.float64, "nu"),
+    "velocity": ("actuator_velocity", np.float64, "nu"),
+}
+"""View field → field of mjData, its type and its leading size."""
+COLUMNS = {"gain": int(mujoco.mjNGAIN), "bias": int(mujoco.mjNBIAS), "ctrl_range": 2, "force_range": 2}
+"""View fields with a second axis and its size."""
+
+
+def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
+    """The view of an MjModel and MjData in Python: what compiled code gets from their addresses."""
+    fields = {name: getattr(model, field) for name, (field, *_) in MODEL_ARRAYS.items()}
+    fields |= {name: getattr(data, field) for name, (field, *_) in DATA_ARRAYS.items()}
+    return View(
+        time=data.time, timestep=model.opt.timestep, touching=data.nefc > 0, gravity=model.opt.gravity, **fields
+    )
+
+
+@register_jitable(inline="always")
+def add_actuator_force(view: View, i: int, control: float, push: np.ndarray) -> None:
+    """Add to `push`, (nv,), what actuator i will exert under a control, as the engine is about to compute it."""
+    if view.ctrl_limited[i]:
+        control = min(max(control, view.ctrl_range[i, 0]), view.ctrl_range[i, 1])
+    gain = view.gain[i, 0]
+    if view.gain_type[i] == GAIN_AFFINE:
+        gain += view.gain[i, 1] * view.length[i] + view.gain[i, 2] * view.velocity[i]
+    force = gain * control
+    if view.bias_type[i] == BIAS_AFFINE:
+        force += view.bias[i, 0] + view.bias[i, 1] * view.length[i] + view.bias[i, 2] * view.velocity[i]
+    if view.force_limited[i]:
+        force = min(max(force, view.force_range[i, 0]), view.force_range[i, 1])
+    for k in range(view.moment_start[i], view.moment_start[i] + view.moment_length[i]):
+        push[view.moment_column[k]] += view.moment[k] * force

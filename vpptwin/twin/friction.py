@@ -1,0 +1,113 @@
+"""Dry friction that sticks: the force that brings a joint to rest within the step if its friction level suffices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import register_jitable
+
+SWEEPS = 100
+"""Most sweeps of the relaxation over rubbing joints; one suffices where the inertia does not couple them."""
+SETTLED = 1e-12
+"""A sweep that changes no force by more than this share of the largest level ends the relaxation."""
+
+
+@register_jitable
+def expand_inertia(
+    inertia: np.ndarray, row_length: np.ndarray, row_start: np.ndarray, column: np.ndarray, damping: np.ndarray,
+    dt: float, dense: np.ndarray,
+) -> bool:  # fmt: skip
+    """Write M + dt D into `dense`, (nv, nv), from the lower rows of a sparse M; tell whether it couples joints.
+
+    That is the matrix which the engine's Euler step inverts, with D the joints' damping (nv,) [N s/m, N m s/rad].
+    """
+    coupled = False
+    dense[:, :] = 0.0
+    for i in range(len(dense)):
+        for k in range(row_start[i], row_start[i] + row_length[i]):
+            j = column[k]
+            dense[i, j] = inertia[k]
+            dense[j, i] = inertia[k]
+            coupled = coupled or (j != i and inertia[k] != 0.0)
+        dense[i, i] += dt * damping[i]
+    return coupled
+
+
+@register_jitable
+def invert_inertia(dense: np.ndarray, inverse: np.ndarray) -> None:
+    """Write the inverse of a symmetric positive definite matrix; `dense` is overwritten. Both (nv, nv)."""
+    n = len(dense)
+    inverse[:, :] = 0.0
+    for i in range(n):
+        inverse[i, i] = 1.0
+    for i in range(n):  # Gauss and Jordan; no pivoting is needed
+        pivot = 1.0 / dense[i, i]
+        for j in range(n):
+            dense[i, j] *= pivot
+            inverse[i, j] *= pivot
+        for k in range(n):
+            if k != i and dense[k, i] != 0.0:
+                factor = dense[k, i]
+                for j in range(n):
+                    dense[k, j] -= factor * dense[i, j]
+                    inverse[k, j] -= factor * inverse[i, j]
+
+
+@register_jitable
+def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, backward: float, dt: float) -> float:
+    """Friction on one joint [N, N m]: what stops it at the end of the step, within what friction can muster.
+
+    Args:
+        push: all other forces on it [N, N m].
+        inertia: that they move [kg, kg m²].
+        velocity: at the start of the step [m/s, rad/s].
+        forward: friction level against motion forward [N, N m].
+        backward: likewise against motion backward.
+        dt: step [s].
+    """
+    return np.minimum(np.maximum(-inertia * velocity / dt - push, -forward), backward)
+
+
+@register_jitable
+def rub(
+    push: np.ndarray, velocity: np.ndarray, forward: np.ndarray, backward: np.ndarray, dense: np.ndarray,
+    inverse: np.ndarray, coupled: bool, dt: float, friction: np.ndarray,
+) -> None:  # fmt: skip
+    """Write the dry friction of all joints, (nv,) [N, N m], into `friction`.
+
+    Joints that the inertia couples are relaxed one after the other (projected Gauss-Seidel) until none changes.
+
+    Args:
+        push: all other generalized forces, (nv,).
+        velocity: at the start of the step, (nv,).
+        forward: friction levels against motion forward, (nv,); 0 for a joint without friction.
+        backward: likewise against motion backward.
+        dense: M + dt D, (nv, nv); overwritten.
+        inverse: room for its inverse, (nv, nv).
+        coupled: whether it has entries off the diagonal.
+        dt: step [s].
+        friction: where the result goes.
+    """
+    n = len(push)
+    if not coupled:
+        for i in range(n):
+            friction[i] = hold_or_slide(push[i], dense[i, i], velocity[i], forward[i], backward[i], dt)
+        return
+    invert_inertia(dense, inverse)
+    largest = 0.0
+    for i in range(n):
+        friction[i] = 0.0
+        largest = max(largest, forward[i], backward[i])
+    for _ in range(SWEEPS):
+        change = 0.0
+        for i in range(n):
+            if forward[i] == 0.0 and backward[i] == 0.0:
+                continue
+            after = velocity[i]
+            for j in range(n):
+                after += dt * inverse[i, j] * (push[j] + friction[j])
+            wanted = friction[i] - after / (dt * inverse[i, i])
+            held = min(max(wanted, -forward[i]), backward[i])
+            change = max(change, abs(held - friction[i]))
+            friction[i] = held
+        if change <= SETTLED * largest:
+            return

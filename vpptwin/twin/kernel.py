@@ -1,0 +1,233 @@
+"""The compiled step of a twin: a C function that finds a simulation's rows, runs one step and writes its forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numba import carray, cfunc, njit, types
+from platformdirs import user_cache_path
+
+from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
+from vpptwin.actuators.numbers import vehicle_dtype
+from vpptwin.effects import Effect
+from vpptwin.engine.callback import MARK, WORDS, as_function
+from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
+from vpptwin.engine.structs import data_offset, mirror_size, model_offset
+from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
+from vpptwin.twin.pipeline import Pipeline, fingerprint, write_pipeline
+from vpptwin.twin.step import Rig, Row, Tape
+
+CONTEXT = np.dtype(
+    [(name, np.int64) for name in (
+        "vehicle", "layer", "constants", "parameters", "memory", "scratch", "active", "dry", "driven", "counter",
+        "policy", "steps", "segments", "command", "speed", "throttle", "push", "lead", "qpos", "qvel",
+    )]
+)  # fmt: skip
+"""Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
+READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
+
+ENTRY = """
+def control(m, d):
+    model = carray(m, ({model_words},), np.int64)
+    if model[{nuserdata}] != {words}:
+        return
+    data = carray(d, ({data_words},), np.int64)
+    marks = int64_at(data[{userdata}], {words})
+    if marks[0] != {mark}:
+        return
+    context = carray(pointer_to(marks[1]), (1,), CONTEXT)[0]
+    i = marks[2]
+    model_numbers, data_numbers = carray(m, ({model_words},), np.float64), carray(d, ({data_words},), np.float64)
+    touching = carray(d, ({data_words} * 2,), np.int32)[{nefc}] > 0
+    gravity = model_numbers[{gravity} : {gravity} + 3]
+    view = View(
+        data_numbers[{time}], model_numbers[{timestep}],
+{view}
+    )
+    row = Row(
+        carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
+        carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
+        float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
+        float64_at(context.memory + (1 + {nv}) * 8 * i, 1 + {nv}),
+        float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
+    )
+    steps = context.steps
+    commands = 1 if context.policy else steps
+    tape = Tape(
+        context.policy != 0,
+        float64_table_at(context.command + commands * {nu} * 8 * i, commands, {nu}),
+        float64_table_at(context.speed + steps * {nu} * 8 * i, steps if context.speed else 0, {nu}),
+        float64_table_at(context.throttle + steps * {nu} * 8 * i, steps if context.throttle else 0, {nu}),
+        float64_table_at(context.push + context.segments * {nv} * 8 * i, context.segments, {nv}),
+        float64_table_at(context.lead + steps * {nv} * 8 * i, steps if context.lead else 0, {nv}),
+        float64_at(context.driven, {nv}),
+        steps,
+    )
+    counter = int64_at(context.counter, i + 1)
+    k = counter[i]
+    counter[i] = k + 1
+    if context.qpos:
+        float64_table_at(context.qpos + steps * {nq} * 8 * i, steps, {nq})[k, :] = view.qpos
+        float64_table_at(context.qvel + steps * {nv} * 8 * i, steps, {nv})[k, :] = view.qvel
+    rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
+    {step}
+"""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The compiled step for one model and catalogue.
+
+    Attributes:
+        pipeline: the effects' part of it.
+        callback: the C function for MuJoCo's control callback.
+        layer: dtype of the actuators' state.
+        constants: dtype of the constants.
+    """
+
+    pipeline: Pipeline
+    callback: Any
+    layer: np.dtype
+    constants: np.dtype
+    keep: Any
+
+    def scratch_shape(self, count: int, nv: int) -> tuple[int, int, int]:
+        """Shape of the room that `count` simulations need."""
+        return count, scratch_rows(nv), nv
+
+
+def scratch_rows(nv: int) -> int:
+    """Rows of the room that a simulation's friction needs, each (nv,)."""
+    return 5 + 2 * nv
+
+
+_KERNELS: dict[str, Kernel] = {}
+
+
+def compile_kernel(model: mujoco.MjModel, catalogue: Sequence[Effect], drone: bool, depth: int) -> Kernel:
+    """The compiled step of a catalogue on a model; compiled once per process, and once per machine where files last.
+
+    Args:
+        model: of the twin.
+        catalogue: its effects, whether switched on or not.
+        drone: whether it is the drone, with its cascade and rotors.
+        depth: commands that the delay line holds.
+    """
+    pipeline = write_pipeline(model, catalogue)
+    nu = int(model.nu)
+    dtypes = {"LAYER": layer_dtype(nu, depth), "CONSTANTS": constants_dtype(nu)}
+    source = pipeline.source + write_entry(model, pipeline, drone)
+    key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
+    if key not in _KERNELS:
+        _KERNELS[key] = _compile(source, key, pipeline, dtypes)
+    return _KERNELS[key]
+
+
+def write_entry(model: mujoco.MjModel, pipeline: Pipeline, drone: bool) -> str:
+    """The text of the C function for a model's sizes."""
+    nv = int(model.nv)
+    names = [model.body(i).name for i in range(model.nbody)]
+    arguments = {
+        "model_words": mirror_size("mjModel") // 8,
+        "data_words": mirror_size("mjData") // 8,
+        "nuserdata": model_offset("nuserdata") // 8,
+        "userdata": data_offset("userdata") // 8,
+        "nefc": data_offset("nefc") // 4,
+        "gravity": model_offset("opt.gravity") // 8,
+        "timestep": model_offset("opt.timestep") // 8,
+        "time": data_offset("time") // 8,
+        "words": WORDS,
+        "mark": MARK,
+        "view": write_view(model),
+        "parameters": len(pipeline.columns),
+        "places": len(pipeline.places),
+        "scratch": scratch_rows(nv),
+        "nq": int(model.nq),
+        "nv": nv,
+        "nu": int(model.nu),
+        "carriage": names.index("carriage") if drone and "carriage" in names else -1,
+        "step": "step_drone(carray(pointer_to(context.vehicle), (1,), VEHICLE)[0], rig, view, row, tape, k)"
+        if drone
+        else "step_rig(rig, view, row, tape, k)",
+    }
+    return ENTRY.format(**arguments)
+
+
+def write_view(model: mujoco.MjModel) -> str:
+    """The lines that look up every array of a `View`."""
+    lines = []
+    for name in View._fields:
+        if name in ("time", "timestep"):
+            continue
+        if name in ("touching", "gravity"):
+            lines.append(f"        {name},")
+            continue
+        table, offset, struct = (
+            (MODEL_ARRAYS, model_offset, "model") if name in MODEL_ARRAYS else (DATA_ARRAYS, data_offset, "data")
+        )
+        field, dtype, size = table[name]
+        address, count = f"{struct}[{offset(field) // 8}]", int(getattr(model, size))
+        if name in COLUMNS:
+            lines.append(f"        float64_table_at({address}, {count}, {COLUMNS[name]}),")
+        else:
+            lines.append(f"        {READERS[dtype][0]}({address}, {count}),")
+    return "\n".join(lines)
+
+
+def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
+    file = _store(source, key)
+
+    def compiled(function: Callable[..., Any], **options: object) -> Callable[..., Any]:
+        result: Callable[..., Any] = njit(function, error_model="numpy", **options)
+        return result
+
+    namespace: dict[str, Any] = {
+        "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
+        "int64_at": int64_at, "float64_table_at": float64_table_at, "int32_at": int32_at, "bool_at": bool_at, "CONTEXT": CONTEXT,
+        "VEHICLE": vehicle_dtype(), "View": View, "Row": Row, "Rig": Rig, "Tape": Tape,
+        **pipeline.build(compiled), **dtypes,
+    }  # fmt: skip
+    exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
+    signature = types.void(types.voidptr, types.voidptr)
+    function = cfunc(signature, cache=file is not None, error_model="numpy")(namespace["control"])
+    return Kernel(pipeline, as_function(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
+
+
+def delay_depth(effects: Iterable[Effect], dt: float) -> int:
+    """Commands that a delay line must hold for these effects at a step of `dt` [s]; 0 when none delays."""
+    longest = [p.high for e in effects if "actuator.delay" in e.writes for p in e.parameters]
+    return int(np.ceil(max(longest) / dt)) + 2 if longest else 0
+
+
+@njit(error_model="numpy")
+def _warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> None:
+    for i in range(len(layer)):
+        for k in range(commands.shape[1]):
+            push_commands(layer[i])
+            for j in range(commands.shape[2]):
+                move_actuator(layer[i], constants[i], j, commands[i, k, j], dt)
+
+
+def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> np.ndarray:
+    """The actuators' state after past commands, (N, steps, nu), oldest first; `layer` (N,) is not changed."""
+    result = layer.copy()
+    _warm_up(result, constants, np.ascontiguousarray(commands, dtype=np.float64), dt)
+    return result
+
+
+def _store(source: str, key: str) -> Path | None:
+    """Write the text where numba can keep what it compiles beside it; None where no file lasts."""
+    try:
+        folder = user_cache_path("vpptwin") / "kernels" / key
+        folder.mkdir(parents=True, exist_ok=True)
+        file = folder / "step.py"
+        if not file.is_file() or file.read_text() != source:
+            file.write_text(source)
+        return file
+    except OSError:
+        return None

@@ -1,0 +1,150 @@
+"""The effects of a catalogue as one step that numba compiles: a page of plain Python that one can read and print."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import mujoco
+
+from vpptwin.effects import Effect, Stage
+from vpptwin.effects.base import Motion
+from vpptwin.twin import step
+
+STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION)
+
+
+CHAIN = ("shape_thrust", "push_craft", "push_joints", "muster_friction")
+"""The functions of `vpptwin.twin.step` that stand for the effects of a catalogue."""
+Transform = Callable[..., Callable[..., Any]]
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """The per-step effects of a catalogue on one model.
+
+    Attributes:
+        source: Python text of the functions of `CHAIN`.
+        functions: names in the text → the effects' functions.
+        columns: (effect id, parameter) → column of a simulation's parameters.
+        places: effect id → place among the switches.
+    """
+
+    source: str
+    functions: dict[str, Callable[..., Any]]
+    columns: dict[tuple[str, str], int]
+    places: dict[str, int]
+
+    def build(self, transform: Transform, file: str = "<pipeline>") -> dict[str, Callable[..., Any]]:
+        """The steps with this chain in them, `step_drone` and `step_rig`.
+
+        Args:
+            transform: applied to every function, with numba's options as keywords: `njit`, or `keep_plain`.
+            file: where the text is said to come from.
+        """
+        namespace: dict[str, Any] = {"__name__": __name__, "Motion": Motion}
+        namespace |= {name: transform(function) for name, function in self.functions.items()}
+        exec(compile(self.source, file, "exec"), namespace)
+        chain = {name: transform(namespace[name], inline="always") for name in CHAIN}
+        return {f.__name__: transform(bind_names(f, chain), inline="always") for f in (step.step_drone, step.step_rig)}
+
+
+def keep_plain(function: Callable[..., Any], **options: object) -> Callable[..., Any]:
+    """The function as it is: for a pipeline in plain Python."""
+    return function
+
+
+def bind_names(function: Callable[..., Any], names: dict[str, Any]) -> Callable[..., Any]:
+    """The function with other things behind some of its global names."""
+    assert isinstance(function, FunctionType)
+    bound = FunctionType(function.__code__, function.__globals__ | names, function.__name__)
+    bound.__module__ = function.__module__
+    return bound
+
+
+def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeline:
+    """Write the pipeline of a catalogue, in its order, for a model's joints."""
+    effects = [e for e in catalogue if e.stage in STEP_STAGES]
+    columns: dict[tuple[str, str], int] = {}
+    for effect in effects:
+        for parameter in effect.parameters:
+            columns[effect.id, parameter.name] = len(columns)
+    places = {effect.id: i for i, effect in enumerate(effects)}
+    functions = {function_name(e): e.apply for e in effects}
+
+    def call(effect: Effect, *inputs: str) -> str:
+        given = [*inputs, *(f"p[{columns[effect.id, p.name]}]" for p in effect.parameters)]
+        return f"{function_name(effect)}({', '.join(given)})"
+
+    def of(stage: Stage, target: str | None = None) -> list[Effect]:
+        return [e for e in effects if e.stage is stage and (target is None or e.target == target)]
+
+    lines = ["def shape_thrust(on, p, thrust, rotor):"]
+    for effect in of(Stage.THRUST):
+        lines += [f"    if on[{places[effect.id]}]:", f"        thrust = {call(effect, 'thrust', 'rotor')}"]
+    lines += ["    return thrust", "", "def push_craft(on, p, craft):", "    f_x = f_z = moment = 0.0"]
+    for effect in of(Stage.FORCE, ""):
+        lines += [
+            f"    if on[{places[effect.id]}]:",
+            f"        more_x, more_z, more_moment = {call(effect, 'craft')}",
+            "        f_x, f_z, moment = f_x + more_x, f_z + more_z, moment + more_moment",
+        ]
+    lines += ["    return f_x, f_z, moment", "", "def push_joints(on, p, view, load, lever, force):"]
+    joints = {model.joint(i).name: i for i in range(model.njnt)}
+    for joint, i in joints.items():
+        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
+        for effect in of(Stage.FORCE, joint) if joint else ():
+            motion = f"Motion(view.qpos[{q}], view.qvel[{dof}], 0.0, load, lever)"
+            lines += [f"    if on[{places[effect.id]}]:", f"        force[{dof}] += {call(effect, motion)}"]
+    lines += ["    return None", "", "def muster_friction(on, p, dry, view, load, lever, forward, backward):"]
+    lines += ["    most = 0.0", "    for i in range(len(forward)):", "        forward[i] = backward[i] = dry[i]"]
+    lines += ["        most = max(most, dry[i])"]
+    for joint, i in joints.items():
+        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
+        rubbing = of(Stage.FRICTION, joint) if joint else []
+        if not rubbing:
+            continue
+        lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
+        for effect in rubbing:
+            lines += [f"    if on[{places[effect.id]}]:"]
+            for level, sense in (("ahead", "1.0"), ("back", "-1.0")):
+                motion = f"Motion(view.qpos[{q}], view.qvel[{dof}], {sense}, load, lever)"
+                lines += [f"        {level} = {call(effect, level, motion)}"]
+        lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
+    lines += ["    return most > 0.0", ""]
+    return Pipeline("\n".join(lines), functions, columns, places)
+
+
+def function_name(effect: Effect) -> str:
+    """The effect's name in the text: its id as an identifier."""
+    return "effect_" + "".join(c if c.isalnum() else "_" for c in effect.id)
+
+
+def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> str:
+    """A hash of texts, of the files that functions come from, and of the versions that compile them."""
+    digest = hashlib.sha256()
+    for text in texts:
+        digest.update(text.encode())
+    files = {inspect.getsourcefile(inspect.unwrap(f)) or "" for f in functions} | own_sources()
+    for file in sorted(files):
+        digest.update(Path(file).read_bytes() if Path(file).is_file() else b"")
+    for package in ("numba", "llvmlite", "mujoco", "numpy"):
+        digest.update(version(package).encode())
+    digest.update(sys.version.encode())
+    return digest.hexdigest()[:20]
+
+
+@cache
+def own_sources() -> frozenset[str]:
+    """The files of this project whose functions are compiled."""
+    root = Path(__file__).parents[1]
+    folders = ("effects", "actuators", "engine", "twin")
+    return frozenset(str(f) for folder in folders for f in (root / folder).glob("*.py"))

@@ -1,0 +1,226 @@
+"""One inner step of one simulation, from command to forces, as it runs inside MuJoCo's step.
+
+`step_drone` and `step_rig` read as the pipeline they are. numba compiles them, with the effects of a catalogue
+(vpptwin.twin.pipeline), and they run in plain Python too, which is what the compiled ones are tested against.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+
+from vpptwin.actuators.blade import compute_thrust
+from vpptwin.actuators.layer import (
+    command_from_policy,
+    limit_control,
+    move_actuator,
+    push_commands,
+    spin_rotor,
+)
+from vpptwin.actuators.numbers import Number, VehicleNumbers
+from vpptwin.effects.base import Craft, Rotor
+from vpptwin.engine.view import View, add_actuator_force
+from vpptwin.twin.friction import expand_inertia, rub
+
+X, Z, PITCH = 0, 1, 2
+"""Degrees of freedom of the planar craft."""
+
+
+class Row(NamedTuple):
+    """What a simulation has of its own besides MuJoCo's state.
+
+    Attributes:
+        layer: state of the actuators, a record of `layer_dtype`.
+        constants: a record of `constants_dtype`.
+        parameters: of the effects that act every step, (P,).
+        memory: force on the carriage in the last step [N], then constraint forces of the last step, (1 + nv,).
+        scratch: room for forces, friction levels, friction and inertia, (5 + 2 nv, nv).
+    """
+
+    layer: Any
+    constants: Any
+    parameters: np.ndarray
+    memory: np.ndarray
+    scratch: np.ndarray
+
+
+class Tape(NamedTuple):
+    """Inputs of one simulation over a call of many steps.
+
+    Attributes:
+        policy: whether `command` is that of a policy (thrust N, rate rad/s), held throughout, instead of one per step.
+        command: (1, 2) or (steps, nu).
+        speed: measured rotor speed, (steps, nu) rad/s; no rows when it is simulated.
+        throttle: (steps, nu) 0..1; no rows when there is none.
+        push: generalized force added, (segments, nv) N, N m; no rows for none.
+        lead: where driven joints' qpos is after each step, (steps, nv); no rows when none is driven.
+        driven: inertia by which each joint is driven, (nv,); 0 for free ones.
+        steps: number of steps of the call.
+    """
+
+    policy: bool
+    command: np.ndarray
+    speed: np.ndarray
+    throttle: np.ndarray
+    push: np.ndarray
+    lead: np.ndarray
+    driven: np.ndarray
+    steps: int
+
+
+class Rig(NamedTuple):
+    """What all simulations of a twin share.
+
+    Attributes:
+        active: which effects are switched on, (E,) by their place in the catalogue.
+        dry: friction that the joints have without any effect, (nv,) N, N m.
+        carriage: index of the carriage's body, -1 without one.
+    """
+
+    active: np.ndarray
+    dry: np.ndarray
+    carriage: int
+
+
+# The four functions that follow are a catalogue without effects; `vpptwin.twin.pipeline` puts others in their place.
+
+
+@register_jitable(inline="always")
+def shape_thrust(active: np.ndarray, parameters: np.ndarray, thrust: Number, rotor: Rotor) -> Number:
+    """Thrust of a rotor [N] after the THRUST effects that are switched on."""
+    return thrust
+
+
+@register_jitable(inline="always")
+def push_craft(active: np.ndarray, parameters: np.ndarray, craft: Craft) -> tuple[Number, Number, Number]:
+    """Force of the FORCE effects on the craft: along x and z [N], moment about the hinge [N m]."""
+    return 0.0, 0.0, 0.0
+
+
+@register_jitable(inline="always")
+def push_joints(
+    active: np.ndarray, parameters: np.ndarray, view: View, load: float, lever: float, force: np.ndarray
+) -> None:
+    """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
+
+
+@register_jitable(inline="always")
+def muster_friction(
+    active: np.ndarray, parameters: np.ndarray, dry: np.ndarray, view: View, load: float, lever: float,
+    forward: np.ndarray, backward: np.ndarray,
+) -> bool:  # fmt: skip
+    """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs."""
+    forward[:] = dry
+    backward[:] = dry
+    return forward.max() > 0.0
+
+
+@register_jitable(inline="always")
+def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
+    """Step k of a drone: command, servos, rotors, thrust, forces, friction; writes `view.ctrl` and `qfrc_applied`."""
+    dt = view.timestep
+    layer, constants = row.layer, row.constants
+    if tape.policy:
+        pitch_1, pitch_2 = command_from_policy(
+            vehicle, layer, constants, tape.command[0, 0], tape.command[0, 1], view.qvel[PITCH], dt
+        )
+    else:
+        pitch_1, pitch_2 = tape.command[k, 0], tape.command[k, 1]
+    push_commands(layer)
+    move_actuator(layer, constants, 0, pitch_1, dt)
+    move_actuator(layer, constants, 1, pitch_2, dt)
+    for i in range(2):
+        if len(tape.speed) > 0:
+            layer.rotor_speed[i] = tape.speed[k, i]
+        elif len(tape.throttle) > 0 or tape.policy:
+            if len(tape.throttle) > 0:
+                layer.throttle[i] = tape.throttle[k, i]
+            spin_rotor(vehicle, layer, constants, i, view.time, dt)
+
+    craft = Craft(
+        view.qpos[X], view.qpos[Z], view.qvel[X], view.qvel[Z], view.qvel[PITCH],
+        np.sin(view.qpos[PITCH]), np.cos(view.qpos[PITCH]), vehicle.airframe.half_length,
+        layer.rotor_speed[0], layer.rotor_speed[1], view.time,
+    )  # fmt: skip
+    climb = craft.v_z * craft.cosine - craft.v_x * craft.sine
+    for i in range(2):
+        side = 2.0 * i - 1.0
+        rotor = Rotor(side, layer.rotor_speed[i], layer.mean[i], craft.z, climb + side * craft.arm * craft.rate)
+        thrust = compute_thrust(vehicle.rotor, rotor.speed, rotor.pitch)
+        thrust = shape_thrust(rig.active, row.parameters, thrust, rotor)
+        view.ctrl[i] = limit_control(constants, i, thrust)
+
+    load = 0.0
+    if rig.carriage >= 0:
+        load = row.memory[0] - view.body_mass[rig.carriage] * view.qacc_warmstart[X]
+    lever = (craft.z - vehicle.rig.rail_height) / vehicle.rig.bearing_spacing
+    force = row.scratch[0]
+    force[:] = 0.0
+    push_joints(rig.active, row.parameters, view, load, lever, force)
+    on_rail = force[X] - view.dof_damping[X] * view.qvel[X]
+    if rig.carriage >= 0:
+        on_rail += view.body_mass[rig.carriage] * view.gravity[X]
+    f_x, f_z, moment = push_craft(rig.active, row.parameters, craft)
+    force[X] += f_x
+    force[Z] += f_z
+    force[PITCH] += moment
+    drive(view, tape, k, force)
+    rubs = muster_friction(rig.active, row.parameters, rig.dry, view, load, lever, row.scratch[1], row.scratch[2])
+    resist(rubs, view, row, k)
+    row.memory[0] = on_rail + row.scratch[3, X]
+
+
+@register_jitable(inline="always")
+def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
+    """Step k of any other rig: command, actuators, forces, friction; writes `view.ctrl` and `view.qfrc_applied`."""
+    push_commands(row.layer)
+    for i in range(len(view.ctrl)):
+        move_actuator(row.layer, row.constants, i, tape.command[k, i], view.timestep)
+        view.ctrl[i] = limit_control(row.constants, i, row.layer.mean[i])
+    force = row.scratch[0]
+    force[:] = 0.0
+    push_joints(rig.active, row.parameters, view, 0.0, 0.0, force)
+    drive(view, tape, k, force)
+    rubs = muster_friction(rig.active, row.parameters, rig.dry, view, 0.0, 0.0, row.scratch[1], row.scratch[2])
+    resist(rubs, view, row, k)
+
+
+@register_jitable(inline="always")
+def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
+    """Add to `force`, (nv,), the disturbance of the tape and what leads driven joints along their tracks."""
+    if len(tape.push) > 0:
+        force += tape.push[k * len(tape.push) // tape.steps]
+    if len(tape.lead) > 0:
+        for i in range(len(force)):
+            if tape.driven[i] > 0.0:
+                wanted = (tape.lead[k, i] - view.qpos[i]) / view.timestep
+                force[i] += tape.driven[i] * (wanted - view.qvel[i]) / view.timestep
+
+
+@register_jitable(inline="always")
+def resist(rubs: bool, view: View, row: Row, k: int) -> None:
+    """Add dry friction, where something rubs, to the forces in `scratch[0]`, and hand them to the engine.
+
+    Friction answers to every other force. Those of contacts, limits and equalities are known only after the engine's
+    solver has run: they are taken from the step before.
+    """
+    scratch, n = row.scratch, len(view.qvel)
+    force, forward, backward, friction, push = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    friction[:] = 0.0
+    if rubs:
+        for i in range(n):
+            push[i] = force[i] + view.qfrc_passive[i] - view.qfrc_bias[i]
+        for i in range(len(view.ctrl)):
+            add_actuator_force(view, i, view.ctrl[i], push)
+        if view.touching:
+            for i in range(n):
+                push[i] += row.memory[1 + i] if k == 0 else view.qfrc_constraint[i]
+        dense, inverse = scratch[5 : 5 + n], scratch[5 + n : 5 + 2 * n]
+        coupled = expand_inertia(
+            view.inertia, view.row_length, view.row_start, view.column, view.dof_damping, view.timestep, dense
+        )
+        rub(push, view.qvel, forward, backward, dense, inverse, coupled, view.timestep, friction)
+    for i in range(n):
+        view.qfrc_applied[i] = force[i] + friction[i]
