@@ -19,7 +19,7 @@ from vpptwin.engine.callback import MARK, WORDS, as_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
-from vpptwin.twin.pipeline import Pipeline, fingerprint, write_pipeline
+from vpptwin.twin.pipeline import Function, Pipeline, fingerprint, write_pipeline
 from vpptwin.twin.step import Rig, Row, Tape
 
 CONTEXT = np.dtype(
@@ -182,14 +182,13 @@ def write_view(model: mujoco.MjModel) -> str:
 def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
     file = _store(source, key)
 
-    def compiled(function: Callable[..., Any], **options: object) -> Callable[..., Any]:
-        result: Callable[..., Any] = njit(function, error_model="numpy", **options)
-        return result
+    def compiled(function: Function, inline: bool = False) -> Function:
+        return njit(function, error_model="numpy", inline="always" if inline else "never")
 
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
-        "int64_at": int64_at, "float64_table_at": float64_table_at, "int32_at": int32_at, "bool_at": bool_at, "CONTEXT": CONTEXT,
-        "VEHICLE": vehicle_dtype(), "View": View, "Row": Row, "Rig": Rig, "Tape": Tape,
+        "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
+        "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "View": View, "Row": Row, "Rig": Rig, "Tape": Tape,
         **pipeline.build(compiled), **dtypes,
     }  # fmt: skip
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)

@@ -24,7 +24,8 @@ STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION)
 
 CHAIN = ("shape_thrust", "push_craft", "push_joints", "muster_friction")
 """The functions of `vpptwin.twin.step` that stand for the effects of a catalogue."""
-Transform = Callable[..., Callable[..., Any]]
+Function = Callable[..., Any]
+Transform = Callable[..., Function]
 
 
 @dataclass(frozen=True)
@@ -39,30 +40,30 @@ class Pipeline:
     """
 
     source: str
-    functions: dict[str, Callable[..., Any]]
+    functions: dict[str, Function]
     columns: dict[tuple[str, str], int]
     places: dict[str, int]
 
-    def build(self, transform: Transform, file: str = "<pipeline>") -> dict[str, Callable[..., Any]]:
+    def build(self, transform: Transform, file: str = "<pipeline>") -> dict[str, Function]:
         """The steps with this chain in them, `step_drone` and `step_rig`.
 
         Args:
-            transform: applied to every function, with numba's options as keywords: `njit`, or `keep_plain`.
+            transform: applied to every function, told whether to be inlined: numba's `njit`, or `keep_plain`.
             file: where the text is said to come from.
         """
         namespace: dict[str, Any] = {"__name__": __name__, "Motion": Motion}
         namespace |= {name: transform(function) for name, function in self.functions.items()}
         exec(compile(self.source, file, "exec"), namespace)
-        chain = {name: transform(namespace[name], inline="always") for name in CHAIN}
-        return {f.__name__: transform(bind_names(f, chain), inline="always") for f in (step.step_drone, step.step_rig)}
+        chain = {name: transform(namespace[name], inline=True) for name in CHAIN}
+        return {f.__name__: transform(bind_names(f, chain), inline=True) for f in (step.step_drone, step.step_rig)}
 
 
-def keep_plain(function: Callable[..., Any], **options: object) -> Callable[..., Any]:
+def keep_plain(function: Function, inline: bool = False) -> Function:
     """The function as it is: for a pipeline in plain Python."""
     return function
 
 
-def bind_names(function: Callable[..., Any], names: dict[str, Any]) -> Callable[..., Any]:
+def bind_names(function: Function, names: dict[str, Any]) -> Function:
     """The function with other things behind some of its global names."""
     assert isinstance(function, FunctionType)
     bound = FunctionType(function.__code__, function.__globals__ | names, function.__name__)
