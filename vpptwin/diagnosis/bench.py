@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vpptwin.diagnosis.channels import Channel, predict_channel
+from vpptwin.diagnosis.channels import Channel, Sensors, predict_channel
 from vpptwin.estimation.windows import Windows, simulate_windows
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -97,16 +97,16 @@ class Bench:
         """The channels of simulated poses and velocities, (V, K, C B)."""
         predicted = []
         for i, variation in enumerate(variations):
-            age = self.mocap_delay(variation.values)
+            sensors = self.sensors(variation.values)
             parts = [
-                predict_channel(c, pose[i], velocity[i], self.windows.dt, self._gravity, age) for c in self.channels
+                predict_channel(c, pose[i], velocity[i], self.windows.dt, self._gravity, sensors) for c in self.channels
             ]
             predicted.append(np.concatenate(parts, axis=1))
         return np.stack(predicted)
 
-    def mocap_delay(self, values: Mapping[Key, float]) -> np.ndarray:
-        """Age of motion-capture poses in a twin with parameters set, (K,) s."""
-        return np.repeat(self.twin_with(values).constant("mocap.delay"), len(self.windows))
+    def sensors(self, values: Mapping[Key, float]) -> Sensors:
+        """The sensors of a twin with parameters set."""
+        return Sensors.of_twin(self.twin_with(values), self.windows.start)
 
     def twin_with(self, values: Mapping[Key, float]) -> Twin:
         """One simulation of the twin with parameters set, for reading its constants."""

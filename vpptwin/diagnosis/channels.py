@@ -8,6 +8,7 @@ import numpy as np
 
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin.twin import Twin
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
@@ -18,6 +19,48 @@ MODEL_FLOOR = {"position": 0.0, "velocity": 0.02, "specific force": 0.1}
 that switches a few milliseconds early, vibration, blades between two samples."""
 MISSING = 1e6
 """Standard deviations given to a bin without samples, which takes it out of every sum."""
+
+
+PITCH = 2
+"""Degree of freedom of the drone that its gyro measures and that its motion capture sees as an angle."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What the drone's sensors make of the truth in K windows, each (K,); on other rigs they show it as it is.
+
+    Attributes:
+        start: when the window starts, s since the start of the log.
+        delay: age of motion-capture poses [s].
+        drift: further age per second of log [s/s].
+        scale: factor on motion-capture positions.
+        angle: added to the motion capture's θ [rad].
+        gyro_scale: factor on the gyro's rate.
+        gyro_bias: added to it [rad/s].
+        drone: whether they are the drone's.
+    """
+
+    start: np.ndarray
+    delay: np.ndarray
+    drift: np.ndarray
+    scale: np.ndarray
+    angle: np.ndarray
+    gyro_scale: np.ndarray
+    gyro_bias: np.ndarray
+    drone: bool = True
+
+    @classmethod
+    def perfect(cls, start: np.ndarray, drone: bool = True) -> Sensors:
+        """Sensors without errors."""
+        zero, one = np.zeros(len(start)), np.ones(len(start))
+        return cls(start, zero, zero, one, zero, one, zero, drone)
+
+    @classmethod
+    def of_twin(cls, twin: Twin, start: np.ndarray) -> Sensors:
+        """Those of a twin of one simulation."""
+        names = ("mocap.delay", "clock.drift", "mocap.scale", "mocap.angle", "gyro.scale", "gyro.bias")
+        values = (np.repeat(twin.constant(name), len(start)) for name in names)
+        return cls(start, *values, drone=twin.spec.vehicle is not None)
 
 
 @dataclass(frozen=True)
@@ -124,7 +167,7 @@ def pad_samples(array: np.ndarray, samples: int) -> np.ndarray:
 
 
 def predict_channel(
-    channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, delay: np.ndarray
+    channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, sensors: Sensors
 ) -> np.ndarray:
     """The channel as a simulation shows it.
 
@@ -134,7 +177,7 @@ def predict_channel(
         velocity: (K, steps + 1, nv) m/s, rad/s.
         dt: time between them, s.
         gravity: m/s².
-        delay: age of motion-capture poses, (K,) s.
+        sensors: what they make of it.
 
     Returns:
         Mean over each bin, (K, B).
@@ -147,13 +190,21 @@ def predict_channel(
         track, shift = pose[..., channel.axis], 0.0
     offset = channel.offset + shift
     if channel.delayed:
-        offset = offset - delay[:, None, None]
+        offset = offset - sensors.delay[:, None, None]
+        offset = offset - sensors.drift[:, None, None] * (sensors.start[:, None, None] + channel.offset)
     position = np.clip(offset / dt, 0.0, track.shape[1] - 1.000001)
     whole = position.astype(np.intp)
     part = position - whole
     rows = np.arange(len(track))[:, None, None]
     sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
-    return (sampled * channel.weight).sum(axis=2)
+    mean = (sampled * channel.weight).sum(axis=2)
+    if channel.kind == "specific force" or not sensors.drone:
+        return mean
+    if channel.kind == "velocity":
+        return sensors.gyro_scale[:, None] * mean + sensors.gyro_bias[:, None] * channel.weight.sum(axis=2)
+    if channel.axis == PITCH:
+        return mean + sensors.angle[:, None] * channel.weight.sum(axis=2)
+    return sensors.scale[:, None] * mean
 
 
 def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:

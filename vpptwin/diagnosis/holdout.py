@@ -77,13 +77,13 @@ class HeldOut:
         """Errors over the horizon from causally estimated states, and chi2."""
         pose, velocity = self.long.simulate([Variation(dict(values))])
         rotary = rotary_dofs(self.long.spec)
-        age = self.long.mocap_delay(values)
+        sensors = self.long.sensors(values)
         squares: dict[str, list[np.ndarray]] = {"m": [], "rad": []}
         rates: dict[str, list[float]] = {}
         for channel in self.long.channels:
             if channel.kind == "specific force":
                 continue
-            predicted = predict_channel(channel, pose[0], velocity[0], self.long.windows.dt, 0.0, age)
+            predicted = predict_channel(channel, pose[0], velocity[0], self.long.windows.dt, 0.0, sensors)
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
             per_horizon = np.array([self._near(square, h) for h in HORIZONS_S])

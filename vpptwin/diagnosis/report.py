@@ -92,7 +92,7 @@ def draw_overlay(held_out: HeldOut, diagnosis: Diagnosis) -> str:
     shown = np.arange(0, min(2 * OVERLAY_WINDOWS, len(bench.windows)), 2)
     variations = [Variation(), Variation(diagnosis.values)]
     pose, velocity = bench.simulate(variations)
-    delays = [bench.mocap_delay(v.values) for v in variations]
+    sensors = [bench.sensors(v.values) for v in variations]
     channels = [c for c in bench.channels if c.kind == "position"]
     seen = np.all([c.weight[shown].sum(axis=2) > 0 for c in channels], axis=0)
     time = (bench.windows.start[:, None] + (channels[0].offset * channels[0].weight).sum(axis=2))[shown][seen]
@@ -100,7 +100,7 @@ def draw_overlay(held_out: HeldOut, diagnosis: Diagnosis) -> str:
     for i, channel in enumerate(channels):
         measured[:, i] = channel.value[shown][seen]
         for j, into in enumerate((before, after)):
-            predicted = predict_channel(channel, pose[j], velocity[j], bench.windows.dt, 0.0, delays[j])
+            predicted = predict_channel(channel, pose[j], velocity[j], bench.windows.dt, 0.0, sensors[j])
             into[:, i] = predicted[shown][seen]
     labels = [f"{c.name} [{c.unit}]" for c in channels]
     starts = bench.windows.start[shown].tolist()

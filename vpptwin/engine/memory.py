@@ -20,31 +20,31 @@ def pointer_to(typing_context: object, address: object) -> tuple[object, Callabl
     return types.voidptr(types.int64), generate
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def float64_at(address: int, count: int) -> np.ndarray:
     """(count,) numbers at an address."""
     return carray(pointer_to(address), (count,), np.float64)  # type: ignore[call-arg]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def float64_table_at(address: int, rows: int, columns: int) -> np.ndarray:
     """(rows, columns) numbers at an address."""
     return carray(pointer_to(address), (rows, columns), np.float64)  # type: ignore[call-arg]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def int64_at(address: int, count: int) -> np.ndarray:
     """(count,) 64-bit integers at an address."""
     return carray(pointer_to(address), (count,), np.int64)  # type: ignore[call-arg]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def int32_at(address: int, count: int) -> np.ndarray:
     """(count,) 32-bit integers at an address."""
     return carray(pointer_to(address), (count,), np.int32)  # type: ignore[call-arg]
 
 
-@njit(inline="always")
+@njit(forceinline=True)
 def bool_at(address: int, count: int) -> np.ndarray:
     """(count,) bytes at an address as truth values."""
     return carray(pointer_to(address), (count,), np.bool_)  # type: ignore[call-arg]

@@ -123,7 +123,7 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
     )
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def add_actuator_force(view: View, i: int, control: float, push: np.ndarray) -> None:
     """Add to `push`, (nv,), what actuator i will exert under a control, as the engine is about to compute it."""
     if view.ctrl_limited[i]:

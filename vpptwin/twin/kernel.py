@@ -183,7 +183,7 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     file = _store(source, key)
 
     def compiled(function: Function, inline: bool = False) -> Function:
-        return njit(function, error_model="numpy", inline="always" if inline else "never")
+        return njit(function, error_model="numpy", forceinline=inline)
 
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,

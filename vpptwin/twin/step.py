@@ -87,26 +87,26 @@ class Rig(NamedTuple):
 # The four functions that follow are a catalogue without effects; `vpptwin.twin.pipeline` puts others in their place.
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def shape_thrust(active: np.ndarray, parameters: np.ndarray, thrust: Number, rotor: Rotor) -> Number:
     """Thrust of a rotor [N] after the THRUST effects that are switched on."""
     return thrust
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def push_craft(active: np.ndarray, parameters: np.ndarray, craft: Craft) -> tuple[Number, Number, Number]:
     """Force of the FORCE effects on the craft: along x and z [N], moment about the hinge [N m]."""
     return 0.0, 0.0, 0.0
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def push_joints(
     active: np.ndarray, parameters: np.ndarray, view: View, load: float, lever: float, force: np.ndarray
 ) -> None:
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def muster_friction(
     active: np.ndarray, parameters: np.ndarray, dry: np.ndarray, view: View, load: float, lever: float,
     forward: np.ndarray, backward: np.ndarray,
@@ -117,7 +117,7 @@ def muster_friction(
     return forward.max() > 0.0
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     """Step k of a drone: command, servos, rotors, thrust, forces, friction; writes `view.ctrl` and `qfrc_applied`."""
     dt = view.timestep
@@ -172,7 +172,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     row.memory[0] = on_rail + row.scratch[3, X]
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     """Step k of any other rig: command, actuators, forces, friction; writes `view.ctrl` and `view.qfrc_applied`."""
     push_commands(row.layer)
@@ -187,7 +187,7 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     resist(rubs, view, row, k)
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
     """Add to `force`, (nv,), the disturbance of the tape and what leads driven joints along their tracks."""
     if len(tape.push) > 0:
@@ -199,7 +199,7 @@ def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
                 force[i] += tape.driven[i] * (wanted - view.qvel[i]) / view.timestep
 
 
-@register_jitable(inline="always")
+@register_jitable(forceinline=True)
 def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     """Add dry friction, where something rubs, to the forces in `scratch[0]`, and hand them to the engine.
 

@@ -118,6 +118,14 @@ class Twin:
         self._constants.refresh()
         return self._constants.table[name].copy()
 
+    @property
+    def constants(self) -> np.ndarray:
+        """Constants of actuators and sensors after the effects, (N,) records, to read only; they follow parameters."""
+        self._constants.refresh()
+        view = self._constants.records.view()
+        view.flags.writeable = False
+        return view
+
     def initial_state(
         self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0
     ) -> TwinState:
