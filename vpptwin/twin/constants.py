@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -15,6 +15,8 @@ from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
 
 DELAY_CONSTANT = "actuator.delay"
+Key = tuple[str, str]
+"""Effect id and parameter."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
            "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
 """Constants of actuators and sensors that are not zero by themselves."""
@@ -43,12 +45,15 @@ class ConstantTable:
             for p in effect.parameters:
                 if (effect.id, p.name) in columns:
                     self.parameters[:, columns[effect.id, p.name]] = p.off
-        self.values: dict[tuple[str, str], np.ndarray] = {}
-        for effect in effects.values():
-            for p in effect.parameters:
-                key = (effect.id, p.name)
-                self.values[key] = self.parameters[:, columns[key]] if key in columns else np.zeros(num_sims)
-                self.values[key][:] = spec.value(effect, p.name)
+        keys = [(e.id, p.name) for e in effects.values() for p in e.parameters]
+        self._columns = columns | {key: len(columns) + i for i, key in enumerate(k for k in keys if k not in columns)}
+        self._settings = np.zeros((num_sims, len(self._columns) - len(columns)))
+        limits = np.array([[p.low, p.high] for e in effects.values() for p in e.parameters]).reshape(-1, 2)
+        self._limits = dict(zip(keys, limits))
+        self.values: dict[Key, np.ndarray] = {}
+        for effect_id, name in keys:
+            self.values[effect_id, name] = self._column(self._columns[effect_id, name])
+            self.values[effect_id, name][:] = spec.value(effects[effect_id], name)
         self.records = np.zeros(num_sims, kernel.constants)
         self._nominal = nominal_constants(spec, self.records)
         self.table = {name: self.records[name] for name in kernel.constants.names or ()}
@@ -60,33 +65,49 @@ class ConstantTable:
         self._derives = any(name in mujoco.MjModel._setconst_inputs or name.startswith("opt.") for name in self._fields)
         self._stale: np.ndarray | None = np.ones(num_sims, dtype=bool)
 
-    def set_parameter(
-        self, effect_id: str, parameter: str, values: np.ndarray | float, ids: np.ndarray | None = None
-    ) -> None:
-        """Set one parameter, for all simulations or for `ids`; the constants follow at the next `refresh`.
+    def _column(self, column: int) -> np.ndarray:
+        """Values of one parameter, (N,): those that act every step come first."""
+        acting = self.parameters.shape[1]
+        return self.parameters[:, column] if column < acting else self._settings[:, column - acting]
+
+    def set_parameters(self, keys: Sequence[Key], values: np.ndarray | float, ids: np.ndarray | None = None) -> None:
+        """Set parameters, for all simulations or for `ids`; the constants follow at the next `refresh`.
+
+        Args:
+            keys: K parameters.
+            values: (n, K), or anything that broadcasts to it.
+            ids: n simulations.
 
         Raises:
-            KeyError: if the effect is not switched on or has no such parameter.
-            ValueError: if a value lies outside the parameter's bounds or is not a number.
+            KeyError: if an effect is not switched on or has no such parameter.
+            ValueError: if a value lies outside its parameter's bounds or is not a number.
         """
-        if (effect_id, parameter) not in self.values:
-            known = ", ".join(f"{e}.{p}" for e, p in self.values) or "none"
-            raise KeyError(f"{effect_id}.{parameter} is not switched on; these are: {known}")
-        effect = self._by_id[effect_id]
-        limits = effect.parameter(parameter)
-        given = np.asarray(values, dtype=float)
-        outside = ~((given >= limits.low) & (given <= limits.high))
+        for effect_id, parameter in keys:
+            if (effect_id, parameter) not in self.values:
+                known = ", ".join(f"{e}.{p}" for e, p in self.values) or "none"
+                raise KeyError(f"{effect_id}.{parameter} is not switched on; these are: {known}")
+        rows = np.arange(len(self.records)) if ids is None else np.asarray(ids)
+        given = np.broadcast_to(np.asarray(values, dtype=float), (len(rows), len(keys)))
+        low, high = np.array([self._limits[key] for key in keys]).reshape(-1, 2).T
+        outside = ~((given >= low) & (given <= high))
         if outside.any():
-            raise ValueError(
-                f"{effect_id}.{parameter} = {given[outside].flat[0]:g} {limits.unit}".rstrip()
-                + f"; expected {limits.low:g} to {limits.high:g}; clip it or change the catalogue's bounds"
-            )
-        rows = slice(None) if ids is None else ids
-        self.values[effect_id, parameter][rows] = given
-        if effect.stage is Stage.CONSTANT:
+            row, k = np.argwhere(outside)[0]
+            self._refuse(keys[k], given[row, k])
+        columns, acting = np.array([self._columns[key] for key in keys], dtype=int), self.parameters.shape[1]
+        steady = columns >= acting
+        self.parameters[rows[:, None], columns[~steady]] = given[:, ~steady]
+        if steady.any():
+            self._settings[rows[:, None], columns[steady] - acting] = given[:, steady]
             if self._stale is None:
                 self._stale = np.zeros(len(self.records), dtype=bool)
             self._stale[rows] = True
+
+    def _refuse(self, key: Key, value: float) -> None:
+        limits = self._by_id[key[0]].parameter(key[1])
+        raise ValueError(
+            f"{key[0]}.{key[1]} = {value:g} {limits.unit}".rstrip()
+            + f"; expected {limits.low:g} to {limits.high:g}; clip it or change the catalogue's bounds"
+        )
 
     def refresh(self) -> None:
         """Apply the CONSTANT effects to nominal values where parameters changed, and let the engine derive the rest."""

@@ -143,9 +143,13 @@ def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> st
     return digest.hexdigest()[:20]
 
 
+COMPILED = ("effects/base.py", "actuators/*.py", "engine/*.py", "twin/step.py", "twin/friction.py", "twin/kernel.py",
+            "twin/pipeline.py")  # fmt: skip
+"""Files of this project whose functions are compiled, besides those of the effects."""
+
+
 @cache
 def own_sources() -> frozenset[str]:
-    """The files of this project whose functions are compiled."""
+    """The files that `COMPILED` names."""
     root = Path(__file__).parents[1]
-    folders = ("effects", "actuators", "engine", "twin")
-    return frozenset(str(f) for folder in folders for f in (root / folder).glob("*.py"))
+    return frozenset(str(file) for pattern in COMPILED for file in root.glob(pattern))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -107,7 +107,23 @@ class Twin:
             KeyError: if the effect is not switched on or has no such parameter.
             ValueError: if a value lies outside the parameter's bounds.
         """
-        self._constants.set_parameter(effect_id, parameter, values, ids)
+        given = np.asarray(values, dtype=float)
+        self._constants.set_parameters([(effect_id, parameter)], given[:, None] if given.ndim else given, ids)
+
+    def set_parameters(
+        self, keys: Sequence[tuple[str, str]], values: np.ndarray | float, ids: np.ndarray | None = None
+    ) -> None:
+        """Set many parameters at once: as `set_parameter` for each (effect id, parameter) of `keys`.
+
+        Args:
+            keys: K parameters of switched-on effects.
+            values: (n, K), or anything that broadcasts to it.
+            ids: n simulations, None for all.
+
+        Raises:
+            KeyError, ValueError: as `set_parameter`.
+        """
+        self._constants.set_parameters(keys, values, ids)
 
     def parameter(self, effect_id: str, parameter: str) -> np.ndarray:
         """Values of a parameter, (N,); a copy."""
