@@ -143,22 +143,25 @@ class Twin:
         return view
 
     def initial_state(
-        self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0
-    ) -> TwinState:
+        self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0,
+        ids: np.ndarray | None = None,
+    ) -> TwinState:  # fmt: skip
         """A state at rest by default, actuators neutral, rotors at their governed speed.
 
         Args:
             qpos: (N, nq) or (nq,); by default the model's reference pose, on the drone hovering height 1 m.
             qvel: (N, nv) or (nv,), zero by default.
             time: s since the start of the log, (N,) or one for all.
+            ids: simulations that the rows are for, in the place of all N.
         """
         self._constants.refresh()
-        model, n = self.spec.model, self.num_sims
+        rows = np.arange(self.num_sims) if ids is None else ids
+        model, n = self.spec.model, len(rows)
         start = np.array(model.qpos0)
         if self.spec.vehicle is not None:
             start[1] = 1.0
         layer = np.zeros(n, self._kernel.layer)
-        layer["output"] = layer["mean"] = self._constants.table["actuator.trim"]
+        layer["output"] = layer["mean"] = self._constants.table["actuator.trim"][rows]
         if self.spec.vehicle is not None:
             layer["rotor_speed"] = self.spec.vehicle.rotor.speed
         return TwinState(
