@@ -24,7 +24,7 @@ NOMINAL = load_vehicle().rotor
 )
 def test_thrust_by_hand(rotor: Rotor, speed: float, pitch: float, expected: float) -> None:
     """Thrust is k_T ω α with its sign (paper Eq. 4)."""
-    assert compute_thrust(rotor, np.array(speed), np.array(pitch)) == pytest.approx(expected, rel=1e-14)
+    assert compute_thrust(rotor, speed, pitch) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_thrust_by_hand(rotor: Rotor, speed: float, pitch: float, expected: floa
 )
 def test_drag_torque_by_hand(rotor: Rotor, speed: float, pitch: float, expected: float) -> None:
     """Drag torque is k_D1 ω² + k_D2 ω² α² + k_D3 ω |α| (paper Eq. 5)."""
-    assert compute_drag_torque(rotor, np.array(speed), np.array(pitch)) == pytest.approx(expected, rel=1e-14)
+    assert compute_drag_torque(rotor, speed, pitch) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_drag_torque_by_hand(rotor: Rotor, speed: float, pitch: float, expected:
 )
 def test_pitch_for_thrust_by_hand(rotor: Rotor, thrust: float, expected: float) -> None:
     """The pitch for a thrust is thrust / (k_T ω), within the stops."""
-    assert pitch_for_thrust(rotor, np.array(thrust)) == pytest.approx(expected, rel=1e-14)
+    assert pitch_for_thrust(rotor, thrust) == pytest.approx(expected, rel=1e-14)
 
 
 def test_max_thrust_by_hand(rotor: Rotor) -> None:
@@ -63,14 +63,14 @@ def test_max_thrust_by_hand(rotor: Rotor) -> None:
 @given(st.floats(-1.0, 1.0))
 def test_pitch_inverts_thrust(share: float) -> None:
     """At the governed speed the blade gives the thrust that was asked for, anywhere within its range."""
-    wanted = np.array(share * max_thrust(NOMINAL))
-    given_thrust = compute_thrust(NOMINAL, np.array(NOMINAL.speed), pitch_for_thrust(NOMINAL, wanted))
+    wanted = share * max_thrust(NOMINAL)
+    given_thrust = compute_thrust(NOMINAL, NOMINAL.speed, pitch_for_thrust(NOMINAL, wanted))
     np.testing.assert_allclose(given_thrust, wanted, rtol=1e-14, atol=1e-15)
 
 
 @given(st.floats(0.0, 600.0), st.floats(-0.21, 0.21))
 def test_drag_only_brakes(speed: float, pitch: float) -> None:
     """Drag torque never drives a turning rotor, and is the same at opposite pitch."""
-    drag = compute_drag_torque(NOMINAL, np.array(speed), np.array(pitch))
+    drag = compute_drag_torque(NOMINAL, speed, pitch)
     assert drag >= 0.0
-    assert drag == compute_drag_torque(NOMINAL, np.array(speed), np.array(-pitch))
+    assert drag == compute_drag_torque(NOMINAL, speed, -pitch)

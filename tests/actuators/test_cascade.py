@@ -16,17 +16,16 @@ NOMINAL = load_vehicle()
 
 def test_gyro_filter_by_hand(vehicle: Vehicle) -> None:
     """From 0, a rate of 1 passes as 0.4, 0.4 + 0.4 * 0.6 = 0.64, 0.64 + 0.4 * 0.36 = 0.784."""
-    filtered, seen = np.zeros(1), []
+    filtered, seen = 0.0, []
     for _ in range(3):
-        filtered = filter_gyro(vehicle, filtered, np.ones(1))
-        seen.append(float(filtered[0]))
+        filtered = filter_gyro(vehicle, filtered, 1.0)
+        seen.append(filtered)
     assert seen == pytest.approx([0.4, 0.64, 0.784], rel=1e-14)
 
 
 def test_torque_by_hand(vehicle: Vehicle) -> None:
     """Rates 0.9 then 1.0 in 1 ms towards 2 rad/s: 0.12 * (2 - 1) - 0.0003 * 0.1/0.001 = 0.12 - 0.03 = 0.09 N m."""
-    torque = compute_torque(vehicle, np.array([2.0]), np.array([1.0]), np.array([0.9]), dt=0.001)
-    assert torque == pytest.approx([0.09], rel=1e-12)
+    assert compute_torque(vehicle, 2.0, 1.0, 0.9, dt=0.001) == pytest.approx(0.09, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -46,15 +45,14 @@ def test_torque_by_hand(vehicle: Vehicle) -> None:
 )
 def test_allocation_by_hand(vehicle: Vehicle, thrust: float, torque: float, expected: tuple[float, float]) -> None:
     """f_1,2 = f/2 ∓ τ/(2 l) within ±5 N, thrust giving way to torque."""
-    rotors = allocate(vehicle, np.array([thrust]), np.array([torque]))
-    np.testing.assert_allclose(rotors, [expected], rtol=1e-14, atol=1e-14)
+    np.testing.assert_allclose(allocate(vehicle, thrust, torque), expected, rtol=1e-14, atol=1e-14)
 
 
 @given(st.floats(-30.0, 30.0), st.floats(-3.0, 3.0))
 def test_rate_control_wins(thrust: float, torque: float) -> None:
     """Torque is met up to what the rotors can give at all, thrust as far as the room that is left allows."""
     limit, length = max_thrust(NOMINAL.rotor), NOMINAL.airframe.half_length
-    (first, second) = allocate(NOMINAL, np.array([thrust]), np.array([torque]))[0]
+    first, second = allocate(NOMINAL, thrust, torque)
     assert max(abs(first), abs(second)) <= limit * (1 + 1e-15)
     possible = float(np.clip(torque, -2 * limit * length, 2 * limit * length))
     assert (second - first) * length == pytest.approx(possible, abs=1e-14)

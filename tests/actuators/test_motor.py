@@ -16,16 +16,14 @@ NOMINAL = load_vehicle()
 
 def spin(vehicle: Vehicle, speed: float, pitch_commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Governor, servo and motor from a start speed [rad/s]; returns speed [rad/s] and throttle of every step, (n,)."""
-    now, integral, blade = np.full((1, 1), speed), np.zeros((1, 1)), np.full((1, 1), pitch_commands[0])
-    constant = np.full((1, 1), vehicle.servo.time_constant)
+    now, integral, blade = speed, 0.0, pitch_commands[0]
     speeds, throttles = [], []
     for command in pitch_commands:
-        wanted = np.full((1, 1), command)
-        throttle, integral = hold_speed(vehicle.motor, vehicle.rotor, now, wanted, integral, DT)
-        blade, _ = step_lag(blade, wanted, constant, DT)
-        now = step_speed(vehicle.motor, vehicle.rotor, now, blade, throttle * vehicle.motor.battery, DT)
-        speeds.append(now[0, 0])
-        throttles.append(throttle[0, 0])
+        throttle, integral = hold_speed(vehicle.motor, vehicle.rotor, now, command, integral, DT)
+        blade, _ = step_lag(blade, command, vehicle.servo.time_constant, DT)
+        now = step_speed(vehicle.motor, vehicle.rotor, now, blade, throttle * vehicle.motor.battery, 1.0, DT)
+        speeds.append(now)
+        throttles.append(throttle)
     return np.array(speeds), np.array(throttles)
 
 
@@ -38,23 +36,26 @@ def test_current_by_hand(motor: Motor) -> None:
 def test_speed_step_by_hand(motor: Motor, rotor: Rotor) -> None:
     """At 400 rad/s and pitch 0.1, 5 V speed a rotor up by 1.715 rad/s in 1 ms (paper Eq. 6)."""
     # (5 - 4)/0.1 = 10 A give (10 - 0.5)/100 = 0.095 N m against 0.0264 N m of drag: 0.0686/4e-5 = 1715 rad/s².
-    speed = step_speed(motor, rotor, np.array([400.0]), np.array([0.1]), np.array([5.0]), DT)
-    np.testing.assert_allclose(speed, [401.715], rtol=1e-12)
+    assert step_speed(motor, rotor, 400.0, 0.1, 5.0, 1.0, DT) == pytest.approx(401.715, rel=1e-12)
+
+
+def test_drag_gain_by_hand(motor: Motor, rotor: Rotor) -> None:
+    """At 1.5 times the drag, the same 5 V speed it up by (0.095 - 1.5 * 0.0264)/4e-5 = 1385 rad/s²."""
+    assert step_speed(motor, rotor, 400.0, 0.1, 5.0, 1.5, DT) == pytest.approx(401.385, rel=1e-12)
 
 
 def test_rotor_does_not_turn_backwards(motor: Motor, rotor: Rotor) -> None:
     """Without voltage a slow rotor stops and stays there."""
-    speed = step_speed(motor, rotor, np.array([0.01, 0.0]), np.zeros(2), np.zeros(2), DT)
-    np.testing.assert_array_equal(speed, 0.0)
+    assert step_speed(motor, rotor, 0.01, 0.0, 0.0, 1.0, DT) == 0.0
+    assert step_speed(motor, rotor, 0.0, 0.0, 0.0, 1.0, DT) == 0.0
 
 
 def test_feed_forward_holds_the_speed_exactly(motor: Motor, rotor: Rotor) -> None:
     """At governed speed and steady pitch the feed-forward alone balances drag: 5 + 0.1 (0.5 + 100 * 0.075) = 5.8 V."""
-    speed, pitch = np.full((1, 2), 500.0), np.full((1, 2), 0.2)
-    throttle, integral = hold_speed(motor, rotor, speed, pitch, np.zeros((1, 2)), DT)
-    np.testing.assert_allclose(throttle * motor.battery, 5.8, rtol=1e-14)
-    np.testing.assert_array_equal(integral, 0.0)
-    np.testing.assert_allclose(step_speed(motor, rotor, speed, pitch, throttle * motor.battery, DT), 500.0, rtol=1e-13)
+    throttle, integral = hold_speed(motor, rotor, 500.0, 0.2, 0.0, DT)
+    assert throttle * motor.battery == pytest.approx(5.8, rel=1e-14)
+    assert integral == 0.0
+    assert step_speed(motor, rotor, 500.0, 0.2, throttle * motor.battery, 1.0, DT) == pytest.approx(500.0, rel=1e-13)
 
 
 @pytest.mark.parametrize("period", [0.01, 0.1, 0.5])
@@ -71,17 +72,15 @@ def test_governor_holds_4500_rpm(period: float) -> None:
 
 def test_governor_removes_a_steady_error() -> None:
     """With 10 % more drag than believed the feed-forward is wrong, and the integral brings the speed back."""
-    heavier = NOMINAL.rotor.model_copy(update={"k_d1": 1.1 * NOMINAL.rotor.k_d1, "k_d2": 1.1 * NOMINAL.rotor.k_d2})
-    speed, integral = np.full((1, 1), NOMINAL.rotor.speed), np.zeros((1, 1))
-    pitch, worst = np.full((1, 1), 0.1), 0.0
+    gain, speed, integral, pitch, worst = 1.1, NOMINAL.rotor.speed, 0.0, 0.1, 0.0
     for _ in range(4000):
         throttle, integral = hold_speed(NOMINAL.motor, NOMINAL.rotor, speed, pitch, integral, DT)
-        speed = step_speed(NOMINAL.motor, heavier, speed, pitch, throttle * NOMINAL.motor.battery, DT)
-        worst = max(worst, abs(speed[0, 0] / NOMINAL.rotor.speed - 1))
-    drag = compute_drag_torque(heavier, speed, pitch) - compute_drag_torque(NOMINAL.rotor, speed, pitch)
-    lacking = NOMINAL.motor.resistance * NOMINAL.motor.k_q * drag[0, 0]  # V that the feed-forward is short of
+        speed = step_speed(NOMINAL.motor, NOMINAL.rotor, speed, pitch, throttle * NOMINAL.motor.battery, gain, DT)
+        worst = max(worst, abs(speed / NOMINAL.rotor.speed - 1))
+    drag = (gain - 1.0) * compute_drag_torque(NOMINAL.rotor, speed, pitch)
+    lacking = NOMINAL.motor.resistance * NOMINAL.motor.k_q * drag  # V that the feed-forward is short of
     assert 1e-4 < worst <= lacking / 0.05 / NOMINAL.rotor.speed  # proportional feedback alone would stop there
-    np.testing.assert_allclose(speed, NOMINAL.rotor.speed, rtol=1e-6)
+    assert speed == pytest.approx(NOMINAL.rotor.speed, rel=1e-6)
 
 
 @pytest.mark.parametrize(("start", "saturated_at"), [(0.0, 1.0), (800.0, 0.0)])
@@ -98,7 +97,7 @@ def test_governor_does_not_wind_up(start: float, saturated_at: float) -> None:
 
 def test_integral_holds_while_saturated(motor: Motor, rotor: Rotor) -> None:
     """A saturated rotor keeps its integral; beside it one that is 1 rad/s slow gains 1 rad/s * 1 ms."""
-    before = np.array([[0.3, 0.3]])
-    throttle, integral = hold_speed(motor, rotor, np.array([[0.0, 499.0]]), np.zeros((1, 2)), before, DT)
-    assert throttle[0, 0] == 1.0
-    np.testing.assert_allclose(integral, [[0.3, 0.301]], rtol=1e-14)
+    throttle, integral = hold_speed(motor, rotor, 0.0, 0.0, 0.3, DT)
+    assert (throttle, integral) == (1.0, 0.3)
+    _, integral = hold_speed(motor, rotor, 499.0, 0.0, 0.3, DT)
+    assert integral == pytest.approx(0.301, rel=1e-14)

@@ -1,4 +1,4 @@
-"""Lag and delay: exact for any step, fractions of a step included."""
+"""Lag, rate limit, play and delay: exact for any step, fractions of a step included."""
 
 from __future__ import annotations
 
@@ -7,35 +7,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vpptwin.actuators.servo import push_command, read_delayed, step_lag
+from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
 
 DT = 0.001
 
 
 def delay_series(commands: np.ndarray, delay: float, depth: int = 8) -> np.ndarray:
     """Send commands (n,), one a step, through a delay line that rested at zero: what arrives, (n,)."""
-    history, arrived = np.zeros((1, depth, 1)), []
-    for command in commands:
-        history = push_command(history, np.full((1, 1), command))
-        arrived.append(read_delayed(history, np.full((1, 1), delay), DT)[0, 0])
+    history, arrived = np.zeros(depth), []
+    for k, command in enumerate(commands):
+        history[k % depth] = command
+        arrived.append(read_delayed(history, k % depth, delay, DT))
     return np.array(arrived)
 
 
 def test_lag_by_hand() -> None:
     """Half a time constant after a step: 1 - e^-0.5 = 0.393469; mean 1 - 2 (1 - e^-0.5) = 0.213061."""
-    end, mean = step_lag(np.zeros((1, 1)), np.ones((1, 1)), np.full((1, 1), 0.02), dt=0.01)
-    assert end[0, 0] == pytest.approx(0.3934693402873666, rel=1e-14)
-    assert mean[0, 0] == pytest.approx(0.21306131942526685, rel=1e-14)
+    end, mean = step_lag(0.0, 1.0, 0.02, dt=0.01)
+    assert end == pytest.approx(0.3934693402873666, rel=1e-14)
+    assert mean == pytest.approx(0.21306131942526685, rel=1e-14)
 
 
 @given(st.floats(0.001, 0.2), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.integers(1, 40))
 def test_lag_follows_the_exponential(time_constant: float, start: float, command: float, steps: int) -> None:
     """After any number of steps the output lies on the analytic exponential, and the means add up to its integral."""
-    output, constant = np.full((1, 1), start), np.full((1, 1), time_constant)
-    area = 0.0
+    output, area = start, 0.0
     for _ in range(steps):
-        output, mean = step_lag(output, np.full((1, 1), command), constant, DT)
-        area += DT * mean[0, 0]
+        output, mean = step_lag(output, command, time_constant, DT)
+        area += DT * mean
     elapsed = steps * DT
     decay = np.exp(-elapsed / time_constant)
     np.testing.assert_allclose(output, command + (start - command) * decay, rtol=0, atol=1e-15)
@@ -45,14 +44,13 @@ def test_lag_follows_the_exponential(time_constant: float, start: float, command
 @given(st.floats(0.001, 0.1), st.integers(2, 10))
 def test_lag_does_not_depend_on_the_step(time_constant: float, parts: int) -> None:
     """One long step ends where several short ones do, with the same mean."""
-    constant, command = np.full((1, 1), time_constant), np.full((1, 1), 0.3)
-    end, mean = step_lag(np.full((1, 1), -0.1), command, constant, 0.01)
-    output, means = np.full((1, 1), -0.1), []
+    end, mean = step_lag(-0.1, 0.3, time_constant, 0.01)
+    output, means = -0.1, []
     for _ in range(parts):
-        output, part = step_lag(output, command, constant, 0.01 / parts)
+        output, part = step_lag(output, 0.3, time_constant, 0.01 / parts)
         means.append(part)
     np.testing.assert_allclose(output, end, atol=1e-15)
-    np.testing.assert_allclose(np.mean(means), mean[0, 0], atol=1e-15)
+    np.testing.assert_allclose(np.mean(means), mean, atol=1e-15)
 
 
 def test_no_lag_passes_the_command() -> None:
@@ -63,11 +61,50 @@ def test_no_lag_passes_the_command() -> None:
     np.testing.assert_array_equal(mean, command)
 
 
-def test_rotors_lag_on_their_own() -> None:
-    """Every actuator of every simulation has its own time constant."""
+def test_lag_takes_arrays() -> None:
+    """Given arrays, every element has its own time constant."""
     constants = np.array([[0.01, 0.02], [0.04, 0.0]])
     end, _ = step_lag(np.zeros((2, 2)), np.ones((2, 2)), constants, dt=0.01)
     np.testing.assert_allclose(end, 1 - np.exp([[-1.0, -0.5], [-0.25, -np.inf]]), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("move", "expected"),
+    [
+        pytest.param((0.1, 0.5, 0.4), (0.3, 0.2), id="too fast up"),  # 0.1 + 200 * 0.001; the mean of 0.1 and 0.3
+        pytest.param((0.1, -0.5, -0.4), (-0.1, 0.0), id="too fast down"),
+        pytest.param((0.1, 0.25, 0.2), (0.25, 0.2), id="slow enough"),
+        pytest.param((0.1, 0.1, 0.1), (0.1, 0.1), id="at rest"),
+    ],
+)
+def test_rate_limit_by_hand(move: tuple[float, float, float], expected: tuple[float, float]) -> None:
+    """At 200 rad/s a move reaches 0.2 rad in 1 ms; one that stays within that keeps its end and its mean."""
+    assert limit_rate(*move, 200.0, DT) == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("blade", "horn", "expected"),
+    [(0.10, 0.10, 0.10), (0.10, 0.12, 0.10), (0.10, 0.13, 0.11), (0.10, 0.07, 0.09), (0.10, -0.5, -0.48)],
+)
+def test_play_by_hand(blade: float, horn: float, expected: float) -> None:
+    """In play of 0.04 rad the blade rests while the horn moves by less than 0.02 rad, and is dragged along beyond."""
+    assert take_up_play(blade, horn, 0.04) == pytest.approx(expected, abs=1e-15)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_without_play_the_blade_is_at_the_horn(blade: float, horn: float) -> None:
+    """A gap of zero leaves the horn's position, to the last bit."""
+    assert take_up_play(blade, horn, 0.0) == horn
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=30), st.floats(0.0, 0.5))
+def test_blade_stays_within_the_play(horns: list[float], gap: float) -> None:
+    """Whatever the horn does, the blade is never farther from it than half the gap, and only moves if it must."""
+    blade = 0.0
+    for horn in horns:
+        before, blade = blade, take_up_play(blade, horn, gap)
+        assert abs(blade - horn) <= 0.5 * gap + 1e-15
+        assert blade == before or abs(before - horn) > 0.5 * gap
 
 
 @pytest.mark.parametrize(
@@ -108,10 +145,12 @@ def test_delay_is_the_mean_of_the_late_command(commands: list[float], delay: flo
     np.testing.assert_allclose(delay_series(np.array(commands), delay), np.diff(shifted) / DT, atol=1e-10)
 
 
-def test_history_is_not_modified() -> None:
-    """Pushing a command leaves the old history as it was and forgets the oldest command."""
-    history = np.arange(6.0).reshape(1, 3, 2)
-    before = history.copy()
-    pushed = push_command(history, np.array([[9.0, 8.0]]))
-    np.testing.assert_array_equal(history, before)
-    np.testing.assert_array_equal(pushed, [[[9, 8], [0, 1], [2, 3]]])
+def test_ring_starts_anywhere() -> None:
+    """Where in the ring the newest command lies makes no difference, to the last bit."""
+    commands = np.random.default_rng(0).normal(size=7)  # newest first
+    arrived = set()
+    for newest in range(7):
+        history = np.empty(7)
+        history[(newest - np.arange(7)) % 7] = commands
+        arrived.add(read_delayed(history, newest, 0.0034, DT))
+    assert arrived == {commands[3] * (1.0 - (3.4 - 3)) + commands[4] * (3.4 - 3)}

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
+from vpptwin.vehicle import load_vehicle
 
 X, Z, PITCH = 0, 1, 2
 SPEC = load_twin()
-VEHICLE = SPEC.vehicle
-assert VEHICLE is not None
+VEHICLE = load_vehicle()
 WEIGHT = (VEHICLE.airframe.mass + VEHICLE.rig.slider_mass) * VEHICLE.gravity
 MASS_X = VEHICLE.airframe.mass + VEHICLE.rig.slider_mass + VEHICLE.rig.carriage_mass
 BLADE_PER_NEWTON = 1.0 / (VEHICLE.rotor.k_t * VEHICLE.rotor.speed)
@@ -34,9 +33,9 @@ def place(
     pose = np.array([[0.0, 1.0, 0.0]]) if pose is None else pose
     velocity = np.zeros_like(pose) if velocity is None else velocity
     state = twin.initial_state(qpos=twin.pose_for_engine(pose, velocity), qvel=velocity)
-    blade = np.full_like(state.blade_pitch, 0.5 * thrust * BLADE_PER_NEWTON)
-    history = np.broadcast_to(blade[:, None], state.actuators.history.shape).copy()
-    return replace(state, actuators=replace(state.actuators, output=blade, mean=blade.copy(), history=history))
+    for name in ("horn", "blade", "output", "mean", "history"):
+        state.actuators[name] = 0.5 * thrust * BLADE_PER_NEWTON
+    return state
 
 
 def coast(twin: Twin, state: TwinState, seconds: float, thrust: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +96,7 @@ def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
     pose, velocity = rng.uniform(-1, 1, (10, 3)), rng.uniform(-1, 1, (10, 3)) * [1, 1, 3]
     blades = np.array([0.10, 0.102])
     start = place(twin, pose, velocity)
-    start = replace(start, actuators=replace(start.actuators, output=np.tile(blades, (10, 1))))
+    start.actuators["horn"] = start.actuators["blade"] = blades
     _, qpos, qvel = twin.replay_commands(start, np.tile(blades, (10, 400, 1)))
     path = np.concatenate([pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     speed = np.concatenate([velocity[:, None], qvel], axis=1)

@@ -51,16 +51,20 @@ def test_nominal_has_nothing_switched_on() -> None:
 
 def test_twin_file_switches_effects_on(write: Writer) -> None:
     """Effects have the values of the file; parameters left out are at their off values."""
-    path = write(DRONE + "effects:\n  rail_x.coulomb: {force: 0.3}\n  servo.lag: {}\n  air.drag: {k_d: 1}\n")
+    path = write(
+        DRONE + "effects:\n  rail_x.coulomb: {force: 0.3}\n  servo.lag: {}\n  air.drag: {k_d: 1}\n"
+        "  rail_x.viscous: {damping: 0.7}\n"
+    )
     spec = load_twin(path)
     assert spec.effects == {
         "rail_x.coulomb": {"force": 0.3},
         "servo.lag": {"time_constant": 0.020},
         "air.drag": {"k_d": 1.0},
+        "rail_x.viscous": {"damping": 0.7},
     }
     twin = Twin(spec, 2)
     np.testing.assert_array_equal(twin.parameter("rail_x.coulomb", "force"), [0.3, 0.3])
-    np.testing.assert_array_equal(twin.constant("dof_frictionloss"), [[0.3, 0, 0]] * 2)
+    np.testing.assert_array_equal(twin.constant("dof_damping"), [[0.7, 0, 0]] * 2)
 
 
 def test_vehicle_numbers_are_applied_over_the_model(write: Writer) -> None:

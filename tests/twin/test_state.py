@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import fields
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -14,18 +13,14 @@ SPEC = load_twin()
 ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass")
 
 
-def list_arrays(state: TwinState) -> Iterator[tuple[str, np.ndarray]]:
+def list_arrays(state: TwinState) -> Iterable[tuple[str, np.ndarray]]:
     """Every array of a state, by name."""
-    for f in fields(state):
-        if f.name != "actuators":
-            yield f.name, getattr(state, f.name)
-    for f in fields(state.actuators):
-        yield f"actuators.{f.name}", getattr(state.actuators, f.name)
+    return state.arrays().items()
 
 
 def freeze(state: TwinState) -> dict[str, np.ndarray]:
     """Make writing to a state raise; returns a copy of what it holds."""
-    for _, array in list_arrays(state):
+    for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.actuators):
         array.flags.writeable = False
     return {name: array.copy() for name, array in list_arrays(state)}
 
@@ -117,8 +112,8 @@ def test_taking_and_copying_share_nothing(flown: TwinState) -> None:
         assert_apart(flown, rows)
     copy = flown.copy()
     assert_apart(flown, copy)
-    for _, array in list_arrays(copy):
-        array[:] = np.nan
+    for array in copy.arrays().values():
+        array[:] = -1
     assert_equal(flown, content)
 
 
@@ -131,7 +126,7 @@ def test_replacing_rows_shares_nothing(twin: Twin, flown: TwinState) -> None:
     for name, array in list_arrays(mixed):
         np.testing.assert_array_equal(array[ids], given[name], err_msg=name)
         np.testing.assert_array_equal(array[[0, 2]], before[name][[0, 2]], err_msg=name)
-        array[:] = np.nan
+        array[:] = -1
     assert_apart(mixed, flown)
     assert_apart(mixed, rows)
     assert_equal(flown, before)
@@ -180,12 +175,13 @@ def test_parameters_of_some_simulations(twin: Twin) -> None:
     twin.set_parameter("rail_x.coulomb", "force", np.array([0.7, 0.8]), ids=np.array([3, 0]))
     read = twin.parameter("rail_x.coulomb", "force")
     np.testing.assert_array_equal(read, [0.8, 0.1, 0.2, 0.7])
-    constant = twin.constant("dof_frictionloss")
-    np.testing.assert_array_equal(constant, [[0.8, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.7, 0, 0]])
+    twin.set_parameter("airframe.mass", "mass", np.array([0.05, 0.1]), ids=np.array([3, 0]))
+    constant = twin.constant("body_mass")
+    np.testing.assert_array_equal(constant[:, -1], 0.45 + np.array([0.1, 0.0, 0.0, 0.05]))
     read[:] = 9.0
     constant[:] = 9.0
     np.testing.assert_array_equal(twin.parameter("rail_x.coulomb", "force"), [0.8, 0.1, 0.2, 0.7])
-    assert twin.constant("dof_frictionloss").max() == 0.8
+    assert twin.constant("body_mass").max() == 0.45 + 0.1
     earlier = twin.constant("actuator.delay")
     twin.set_parameter("command.delay", "delay", 0.004)
     np.testing.assert_array_equal(earlier[:, 0], [0.0, 0.001, 0.0025, 0.01])
@@ -240,6 +236,87 @@ def test_warm_up_moves_the_actuators_alone(twin: Twin) -> None:
     start, blades = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (4, 40, 2))
     layer = twin.warm_up(start.actuators, blades)
     replayed, _, _ = twin.replay_commands(start, blades)
-    for name in ("output", "mean", "history"):
-        np.testing.assert_array_equal(getattr(layer, name), getattr(replayed.actuators, name), err_msg=name)
-    assert np.ptp(layer.output[:, 0]) > 1e-4  # four delays, four states
+    for name in ("horn", "blade", "output", "mean", "history", "newest"):
+        np.testing.assert_array_equal(layer[name], replayed.actuators[name], err_msg=name)
+    assert np.ptp(layer["output"][:, 0]) > 1e-4  # four delays, four states
+    assert start.actuators["output"].max() == 0.0
+
+
+def test_advancing_in_place_is_stepping(twin: Twin, flown: TwinState) -> None:
+    """`advance_policy` makes a state what `step_policy` returns, in the very arrays that it was made of."""
+    wanted, state = command(twin, 10), flown.copy()
+    before = [state.qpos, state.actuators, state.memory]
+    twin.advance_policy(state, wanted, 0.03)
+    assert_equal(state, dict(list_arrays(twin.step_policy(flown, wanted, 0.03))))
+    assert all(now is then for now, then in zip([state.qpos, state.actuators, state.memory], before))
+
+
+def test_rows_are_written_in_place(twin: Twin, flown: TwinState) -> None:
+    """`write_rows` does in place what `replace_rows` does to a copy."""
+    ids, fresh = np.array([3, 1]), twin.initial_state().take(np.array([0, 1]))
+    mixed, state = flown.replace_rows(ids, fresh), flown.copy()
+    state.write_rows(ids, fresh)
+    assert_equal(state, dict(list_arrays(mixed)))
+    assert_apart(state, fresh)
+
+
+def test_arrays_make_the_state_again(twin: Twin, flown: TwinState) -> None:
+    """A state made of another's arrays is equal, independent, and flies on bit-equal."""
+    again = TwinState.from_arrays(flown.arrays())
+    assert_equal(again, dict(list_arrays(flown)))
+    assert_apart(again, flown)
+    assert again.actuators.dtype == flown.actuators.dtype
+    wanted = command(twin, 11)
+    assert_equal(twin.step_policy(again, wanted), dict(list_arrays(twin.step_policy(flown, wanted))))
+
+
+@pytest.mark.parametrize("name", ["qpos", "qvel", "memory", "actuators.horn", "actuators.history", "actuators.gyro"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_finite_tells_broken_rows(flown: TwinState, name: str, value: float) -> None:
+    """A row with one number that is none is told, wherever it is; the others are sound."""
+    assert flown.finite().all()
+    arrays = flown.copy().arrays()
+    arrays[name][2, ...].reshape(-1)[-1:] = value
+    np.testing.assert_array_equal(TwinState.from_arrays(arrays).finite(), [True, True, False, True])
+
+
+def test_broken_row_leaves_the_others_alone(twin: Twin, flown: TwinState) -> None:
+    """A simulation that has diverged neither restarts by itself nor touches its neighbours."""
+    broken = flown.copy()
+    broken.qvel[2] = np.nan
+    wanted, others = command(twin, 12), np.array([0, 1, 3])
+    after = twin.step_policy(broken, wanted, 0.02)
+    np.testing.assert_array_equal(after.finite(), [True, True, False, True])
+    sound = twin.step_policy(flown, wanted, 0.02)
+    assert_equal(after.take(others), dict(list_arrays(sound.take(others))))
+    np.testing.assert_array_equal(after.time, sound.time)
+    healed = after.replace_rows(np.array([2]), flown.take(np.array([2])))
+    mixed = sound.replace_rows(np.array([2]), flown.take(np.array([2])))
+    assert_equal(twin.step_policy(healed, wanted), dict(list_arrays(twin.step_policy(mixed, wanted))))
+
+
+def test_track_is_where_single_steps_lead(twin: Twin, flown: TwinState) -> None:
+    """The qpos and qvel that a replay returns are those after each of its steps."""
+    blades = np.random.default_rng(13).uniform(0.05, 0.15, (4, 12, 2))
+    _, qpos, qvel = twin.replay_commands(flown, blades)
+    state = flown
+    for k in range(12):
+        state, _, _ = twin.replay_commands(state, blades[:, k : k + 1])
+        np.testing.assert_array_equal(qpos[:, k], state.qpos)
+        np.testing.assert_array_equal(qvel[:, k], state.qvel)
+
+
+@pytest.mark.parametrize("value", [-0.01, 2.5, np.nan, np.inf])
+def test_values_outside_the_bounds_are_refused(twin: Twin, value: float) -> None:
+    """A friction that can't be is refused with the bounds, and the twin stays as it was."""
+    with pytest.raises(ValueError, match=r"rail_x\.coulomb\.force = .* N; expected 0 to 2"):
+        twin.set_parameter("rail_x.coulomb", "force", np.array([0.1, value]), ids=np.array([0, 1]))
+    np.testing.assert_array_equal(twin.parameter("rail_x.coulomb", "force"), [0.0, 0.1, 0.2, 0.3])
+
+
+def test_constants_are_to_read(twin: Twin) -> None:
+    """The records of constants follow parameters and can't be written."""
+    twin.set_parameter("command.delay", "delay", 0.003)
+    np.testing.assert_array_equal(twin.constants["actuator.delay"], np.full((4, 2), 0.003))
+    with pytest.raises(ValueError, match="read-only"):
+        twin.constants["gyro.bias"][:] = 1.0

@@ -126,7 +126,7 @@ def move_actuator(state: Record, constants: Record, i: int, command: float, dt: 
     end, mean = limit_rate(start, end, mean, constants["actuator.rate_limit"][i], dt)
     gap, trim = constants["actuator.gap"][i], constants["actuator.trim"][i]
     state.horn[i] = end
-    state.mean[i] = take_up_play(state.blade[i], mean, gap) + trim
+    state["mean"][i] = take_up_play(state.blade[i], mean, gap) + trim
     state.blade[i] = take_up_play(state.blade[i], end, gap)
     state.output[i] = state.blade[i] + trim
 

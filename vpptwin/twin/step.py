@@ -147,7 +147,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     climb = craft.v_z * craft.cosine - craft.v_x * craft.sine
     for i in range(2):
         side = 2.0 * i - 1.0
-        rotor = Rotor(side, layer.rotor_speed[i], layer.mean[i], craft.z, climb + side * craft.arm * craft.rate)
+        rotor = Rotor(side, layer.rotor_speed[i], layer["mean"][i], craft.z, climb + side * craft.arm * craft.rate)
         thrust = compute_thrust(vehicle.rotor, rotor.speed, rotor.pitch)
         thrust = shape_thrust(rig.active, row.parameters, thrust, rotor)
         view.ctrl[i] = limit_control(constants, i, thrust)
@@ -178,7 +178,7 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     push_commands(row.layer)
     for i in range(len(view.ctrl)):
         move_actuator(row.layer, row.constants, i, tape.command[k, i], view.timestep)
-        view.ctrl[i] = limit_control(row.constants, i, row.layer.mean[i])
+        view.ctrl[i] = limit_control(row.constants, i, row.layer["mean"][i])
     force = row.scratch[0]
     force[:] = 0.0
     push_joints(rig.active, row.parameters, view, 0.0, 0.0, force)
