@@ -29,7 +29,12 @@ def stop_clock() -> float:
     return 0.0
 
 
-_STOPPED_CLOCK = stop_clock.ctypes
+@cfunc(types.void(types.voidptr), cache=True)
+def keep_quiet(text: int) -> None:
+    """Take a warning of the engine and leave it."""
+
+
+_STOPPED_CLOCK, _QUIET = stop_clock.ctypes, keep_quiet.ctypes
 
 
 @contextmanager
@@ -37,17 +42,21 @@ def installed(callback: object) -> Iterator[None]:
     """Run our control callback (a ctypes function) while in the block; what was installed before comes back after.
 
     The engine's profiling clock stands still meanwhile: its Python bindings install one that MuJoCo reads some thirty
-    times a step, a third of the step of a model as small as ours.
+    times a step, a third of the step of a model as small as ours. Its warnings, which it would write into a file of the
+    working folder, are left: they are of simulations that diverge, and `vpptwin.twin.health` tells those.
     """
     with _LOCK:
         before, clock = mujoco.get_mjcb_control(), mujoco.get_mjcb_time()
+        warning = mujoco.get_mju_user_warning()
         mujoco.set_mjcb_control(callback)
         mujoco.set_mjcb_time(_STOPPED_CLOCK)
+        mujoco.set_mju_user_warning(_QUIET)
         try:
             yield
         finally:
             mujoco.set_mjcb_control(before)
             mujoco.set_mjcb_time(clock)
+            mujoco.set_mju_user_warning(warning)
 
 
 def mark_rows(userdata: np.ndarray, context: np.ndarray) -> None:

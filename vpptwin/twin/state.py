@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -78,10 +79,25 @@ class TwinState:
         result.write_rows(ids, rows)
         return result
 
+    def overwrite(self, other: TwinState) -> None:
+        """Put every number of `other`, a state of the same twin, in place of this very state's."""
+        for f in fields(self):
+            mine, given = getattr(self, f.name), getattr(other, f.name)
+            if mine.dtype.names:  # ten times faster than field by field
+                mine, given = as_numbers(mine), as_numbers(given)
+            mine[...] = given
+
     def finite(self) -> np.ndarray:
         """Which simulations hold only finite numbers, (N,) bool."""
-        sound = np.ones(len(self.time), dtype=bool)
-        for values in self.arrays().values():
-            if values.size:
-                sound &= np.isfinite(values).reshape(len(sound), -1).all(axis=1)
-        return sound
+        total = np.zeros(len(self.time))
+        for f in fields(self):
+            numbers = as_numbers(getattr(self, f.name))
+            with np.errstate(invalid="ignore"):
+                total += numbers @ np.zeros(numbers.shape[1])  # 0 * x is 0 unless x is not finite
+        return np.isfinite(total)
+
+
+def as_numbers(values: np.ndarray) -> np.ndarray:
+    """Arrays and records (N, ...) as the numbers that they hold, (N, k), a counter as the float of the same bits."""
+    width = math.prod(values.shape[1:]) * values.dtype.itemsize // 8
+    return values.view(np.float64).reshape(len(values), width)
