@@ -70,6 +70,7 @@ def build_parser() -> argparse.ArgumentParser:
     effects = commands.add_parser("effects", help="list the catalogue of effects")
     effects.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
     effects.add_argument("--markdown", action="store_true", help="as a Markdown table")
+    effects.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
     effects.set_defaults(run=run_effects)
 
     diagnose = commands.add_parser("diagnose", help="find what a twin gets wrong, from flight logs")
@@ -124,7 +125,18 @@ def run_effects(options: argparse.Namespace) -> None:
     from vpptwin.effects.table import print_catalogue
     from vpptwin.twin.spec import load_twin
 
-    print_catalogue(load_twin(options.twin).catalogue, options.markdown)
+    spec = load_twin(options.twin)
+    if options.pictures and spec.vehicle is None:
+        raise InputError(
+            f"{spec.name} is not the drone", "the drone, which the pictures' flight is for", "leave it out"
+        )
+    if options.pictures:
+        from vpptwin.viz.fingerprint import draw_catalogue
+
+        files = draw_catalogue(spec, Path(options.pictures))
+        print(f"{len(files)} pictures in {options.pictures}")
+        return
+    print_catalogue(spec.catalogue, options.markdown, "effects" if spec.vehicle is not None else "")
 
 
 def run_diagnose(options: argparse.Namespace) -> None:

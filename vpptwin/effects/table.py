@@ -10,6 +10,7 @@ from vpptwin.effects.parameter import Parameter
 COLUMNS = ("id", "parameter", "unit", "off", "bounds", "meaning")
 """What the terminal shows."""
 MORE_COLUMNS = ("tolerance", "prior", "equation", "acts on", "shown by", "look-alikes")
+FINGERPRINT = "fingerprint"
 """What the docs show besides."""
 ACTS_ON = {
     Stage.CONSTANT: "constants of the model",
@@ -29,6 +30,11 @@ before it is off; its `off` is a typical value, and its tolerance lets any value
 A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the deviation that a well-built rig may
 show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. Look-alikes are hard to tell
 apart: that takes the right manoeuvre.
+
+A fingerprint shows what an effect does to a flight with steps along x and z, flips and inverted hover: left how the
+motion, or what a sensor says of it, departs from that of a twin without the effect within 50 ms under the same
+commands; right the same departures over what they follow. `vpptwin effects --pictures docs/effects` draws them anew,
+each effect five typical sizes away from off.
 """
 
 
@@ -50,12 +56,29 @@ def describe_parameter(effect: Effect, parameter: Parameter) -> dict[str, str]:
     }
 
 
-def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False) -> None:
-    """Print the catalogue in aligned columns, or as a page of Markdown with everything known about each effect."""
+def show_picture(effect_id: str, folder: str) -> str:
+    """The image of an effect, by the folder that the page finds it in."""
+    return f'<img src="{folder}/{effect_id}.png" width="360" alt="what {effect_id} does">'
+
+
+def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, pictures: str = "") -> None:
+    """Print the catalogue in aligned columns, or as a page of Markdown with everything known about each effect.
+
+    Args:
+        catalogue: the effects.
+        markdown: a page instead of columns.
+        pictures: folder of the fingerprints as the page sees it, "" for none.
+    """
     rows = [describe_parameter(effect, parameter) for effect in catalogue for parameter in effect.parameters]
     if markdown:
         header = (*COLUMNS, *MORE_COLUMNS)
         print(PREAMBLE)
+        if pictures:
+            header = (*header, FINGERPRINT)
+            seen: set[str] = set()
+            for row in rows:
+                row[FINGERPRINT] = "" if row["id"] in seen else show_picture(row["id"], pictures)
+                seen.add(row["id"])
         print("| " + " | ".join(header) + " |")
         print("|" + "---|" * len(header))
         for row in rows:

@@ -1,0 +1,192 @@
+"""A picture of what an effect does: how a twin that has it departs from one that has not, over one flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from vpptwin.effects import Effect, Parameter
+from vpptwin.pilot import Script, pilot_commands
+from vpptwin.twin import Twin, TwinSpec, TwinState
+from vpptwin.viz.palette import BLUE, VERMILION
+
+STRETCH = 0.05
+"""The two twins start anew from the same state every so often [s]."""
+DURATION = 9.0
+"""Of the flight [s]: steps along x and z, a flip, steps inverted, a flip back."""
+SIZES = 5.0
+"""A parameter is shown this many of its typical sizes away from off."""
+INK = "#7f7f7f"  # legible on white and on black
+FLIGHT = Script(
+    np.array([0.0, 1.2, 2.4, 3.6, 4.8, 6.0, 7.5]),
+    np.array(
+        [[-0.5, 1.4, 0], [0.5, 1.4, 0], [0.5, 1.9, 0], [0, 1.2, 0], [0, 1.5, np.pi], [-0.4, 1.5, np.pi], [0, 1.4, 0]]
+    ),
+)
+START = np.array([0.0, 1.4, 0.0])
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One signal's departure.
+
+    Attributes:
+        name: of the signal, with its unit in brackets.
+        axis: degree of freedom that it belongs to; 3 for rotor 1.
+        departure: with the effect less without, (K,).
+        noise: what is hardly seen.
+    """
+
+    name: str
+    axis: int
+    departure: np.ndarray
+    noise: float
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """What an effect does over a flight, K stretches.
+
+    Attributes:
+        effect: the effect.
+        values: its parameters as shown.
+        time: of the stretches' starts, (K,) s.
+        trace: the signal that shows it best.
+        cause: what the effect follows, (K,).
+        cause_name: with its unit in brackets.
+    """
+
+    effect: Effect
+    values: dict[str, float]
+    time: np.ndarray
+    trace: Trace
+    cause: np.ndarray
+    cause_name: str
+
+
+def show_value(parameter: Parameter) -> float:
+    """A value well away from off, within the bounds."""
+    up = parameter.off + SIZES * parameter.size
+    down = parameter.off - SIZES * parameter.size
+    return float(up if up <= parameter.high else max(down, parameter.low))
+
+
+def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
+    """Fly without the effect; from every stretch's start let two twins go on under the same commands, one with it.
+
+    Args:
+        spec: the drone.
+        effect: of its catalogue.
+    """
+    active = [effect.id, *effect.modifies]
+    states, commands = fly(spec, tuple(active))
+    count = len(states.time)
+    ends, twins = [], []
+    for on in (False, True):
+        twin = Twin(spec, count, active=active, num_threads=1)
+        for other in active:
+            for i, p in enumerate(twin.effects[other].parameters):
+                shown = show_value(p) if i == 0 else p.off
+                twin.set_parameter(other, p.name, shown if on or other != effect.id else p.off)
+        state = states.copy()
+        for k in range(commands.shape[1]):
+            twin.advance_policy(state, commands[:, k])
+        ends.append(state)
+        twins.append(twin)
+    traces = list(compare(twins[1], *ends))
+    best = max(traces, key=lambda trace: float(np.sqrt(np.mean((trace.departure / trace.noise) ** 2))))
+    cause, name = follow(effect, best.axis, states, ends[0], commands)
+    values = {p.name: float(twins[1].parameter(effect.id, p.name)[0]) for p in effect.parameters}
+    return Fingerprint(effect, values, states.time, best, cause, name)
+
+
+def fly(spec: TwinSpec, active: tuple[str, ...]) -> tuple[TwinState, np.ndarray]:
+    """The flight: states at the start of every stretch, K of them, and the commands in it, (K, steps, 2) N, rad/s."""
+    twin = Twin(spec, 1, active=active, num_threads=1)
+    for effect_id in active[1:]:  # what the effect modifies is there in both
+        strength = twin.effects[effect_id].parameters[0]
+        twin.set_parameter(effect_id, strength.name, show_value(strength))
+    vehicle, state = twin.vehicle, twin.initial_state(START)
+    period = 1.0 / vehicle.control.policy_rate
+    each = round(STRETCH / period)
+    kept: list[TwinState] = []
+    commands = []
+    for k in range(round(DURATION / period)):
+        if k % each == 0:
+            kept.append(state)
+        command = pilot_commands(vehicle, state.qpos, state.qvel, FLIGHT.at(k * period))
+        commands.append(command[0])
+        state = twin.step_policy(state, command, period)
+    joined = {name: np.concatenate([s.arrays()[name] for s in kept]) for name in state.arrays()}
+    return TwinState.from_arrays(joined), np.array(commands).reshape(len(kept), each, 2)
+
+
+def compare(twin: Twin, without: TwinState, having: TwinState) -> Iterator[Trace]:
+    """The departures at the ends of the stretches: accelerations, rotor speed, what sensors add."""
+    gained = (having.qvel - without.qvel) / STRETCH
+    for axis, name, noise in ((0, "ẍ [m/s²]", 0.05), (1, "z̈ [m/s²]", 0.05), (2, "θ̈ [rad/s²]", 0.5)):
+        yield Trace(name, axis, gained[:, axis], noise)
+    speed = having.rotor_speed - without.rotor_speed
+    yield Trace("rotor 1\nspeed [rad/s]", 3, speed[:, 0], 1.0)
+    age = twin.constant("mocap.delay") + twin.constant("clock.drift") * without.time
+    scale, angle = twin.constant("mocap.scale"), twin.constant("mocap.angle")
+    for axis, name, noise in ((0, "measured\nx [mm]", 0.4), (1, "measured\nz [mm]", 0.4)):
+        seen = scale * (without.qpos[:, axis] - age * without.qvel[:, axis]) - without.qpos[:, axis]
+        yield Trace(name, axis, 1000 * seen, noise)
+    yield Trace("measured\nθ [mrad]", 2, 1000 * (angle - age * without.qvel[:, 2]), 3.0)
+    rate = twin.constant("gyro.scale") * without.qvel[:, 2] + twin.constant("gyro.bias") - without.qvel[:, 2]
+    yield Trace("measured\nq [rad/s]", 2, rate, 0.02)
+
+
+def follow(
+    effect: Effect, axis: int, states: TwinState, ends: TwinState, commands: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """What an effect on an axis follows, at the middle of every stretch, (K,), and its name."""
+    if axis == 3:
+        return states.blade_pitch[:, 0], "blade pitch [rad]"
+    if effect.follows in ("velocity", "position"):
+        start, end = (getattr(s, "qvel" if effect.follows == "velocity" else "qpos") for s in (states, ends))
+        names = {"velocity": ("ẋ [m/s]", "ż [m/s]", "q [rad/s]"), "position": ("x [m]", "z [m]", "θ [rad]")}
+        return 0.5 * (start + end)[:, axis], names[effect.follows][axis]
+    pitch = 0.5 * (states.blade_pitch + ends.blade_pitch)
+    change = (ends.blade_pitch - states.blade_pitch) / STRETCH
+    wanted = pitch if effect.follows == "command" else change
+    unit = "[rad]" if effect.follows == "command" else "[rad/s]"
+    if axis == 2:
+        return wanted[:, 1] - wanted[:, 0], f"difference of blade pitch {unit}"
+    return wanted.sum(axis=1), f"sum of blade pitch {unit}"
+
+
+def draw_fingerprint(print_: Fingerprint, file: Path) -> None:
+    """Write the picture, a PNG: the departure over time, and over what the effect follows."""
+    style = {"font.size": 7.0, "axes.spines.top": False,
+             "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK,
+             "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.6}  # fmt: skip
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(3.6, 1.25), layout="constrained")
+        FigureCanvasAgg(figure)
+        left, right = figure.subplots(1, 2, sharey=True)
+        left.plot(print_.time, print_.trace.departure, color=BLUE, linewidth=0.9)
+        left.set_xlabel("time [s]")
+        left.set_ylabel(print_.trace.name)
+        right.plot(print_.cause, print_.trace.departure, ".", color=VERMILION, markersize=2.2, markeredgewidth=0.0)
+        right.set_xlabel(print_.cause_name)
+        for axes in (left, right):
+            axes.axhline(0.0, color=INK, linewidth=0.4)
+        figure.savefig(file, format="png", dpi=150, transparent=True, metadata={"Software": None})
+
+
+def draw_catalogue(spec: TwinSpec, folder: Path) -> list[Path]:
+    """Write a picture of every effect of a drone's catalogue into a folder, `ID.png`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for effect in spec.catalogue:
+        files.append(folder / f"{effect.id}.png")
+        draw_fingerprint(take_fingerprint(spec, effect), files[-1])
+    return files
