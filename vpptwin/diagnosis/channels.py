@@ -59,8 +59,8 @@ class Sensors:
     def of_twin(cls, twin: Twin, start: np.ndarray) -> Sensors:
         """Those of a twin of one simulation."""
         names = ("mocap.delay", "clock.drift", "mocap.scale", "mocap.angle", "gyro.scale", "gyro.bias")
-        values = (np.repeat(twin.constant(name), len(start)) for name in names)
-        return cls(start, *values, drone=twin.spec.vehicle is not None)
+        delay, drift, scale, angle, gain, bias = (np.repeat(twin.constant(name), len(start)) for name in names)
+        return cls(start, delay, drift, scale, angle, gain, bias, twin.spec.vehicle is not None)
 
 
 @dataclass(frozen=True)

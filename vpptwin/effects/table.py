@@ -71,7 +71,7 @@ def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, picture
     """
     rows = [describe_parameter(effect, parameter) for effect in catalogue for parameter in effect.parameters]
     if markdown:
-        header = (*COLUMNS, *MORE_COLUMNS)
+        header: tuple[str, ...] = (*COLUMNS, *MORE_COLUMNS)
         print(PREAMBLE)
         if pictures:
             header = (*header, FINGERPRINT)

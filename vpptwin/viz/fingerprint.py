@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -165,7 +166,7 @@ def follow(
 
 def draw_fingerprint(print_: Fingerprint, file: Path) -> None:
     """Write the picture, a PNG: the departure over time, and over what the effect follows."""
-    style = {"font.size": 7.0, "axes.spines.top": False,
+    style: dict[Any, object] = {"font.size": 7.0, "axes.spines.top": False,
              "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK,
              "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.6}  # fmt: skip
     with mpl.rc_context(style):
