@@ -27,6 +27,6 @@ def tiny_env(*overrides: str) -> VppEnv:
 
 @pytest.fixture(scope="session")
 def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a finished tiny run of 1024 steps with noise and randomization."""
+    """Folder of a finished tiny run of 1024 steps with noise and every effect randomized."""
     folder = tmp_path_factory.mktemp("runs") / "tiny"
-    return run_train([*TINY, f"out={folder}", "total_steps=1024", "noise=1", "randomize=[airframe.mass]"])
+    return run_train([*TINY, f"out={folder}", "total_steps=1024", "noise=1", "randomize=all"])

@@ -25,6 +25,14 @@ def test_overrides_reach_every_level() -> None:
     assert HOVER.episode == 5.0
 
 
+@pytest.mark.parametrize(
+    ("override", "expected"), [("randomize=all", ["all"]), ("randomize=[a.b,c.d]", ["a.b", "c.d"]), ("seed=1", [])]
+)
+def test_randomize_takes_a_list_or_one_name(override: str, expected: list[str]) -> None:
+    """`randomize=all` is short for `randomize=[all]`."""
+    assert compose_config([override]).randomize == expected
+
+
 def test_configuration_survives_plain_data() -> None:
     """What is saved beside a run gives the same configuration back."""
     config = compose_config(["seed=7", "task.target.dwell=[1,2]", "task.target.angles=[0,3]"])

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from vpptwin.train.observe import OBSERVATION, accumulate_error, observation_size, observe, sensor_noise
+from vpptwin.train.observe import OBSERVATION, accumulate_error, observation_size, observe
 from vpptwin.train.reward import RewardWeights, compute_reward
-from vpptwin.vehicle import load_vehicle
 
 
 def test_observation_by_hand() -> None:
@@ -61,10 +60,3 @@ def test_best_reward_is_rest_on_the_target() -> None:
     weights = RewardWeights()
     rest = compute_reward(weights, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2)))
     assert rest[0] == pytest.approx(weights.best) == pytest.approx(2.2)
-
-
-def test_sensor_noise_follows_the_vehicle() -> None:
-    """Pose noise is the capture's; velocity noise is that of a difference over 10 ms: √2 * 0.4 mm * 100 Hz."""
-    pose, velocity = sensor_noise(load_vehicle())
-    np.testing.assert_allclose(pose, [0.0004, 0.0004, 0.003])
-    np.testing.assert_allclose(velocity, [0.0565685, 0.0565685, 0.02], rtol=1e-5)

@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from tensordict import TensorDict
 
 from tests.train.conftest import TINY
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import to_config
+from vpptwin.train.env import VppEnv
 from vpptwin.train.evaluate import evaluate
 from vpptwin.train.main import run_train
 from vpptwin.train.progress import EpisodeStatistics
+from vpptwin.twin.health import replay_fault
 
-NOISY = (*TINY, "total_steps=1024", "noise=1", "randomize=[airframe.mass]")
+NOISY = (*TINY, "total_steps=1024", "noise=1", "randomize=all")
 """As the run of the fixture `tiny_run`."""
 
 
@@ -93,6 +96,31 @@ def test_interrupted_run_continues_the_same_curve(
     assert same_weights(tiny_run, run)
     for name in ("return", "loss_objective", "grad_norm_0"):
         np.testing.assert_array_equal(read_log(run, name), read_log(tiny_run, name))
+
+
+def test_training_survives_a_simulation_that_diverges(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It is counted in the log, kept for replay and told at the end; weights stay finite, and resuming counts on."""
+    fly, calls = VppEnv._step, 0
+
+    def break_some(self: VppEnv, tensordict: TensorDict) -> TensorDict:
+        nonlocal calls
+        calls += 1
+        if calls % 20 == 0:
+            self.state.qvel[3] = 1e200
+        return fly(self, tensordict)
+
+    monkeypatch.setattr(VppEnv, "_step", break_some)
+    run = run_train([*NOISY, f"out={tmp_path / 'run'}"])  # 64 steps of 16 drones
+    assert read_log(run, "faults")[-1].tolist() == [1024.0, 3.0]
+    assert "3 simulations diverged" in capfd.readouterr().err
+    assert all(torch.isfinite(weights).all() for weights in read_checkpoint(run)["policy"].values())
+    run_train([f"resume={run}", "total_steps=1408", "progress=false"])
+    assert read_log(run, "faults")[-1].tolist() == [1408.0, 4.0]
+    saved = sorted((run / "faults").iterdir())
+    assert [path.name for path in saved] == [f"fault-{k:04d}.npz" for k in (1, 2, 3, 4)]
+    assert all(replay_fault(path).equal for path in saved)
 
 
 def test_resume_refuses_another_run(tiny_run: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from vpptwin.train.networks import Policy
 from vpptwin.train.observe import observation_size
 from vpptwin.train.snapshot import take_snapshot
 
-KIND, FORMAT = "vpptwin policy", 1
+KIND, FORMAT = "vpptwin policy", 2
 FILE_NAME = "checkpoint.pt"
 RECORDED = ("vpptwin", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 TRAIN_AGAIN = "train one with `vpptwin train task=hover`"

@@ -51,7 +51,7 @@ class TrainConfig:
         num_envs: simulations flown side by side.
         rollout: policy steps of every simulation between two updates.
         noise: sensor noise in the observation; 1 for that of vehicle.yaml.
-        randomize: effects whose parameters are drawn from their priors at every reset, e.g. '[servo.lag]'.
+        randomize: effects drawn from their priors at every reset, e.g. '[servo.lag,air.drag]'; all for every one.
         paper_inputs: observe the paper's nine inputs, without the target's angle.
         desynchronize: start the first episodes at random clock times.
         hidden: actor, units of the ReLU layer and of the tanh layer.

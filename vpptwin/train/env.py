@@ -1,9 +1,9 @@
-"""The twin as a batched TorchRL environment. Stepping copies in and out; nothing of it is shared with its outputs."""
+"""The twin as a batched TorchRL environment. It works in place and shares nothing with what it takes and gives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,33 +13,19 @@ from torchrl.envs import EnvBase
 
 from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.observe import accumulate_error, observation_size, observe, sensor_noise
-from vpptwin.train.randomize import randomize
+from vpptwin.train.episodes import Episodes
+from vpptwin.train.observe import accumulate_error, observation_size, observe
+from vpptwin.train.randomize import ALL, Priors, randomize
 from vpptwin.train.reward import compute_reward
 from vpptwin.train.tasks import Task
 from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
+from vpptwin.twin.sensors import history_depth, read_sensors, record_poses, sensor_noise, start_sensors
 from vpptwin.twin.spec import check_effects
 
-
-@dataclass
-class Episodes:
-    """What evolves besides the twin, one row per simulation; arrays are replaced or written by row, never handed out.
-
-    Attributes:
-        target: x, z, θ, (N, 3) m, m, rad.
-        integral: Γ, (N, 2) m.
-        elapsed: (N,) s.
-        switch: when the target's angle changes next, (N,) s.
-        total: sum of rewards so far, (N,).
-        observation: last one given out, (N, 11) or (N, 9).
-    """
-
-    target: np.ndarray
-    integral: np.ndarray
-    elapsed: np.ndarray
-    switch: np.ndarray
-    total: np.ndarray
-    observation: np.ndarray
+Rows = np.ndarray | slice
+"""Which simulations: their numbers, or a slice of all."""
+EVERY = slice(None)
 
 
 class VppEnv(EnvBase):
@@ -47,6 +33,10 @@ class VppEnv(EnvBase):
 
     Besides observation, reward and the done flags every step reports `position_error` [m] and `episode_return`, (N, 1).
     An action (thrust, rate) in [-1, 1] is scaled with the vehicle's believed limits.
+
+    The observation comes from the sensors (`vpptwin.twin.sensors`), with the twin's errors of them: position, angle and
+    velocity from the motion capture, late as its poses are, the rate from the gyro. The velocity is the true one of the
+    pose shown, with the noise of differencing over one capture interval. Reward and limits go by the truth.
 
     Args:
         twin: simulates the N rigs; `randomized` effects have to be switched on in it.
@@ -56,13 +46,15 @@ class VppEnv(EnvBase):
         randomized: ids of effects whose parameters are drawn from their priors at every reset.
         paper_inputs: observe the paper's nine inputs, without the target's angle.
         desynchronize: start at random clock times when all are reset at once, so that not all end together.
+        fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
 
     Attributes:
         state: of the twin.
+        sensors: of the motion capture, which may show the past.
         episodes: what evolves besides.
         rng: source of every random number here.
         restored: the next full reset hands out the present observation instead of drawing new episodes.
-        faults: number of simulations so far that went non-finite and were started afresh.
+        faults: number of simulations so far that diverged and were started afresh.
     """
 
     batch_locked = True
@@ -76,18 +68,23 @@ class VppEnv(EnvBase):
         randomized: Sequence[str] = (),
         paper_inputs: bool = False,
         desynchronize: bool = False,
+        fault_folder: Path | None = None,
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
         self.twin, self.task, self.faults, self.restored = twin, task, 0, False
         self.noise, self.randomized, self.paper_inputs = noise, tuple(randomized), paper_inputs
+        self.desynchronize, self.fault_folder = desynchronize, fault_folder
         control = twin.vehicle.control
         self._scale = np.array([control.thrust_max, control.rate_max])
         self._period = 1.0 / control.policy_rate
-        self._noise_std = sensor_noise(twin.vehicle)
-        self.desynchronize = desynchronize
+        self._noise_std = noise * np.stack(sensor_noise(twin.vehicle))
+        self._priors = Priors.of(twin.effects[effect] for effect in self.randomized)
         self.rng = np.random.default_rng(seed)
         n = twin.num_sims
         self.state = twin.initial_state()
+        self._before = self.state.copy()
+        self._depth = history_depth(twin.effects.values(), self._period, task.episode)
+        self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
         observation = np.zeros((n, observation_size(paper_inputs)), np.float32)
         self.episodes = Episodes(
             np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n), np.full(n, np.inf), np.zeros(n), observation
@@ -128,41 +125,38 @@ class VppEnv(EnvBase):
     def _begin(self, ids: np.ndarray) -> None:
         """Start new episodes in the rows `ids`; the other rows stay as they are."""
         rng, episodes, task = self.rng, self.episodes, self.task
-        if self.randomized:
-            randomize(self.twin, self.randomized, ids, rng)
+        randomize(self.twin, self._priors, ids, rng)
         target = task.target.draw(rng, len(ids))
         pose, velocity = task.start.draw(rng, target)
-        qpos, qvel = np.zeros_like(self.state.qpos), np.zeros_like(self.state.qvel)
-        qpos[ids], qvel[ids] = pose, velocity
-        self.state.write_rows(ids, self.twin.initial_state(qpos, qvel).take(ids))
+        self.state.write_rows(ids, self.twin.initial_state(pose, velocity, ids=ids))
+        self.sensors.write_rows(ids, start_sensors(pose, velocity, self._depth, self._period))
         episodes.target[ids] = target
         episodes.switch[ids] = task.target.draw_dwell(rng, len(ids))
         episodes.integral[ids] = episodes.elapsed[ids, None] = episodes.total[ids] = 0.0
         self._measure(ids)
 
-    def _measure(self, ids: np.ndarray) -> None:
-        """Advance the integral and take a fresh observation in the rows `ids`."""
-        episodes = self.episodes
-        pose, velocity = self.state.qpos[ids], self.state.qvel[ids]
+    def _measure(self, rows: Rows = EVERY) -> None:
+        """Advance the integral and take a fresh observation."""
+        episodes, state = self.episodes, self.state
+        pose, velocity = read_sensors(
+            self.twin.constants[rows], self.sensors.take(rows), state.qpos[rows], state.qvel[rows], state.time[rows],
+            self._period,
+        )  # fmt: skip
         if self.noise:
-            pose = pose + self.noise * self._noise_std[0] * self.rng.standard_normal(pose.shape)
-            velocity = velocity + self.noise * self._noise_std[1] * self.rng.standard_normal(velocity.shape)
-        target = episodes.target[ids]
-        integral = accumulate_error(episodes.integral[ids], (target - pose)[:, :2])
-        episodes.integral[ids] = integral
-        episodes.observation[ids] = observe(pose, velocity, target, integral, self.paper_inputs)
+            pose += self._noise_std[0] * self.rng.standard_normal(pose.shape)
+            velocity += self._noise_std[1] * self.rng.standard_normal(velocity.shape)
+        target = episodes.target[rows]
+        integral = accumulate_error(episodes.integral[rows], (target - pose)[:, :2])
+        episodes.integral[rows] = integral
+        episodes.observation[rows] = observe(pose, velocity, target, integral, self.paper_inputs)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = np.clip(tensordict.get("action").detach().numpy().astype(np.float64), -1.0, 1.0)
-        self.twin.advance_policy(self.state, action * self._scale, self._period)
-        broken = ~self.state.finite()
-        if broken.any():
-            self.faults += int(broken.sum())
-            self._begin(np.flatnonzero(broken))
+        broken = self._fly(action * self._scale)
         episodes, task = self.episodes, self.task
         episodes.elapsed += self._period
         self._switch_targets()
-        self._measure(np.flatnonzero(~broken))
+        self._measure(np.flatnonzero(~broken) if broken.any() else EVERY)
         pose, velocity = self.state.qpos, self.state.qvel
         reward = compute_reward(task.weights, episodes.target - pose, velocity, episodes.integral)
         reward[broken] = 0.0
@@ -172,6 +166,22 @@ class VppEnv(EnvBase):
         result = self._pack(terminated, truncated)
         result["reward"] = as_column(reward)
         return result
+
+    def _fly(self, command: np.ndarray) -> np.ndarray:
+        """Advance the twin under commands (N, 2) [N, rad/s]; tell which rows diverged and began anew, (N,) bool."""
+        self._before.overwrite(self.state)
+        self.twin.advance_policy(self.state, command, self._period)
+        record_poses(self.sensors, self.state.qpos, self.state.qvel)
+        broken = find_diverged(self.state)
+        ids = np.flatnonzero(broken)
+        if len(ids):
+            if self.fault_folder is not None:
+                kept = ids[: max(MOST - self.faults, 0)]
+                faults = (take_fault(self.twin, self._before, self.state, command, self._period, i) for i in kept)
+                save_faults(self.fault_folder, dict(enumerate(faults, self.faults + 1)))
+            self.faults += len(ids)
+            self._begin(ids)
+        return broken
 
     def _switch_targets(self) -> None:
         episodes, target = self.episodes, self.task.target
@@ -201,7 +211,7 @@ def as_column(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(values.astype(np.float32)[:, None])
 
 
-def make_env(config: TrainConfig) -> VppEnv:
+def make_env(config: TrainConfig, fault_folder: Path | None = None) -> VppEnv:
     """The environment of a run.
 
     Raises:
@@ -210,8 +220,10 @@ def make_env(config: TrainConfig) -> VppEnv:
     spec = load_twin(config.twin)
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
-    check_effects({effect: {} for effect in config.randomize}, spec.catalogue, "randomize")
-    twin = Twin(spec, config.num_envs, active=config.randomize, num_threads=config.sim_threads)
+    randomized = [e.id for e in spec.catalogue] if ALL in config.randomize else config.randomize
+    check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
+    twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
-        twin, config.task, config.seed, config.noise, config.randomize, config.paper_inputs, config.desynchronize
-    )
+        twin, config.task, config.seed, config.noise, randomized, config.paper_inputs, config.desynchronize,
+        fault_folder,
+    )  # fmt: skip

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from vpptwin.vehicle import Vehicle
-
 OBSERVATION = (
     "delta_x", "delta_z", "velocity_x", "velocity_z", "sin_delta_theta", "cos_delta_theta", "rate",
     "integral_x", "integral_z", "sin_target_theta", "cos_target_theta",
@@ -59,17 +57,3 @@ def observe(
 def observation_size(paper_inputs: bool = False) -> int:
     """Length of the observation."""
     return PAPER_INPUTS if paper_inputs else len(OBSERVATION)
-
-
-def sensor_noise(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of the measured pose (3,) [m, m, rad] and velocity (3,) [m/s, m/s, rad/s].
-
-    Position and angle are those of the motion capture and the rate that of the gyro. Velocity is taken as differenced
-    over one capture interval, the noisiest estimate a flight computer would accept.
-    """
-    mocap, imu = vehicle.sensors.mocap, vehicle.sensors.imu
-    differenced = np.sqrt(2.0) * mocap.position_std * mocap.rate
-    return (
-        np.array([mocap.position_std, mocap.position_std, mocap.angle_std]),
-        np.array([differenced, differenced, imu.gyro_std]),
-    )

@@ -32,7 +32,7 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
     Raises:
         InputError: on an unknown option or task, a value of the wrong type, or numbers that make no sense.
     """
-    parse_overrides(overrides)
+    given = [write_list(override) for override in parse_overrides(overrides).values()]
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainConfig)
     store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, "_self_"]})
@@ -40,7 +40,7 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
         store.store(group="task", name=task.name, node=task)
     try:
         with initialize(version_base="1.3", config_path=None):
-            return to_config(compose(config_name="train", overrides=list(overrides)))
+            return to_config(compose(config_name="train", overrides=given))
     except (HydraException, OmegaConfBaseException) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         raise InputError(f"{' '.join(overrides)}: {reason}", "values of an option's type", HELP) from error
@@ -65,6 +65,12 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
         if key == "task" and override.value() not in TASKS:
             raise InputError(f"unknown task {override.value()!r}", f"one of {', '.join(TASKS)}", HELP)
     return {override.key_or_group: override for override in parsed}
+
+
+def write_list(override: Override) -> str:
+    """The text of an override, a single name given for a list as a list of one: `randomize=all`."""
+    text, value = str(override.input_line), override.value()
+    return f"randomize=[{value}]" if override.key_or_group == "randomize" and isinstance(value, str) else text
 
 
 def list_options(node: object = None, prefix: str = "") -> list[str]:

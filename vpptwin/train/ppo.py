@@ -24,6 +24,8 @@ from vpptwin.train.progress import EpisodeStatistics, ProgressBar
 from vpptwin.train.snapshot import restore_snapshot
 from vpptwin.train.updates import Advantages, ExplorationRamp, Minibatches
 
+FAULTS = "faults"
+"""Folder in that of a run for simulations that diverged."""
 VALUE_SCALE = 10.0
 """Value of resting on the target for ever, in the critic's units: rewards are scaled to it."""
 
@@ -60,7 +62,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     """
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
-    env = make_env(config)
+    env = make_env(config, folder / FAULTS)
     policy = make_policy(config)
     exploration = Exploration(policy, config.exploration.at(0.0))
     actor = make_actor(exploration)

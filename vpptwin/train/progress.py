@@ -22,7 +22,7 @@ class EpisodeStatistics(TrainerHookBase):
     """Running means over the last finished episodes, logged with every batch.
 
     Logs `reward` (per step of the batch), `return` (sum over an episode), `error_m` (distance at the end of episodes
-    that did not fail), `failures` (share) and `faults` (simulations gone non-finite since the start).
+    that did not fail), `failures` (share) and `faults` (simulations that diverged since the start).
 
     Args:
         env: whose faults are reported.

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, to_config, to_plain
-from vpptwin.train.ppo import build_training
+from vpptwin.train.ppo import FAULTS, build_training
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -48,6 +48,9 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     seconds = time.monotonic() - started
     steps = training.trainer.collected_frames - begun
     print(f"{steps} steps in {seconds:.0f} s, checkpoint {folder / FILE_NAME}", file=sys.stderr)
+    if training.env.faults:
+        found = f"{training.env.faults} simulations diverged; the first are in {folder / FAULTS}"
+        print(f"{found}, `python -m vpptwin.twin.health FILE` replays one", file=sys.stderr)
     return folder
 
 

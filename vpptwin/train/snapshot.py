@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from vpptwin.train.env import Episodes, VppEnv
+from vpptwin.train.env import VppEnv
+from vpptwin.train.episodes import Episodes
 from vpptwin.twin import TwinState
+from vpptwin.twin.sensors import SensorState
 
 
 def take_snapshot(env: VppEnv) -> dict[str, Any]:
@@ -21,6 +23,7 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
     }
     return {
         "state": to_tensors(env.state.arrays()),
+        "sensors": to_tensors(env.sensors.arrays()),
         "episodes": to_tensors(vars(env.episodes)),
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
@@ -34,6 +37,7 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
         for name, value in values.items():
             env.twin.set_parameter(effect, name, value.numpy())
     env.state = TwinState.from_arrays(to_arrays(snapshot["state"]))
+    env.sensors = SensorState.from_arrays(to_arrays(snapshot["sensors"]))
     env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
     env.rng.bit_generator.state = json.loads(snapshot["random"])
     env.faults, env.restored = snapshot["faults"], True

@@ -90,7 +90,7 @@ def take_fault(
     return Fault(
         twin=name if name == "nominal" else str(Path(name).resolve()), effects=effects, command=command[row].copy(),
         duration=duration, before=before.take(rows), after=after.take(rows),
-        about={"row": row, "versions": {package: version(package) for package in RECORDED}},
+        about={"row": int(row), "versions": {package: version(package) for package in RECORDED}},
     )  # fmt: skip
 
 

@@ -103,8 +103,8 @@ class SensorState:
         """The state of which `arrays()` gave these arrays; copies."""
         return cls(**{f.name: arrays[f.name].copy() for f in fields(cls)})
 
-    def take(self, ids: np.ndarray) -> SensorState:
-        """The rows `ids` as a state of their own (a copy)."""
+    def take(self, ids: np.ndarray | slice) -> SensorState:
+        """The rows `ids` as a state of their own (a copy), or those of a slice (a view)."""
         return SensorState(self.pose[ids], self.velocity[ids], self.newest[ids])
 
     def write_rows(self, ids: np.ndarray, rows: SensorState) -> None:
@@ -182,3 +182,27 @@ def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.nd
     pose += period * u * rest * (u * v_1 - rest * v_0)
     velocity = rest * (1.0 - 3.0 * u) * v_0 + u * (3.0 * u - 2.0) * v_1 + 6.0 * u * rest * (p_0 - p_1) / period
     return pose, velocity
+
+
+def read_sensors(
+    constants: Constants, past: SensorState, pose: np.ndarray, velocity: np.ndarray, stamp: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a flight computer has of a craft that is here now, noise apart.
+
+    The velocity is the true one of the pose that is shown; the rate is the gyro's, which is never late.
+
+    Args:
+        constants: of the sensors, (N,).
+        past: its newest entry is the present; without entries no pose comes late.
+        pose: x, z, θ now, (N, 3) m, m, rad.
+        velocity: v_x, v_z, q now, (N, 3) m/s, m/s, rad/s.
+        stamp: s since the start of the log, (N,).
+        period: between entries of `past` [s].
+
+    Returns:
+        Pose (N, 3) and velocity (N, 3) as measured, fresh arrays.
+    """
+    rate = measure_rate(constants, velocity[:, PITCH])
+    if past.depth:
+        pose, velocity = look_back(past, age_of_pose(constants, stamp), period)
+    return measure_pose(constants, pose), np.column_stack([measure_velocity(constants, velocity), rate])
