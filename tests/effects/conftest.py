@@ -15,8 +15,9 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
 
 @pytest.fixture
 def rig(request: pytest.FixtureRequest, rigs: dict[str, Rig]) -> Rig:
-    """The rig of this case."""
-    return rigs[request.param]
+    """The rig of this case, driven so that the effect of this case can be seen."""
+    name, effect_id = request.param
+    return rigs[name].for_effect(effect_id) if effect_id else rigs[name]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -29,9 +30,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     names, only = (marker.args or tuple(EFFECTS), marker.kwargs.get("only")) if marker else (tuple(EFFECTS), None)
     if "effect_id" in metafunc.fixturenames:
         cases = [(name, effect.id) for name in names for effect in EFFECTS[name] if only is None or only(effect)]
-        metafunc.parametrize(("rig", "effect_id"), cases, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
+        given = [((name, effect_id), effect_id) for name, effect_id in cases]
+        metafunc.parametrize(("rig", "effect_id"), given, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
     elif "rig" in metafunc.fixturenames:
-        metafunc.parametrize("rig", names, indirect=True)
+        metafunc.parametrize("rig", [(name, "") for name in names], indirect=True, ids=names)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from vpptwin.actuators.motor import compute_current
 from vpptwin.effects import CATALOGUE, Effect, Parameter, effects_for_rig, find_effect
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
+from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
 
 CONTROL = 0.01
 """Commands are held, and tracks sampled, for this long [s]."""
+START = 5.0
+"""Flights start this long after the log did [s], so that what drifts has drifted."""
 
 CART_PENDULUM = """<mujoco model="cart_pendulum">
   <compiler angle="radian"/>
   <option timestep="0.001" integrator="Euler"/>
-  <default><joint solimpfriction="0.9999 0.9999 0.001 0.5 2" solreffriction="0.004 1"/></default>
   <worldbody>
     <body name="cart">
       <joint name="slide" type="slide" axis="1 0 0"/>
@@ -52,6 +56,8 @@ class Rig:
         low, high: corners of the box that starts are drawn from, positions before velocities, (2 nv,) m, rad, m/s, ...
         drives: standard deviation of a random command, (nu,).
         trim: its mean.
+        hold: for how many intervals of 10 ms a command stands.
+        throttled: whether a replay simulates the rotors, from a throttle, instead of taking their speeds as they are.
     """
 
     name: str
@@ -60,31 +66,54 @@ class Rig:
     high: tuple[float, ...]
     drives: tuple[float, ...]
     trim: tuple[float, ...]
+    hold: int = 1
+    throttled: bool = False
+
+    @property
+    def drone(self) -> bool:
+        """Whether it is ours."""
+        return self.spec.vehicle is not None
 
     def effect(self, effect_id: str) -> Effect:
         """The effect as this rig has it, off values bound to the vehicle."""
         return find_effect(self.spec.catalogue, effect_id)
+
+    def for_effect(self, effect_id: str) -> Rig:
+        """The rig driven so that the effect can be seen."""
+        return replace(self, throttled="/rotor/state" in self.effect(effect_id).shows)
+
+    def twin(self, num_sims: int, values: Mapping[str, Mapping[str, np.ndarray | float]] | None = None) -> Twin:
+        """A twin with some effects switched on, parameters at off where no value is given."""
+        twin = Twin(self.spec, num_sims, active=values or (), num_threads=1)
+        for effect_id, given in (values or {}).items():
+            for name, value in given.items():
+                twin.set_parameter(effect_id, name, value)
+        return twin
 
     def start(self, twin: Twin, seed: int, total: int | None = None, first: int = 0) -> TwinState:
         """A random state: rows `first` onwards of a batch of `total`."""
         rng = np.random.default_rng(seed)
         box = rng.uniform(self.low, self.high, (total or twin.num_sims, len(self.low)))
         qpos, qvel = np.split(box[first : first + twin.num_sims], 2, axis=1)
-        return twin.initial_state(qpos=twin.pose_for_engine(qpos, qvel), qvel=qvel)
+        return twin.initial_state(qpos=twin.pose_for_engine(qpos, qvel), qvel=qvel, time=START)
 
     def command(self, k: int) -> np.ndarray:
-        """The k-th command of a random sequence, the same for every simulation, (nu,)."""
-        return np.array(self.trim) + np.array(self.drives) * np.random.default_rng([7, k]).normal(size=len(self.trim))
+        """The command at interval k of a random sequence, the same for every simulation, (nu,)."""
+        draw = np.random.default_rng([7, k // self.hold]).normal(size=len(self.trim))
+        return np.array(self.trim) + np.array(self.drives) * draw
 
-    def advance(self, twin: Twin, state: TwinState, k: int, powered: bool = True) -> TwinState:
-        """The state 10 ms later under the k-th command, or with rotors and motors off."""
+    def advance(
+        self, twin: Twin, state: TwinState, k: int, powered: bool = True, duration: float = CONTROL
+    ) -> TwinState:
+        """The state 10 ms (or `duration`) later under the k-th command, or with rotors and motors off."""
         command = self.command(k) * powered
         if self.name == "flown":
-            return twin.step_policy(state, np.tile(command, (twin.num_sims, 1)), CONTROL)
-        held = np.tile(command, (twin.num_sims, round(CONTROL / twin.dt), 1))
-        return twin.replay_commands(state, held)[0]
+            return twin.step_policy(state, np.tile(command, (twin.num_sims, 1)), duration)
+        held = np.tile(command, (twin.num_sims, round(duration / twin.dt), 1))
+        throttle = np.full(held.shape, 0.45 + 0.1 * (-1) ** k) if self.throttled else None
+        return twin.replay_commands(state, held, throttle=throttle)[0]
 
-    def roll(self, twin: Twin, state: TwinState, first: int = 0, count: int = 15, powered: bool = True) -> Track:
+    def roll(self, twin: Twin, state: TwinState, first: int = 0, count: int = 12, powered: bool = True) -> Track:
         """States every 10 ms, the start included."""
         states = [state]
         for k in range(first, first + count):
@@ -124,21 +153,31 @@ class Track:
         """What a topic of SPEC 3 shows, in standard deviations of its sensor, (T, N, k)."""
         if topic == "/joint_states":
             return self.pose / 1e-3  # m, rad: an ordinary encoder
-        sensors = self.twin.vehicle.sensors
+        sensors, constants = self.twin.vehicle.sensors, self.twin.constants
         if topic == "/imu/data":
-            return self.velocity[..., 2:] / sensors.imu.gyro_std
+            return np.array([measure_rate(constants, v[:, 2]) for v in self.velocity])[..., None] / sensors.imu.gyro_std
         if topic == "/mocap/pose":
             noise = np.array([sensors.mocap.position_std, sensors.mocap.position_std, sensors.mocap.angle_std])
-            return self.delay(self.pose, self.twin.constant("mocap.delay")) / noise
+            age = np.array([age_of_pose(constants, s.time) for s in self.states])
+            return np.array([measure_pose(constants, pose) for pose in self.look_back(age)]) / noise
+        if topic == "/rotor/state":
+            noise = np.array([sensors.rotor.speed_std] * 2 + [sensors.rotor.current_std] * 2)
+            return np.array([np.concatenate([s.rotor_speed, self.current(s)], axis=1) for s in self.states]) / noise
         raise KeyError(f"no sensor model of {topic} in these tests: write one")
 
-    def delay(self, pose: np.ndarray, delay: np.ndarray) -> np.ndarray:
-        """Poses (T, N, nv) as they were `delay` (N,) s before."""
-        time = CONTROL * np.arange(len(pose))
-        rows = [
-            [np.interp(time - late, time, pose[:, i, j]) for j in range(pose.shape[2])] for i, late in enumerate(delay)
-        ]
-        return np.moveaxis(np.array(rows), 2, 0)
+    def current(self, state: TwinState) -> np.ndarray:
+        """Of the motors, (N, 2) A."""
+        motor = self.twin.vehicle.motor
+        left = 1.0 - self.twin.constants["battery.sag"] * state.time
+        return compute_current(motor, state.throttle * motor.battery * left[:, None], state.rotor_speed)
+
+    def look_back(self, age: np.ndarray) -> np.ndarray:
+        """Poses as they were `age` (T, N) s before, straight between samples, (T, N, nv)."""
+        pose, index = self.pose, np.arange(len(self.states))
+        shown = np.empty_like(pose)
+        for i, j in np.ndindex(pose.shape[1:]):
+            shown[:, i, j] = np.interp(index - age[:, i] / CONTROL, index, pose[:, i, j])
+        return shown
 
 
 def load_rigs(folder: Path) -> dict[str, Rig]:
@@ -149,10 +188,13 @@ def load_rigs(folder: Path) -> dict[str, Rig]:
     low, high = (-0.3, 1.2, -0.5, -0.8, -0.5, -2.0), (0.3, 1.6, 0.5, 0.8, 0.8, 2.0)
     cart = load_twin(folder / "cart.yaml")
     return {
-        "flown": Rig("flown", drone, low, high, (2.0, 3.0), (6.0, 0.0)),
-        "replayed": Rig("replayed", drone, low, high, (0.02, 0.02), (0.12, 0.12)),
-        "cart": Rig("cart", cart, (-1, -1.5, -0.8, -3.0), (1, 1.5, 0.8, 3.0), (1.0,), (0.0,)),
+        "flown": Rig("flown", drone, low, high, (4.0, 6.0), (4.0, 0.0)),
+        "replayed": Rig("replayed", drone, low, high, (0.08, 0.08), (0.06, 0.06)),
+        "cart": Rig("cart", cart, (-1, -1.5, -0.8, -3.0), (1, 1.5, 0.8, 3.0), (1.0,), (0.0,), hold=3),
     }
+
+
+Values = dict[str, dict[str, np.ndarray]]
 
 
 def enlarge(parameter: Parameter, times: float = 5.0) -> float:
@@ -161,10 +203,34 @@ def enlarge(parameter: Parameter, times: float = 5.0) -> float:
     return up if up <= parameter.high else float(parameter.clip(np.array(parameter.off - times * parameter.size)))
 
 
+def large_values(rig: Rig, effect_id: str, times: float | np.ndarray = 5.0) -> Values:
+    """An effect's parameters, `times` their size from off: one for all simulations, or one for each."""
+    parameters = rig.effect(effect_id).parameters
+    return {effect_id: {p.name: np.array([enlarge(p, t) for t in np.atleast_1d(times)]).squeeze() for p in parameters}}
+
+
+def off_values(rig: Rig, effect_id: str) -> Values:
+    """An effect's parameters at their off values."""
+    return {effect_id: {p.name: np.array(p.off) for p in rig.effect(effect_id).parameters}}
+
+
+def companions(rig: Rig, effect_id: str) -> Values:
+    """The effects that this one modifies, at large values: without them it does nothing."""
+    return {
+        name: values for other in rig.effect(effect_id).modifies for name, values in large_values(rig, other).items()
+    }
+
+
+def bare(rig: Rig, num_sims: int, effect_id: str) -> Twin:
+    """A twin without the effect."""
+    return rig.twin(num_sims, companions(rig, effect_id))
+
+
+def switch_off(rig: Rig, num_sims: int, effect_id: str) -> Twin:
+    """A twin with the effect at its off value."""
+    return rig.twin(num_sims, companions(rig, effect_id) | off_values(rig, effect_id))
+
+
 def switch_on(rig: Rig, num_sims: int, effect_id: str, times: float | np.ndarray = 5.0) -> Twin:
     """A twin with an effect at a large value, `times` its size, possibly another in every simulation."""
-    twin = Twin(rig.spec, num_sims, active=[effect_id], num_threads=1)
-    for p in rig.effect(effect_id).parameters:
-        values = np.array([enlarge(p, t) for t in np.broadcast_to(times, num_sims)])
-        twin.set_parameter(effect_id, p.name, values)
-    return twin
+    return rig.twin(num_sims, companions(rig, effect_id) | large_values(rig, effect_id, times))

@@ -137,10 +137,14 @@ def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> st
     files = {inspect.getsourcefile(inspect.unwrap(f)) or "" for f in functions} | own_sources()
     for file in sorted(files):
         digest.update(Path(file).read_bytes() if Path(file).is_file() else b"")
-    for package in ("numba", "llvmlite", "mujoco", "numpy"):
-        digest.update(version(package).encode())
-    digest.update(sys.version.encode())
+    digest.update(versions().encode())
     return digest.hexdigest()[:20]
+
+
+@cache
+def versions() -> str:
+    """Versions of what compiles."""
+    return " ".join([*map(version, ("numba", "llvmlite", "mujoco", "numpy")), sys.version])
 
 
 COMPILED = ("effects/base.py", "actuators/*.py", "engine/*.py", "twin/step.py", "twin/friction.py", "twin/kernel.py",
