@@ -6,7 +6,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import compute_drag_torque
-from vpptwin.actuators.numbers import MotorNumbers, Number, RotorNumbers
+from vpptwin.actuators.numbers import MotorNumbers, Number, RotorNumbers, choose
 
 GOVERNOR_KP = 0.08
 """Speed feedback [V s/rad]; the paper gives none, this holds 4500 rpm within 2 % through full pitch steps."""
@@ -62,4 +62,4 @@ def hold_speed(
     grown = integral + dt * error
     throttle = (feed_forward + GOVERNOR_KP * error + GOVERNOR_KI * grown) / motor.battery
     clipped = np.minimum(np.maximum(throttle, 0.0), 1.0)
-    return clipped, np.where(throttle == clipped, grown, integral)
+    return clipped, choose(throttle == clipped, grown, integral)

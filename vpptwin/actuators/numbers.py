@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from pydantic import BaseModel
 
 from vpptwin.vehicle import Control, Motor, Rotor, Vehicle
@@ -16,6 +18,17 @@ MotorNumbers = Motor | Any
 ControlNumbers = Control | Any
 VehicleNumbers = Vehicle | Any
 """A section of the vehicle, or the record of it."""
+
+
+def choose(condition: Number, first: Number, second: Number) -> Number:
+    """`first` where the condition holds, else `second`: np.where, for which compiled code would allocate an array."""
+    return np.where(condition, first, second)
+
+
+@overload(choose, strict=False)
+def compile_choice(condition: Number, first: Number, second: Number) -> Callable[..., Number]:
+    """What `choose` of numbers compiles to."""
+    return lambda condition, first, second: first if condition else second
 
 
 def describe_section(section: type[BaseModel]) -> list[tuple[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba.extending import register_jitable
 
-from vpptwin.actuators.numbers import Number
+from vpptwin.actuators.numbers import Number, choose
 
 TINY = 1e-300
 """Stands for a time constant of zero, which would divide by zero [s]."""
@@ -37,7 +37,7 @@ def limit_rate(start: Number, end: Number, mean: Number, rate: Number, dt: float
     """Keep a move from `start` to `end` within `rate` [1/s]: its end and its mean over the step."""
     reach = rate * dt
     limited = np.minimum(np.maximum(end, start - reach), start + reach)
-    return limited, np.where(limited == end, mean, 0.5 * (start + limited))
+    return limited, choose(limited == end, mean, 0.5 * (start + limited))
 
 
 @register_jitable

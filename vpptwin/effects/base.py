@@ -28,8 +28,8 @@ class Stage(Enum):
     joint can muster against `motion.direction`; the engine room turns it into a force that sticks.
 
     Functions of the last three are compiled by numba and called with numbers. They use arithmetic and numpy functions
-    that take numbers and arrays alike (np.exp, np.minimum, np.where), so that they also run on arrays as they are.
-    Parameters arrive in the order of `Effect.parameters`. Functions keep no state.
+    that take numbers and arrays alike (np.exp, np.minimum; not np.where, which allocates), so that they also run on
+    arrays as they are. Parameters arrive in the order of `Effect.parameters`. Functions keep no state.
     """
 
     CONSTANT = "constant"
