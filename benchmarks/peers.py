@@ -136,7 +136,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; 1 if a simulator flies differently, else 0."""
     args = parse(argv)
-    vehicle = load_vehicle()
+    vehicle, circumstances = load_vehicle(), describe_machine()  # before this process adds to the load
     names = [name for name in SIMULATORS if name not in args.without]
     envs = dict.fromkeys(SIMULATORS, args.envs) | (QUICK_ENVS if args.quick else ENVS)
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
@@ -144,9 +144,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         ready, rows = prepare(names, envs, rig, vehicle, args.seed, stack)
         run_rounds(ready, rows, vehicle, args)
     print(format_table(rows))
+    machine = circumstances["machine"]
+    print(f"\n{machine['cpu']}, {machine['cores']} cores; load average before the start {machine['load_average']:.1f}")
     if args.json:
         tolerance = {"position_m": POSITION_TOLERANCE, "angle_rad": ANGLE_TOLERANCE, "after_s": CHECK_STEPS / 100}
-        result = describe_machine() | {
+        result = circumstances | {
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "seed": args.seed, "rounds": args.rounds, "seconds": args.seconds, "friction_n": FRICTION,
             "tolerance": tolerance, "rows": rows,

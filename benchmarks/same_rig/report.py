@@ -13,7 +13,7 @@ PACKAGES = ("mujoco", "numpy", "numba", "torch", "torchrl", "tensordict", "gymna
 
 
 def describe_machine() -> dict:
-    """Processor, cores, system and versions."""
+    """Processor, cores, system, processes that wanted a core in the last minute, versions."""
     cpu = [
         line.split(":")[1].strip() for line in read_text("/proc/cpuinfo").splitlines() if line.startswith("model name")
     ]
@@ -26,7 +26,12 @@ def describe_machine() -> dict:
     commit = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
     ).stdout.strip()
-    machine = {"cpu": cpu[0] if cpu else platform.processor(), "cores": os.cpu_count(), "system": platform.platform()}
+    machine = {
+        "cpu": cpu[0] if cpu else platform.processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "load_average": os.getloadavg()[0],
+    }
     return {"machine": machine, "versions": versions, "commit": commit or None}
 
 
