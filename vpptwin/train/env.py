@@ -163,9 +163,7 @@ class VppEnv(EnvBase):
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
         truncated = (episodes.elapsed > task.episode - 0.5 * self._period) & ~terminated
-        result = self._pack(terminated, truncated)
-        result["reward"] = as_column(reward)
-        return result
+        return self._pack(terminated, truncated, reward)
 
     def _fly(self, command: np.ndarray) -> np.ndarray:
         """Advance the twin under commands (N, 2) [N, rad/s]; tell which rows diverged and began anew, (N,) bool."""
@@ -190,20 +188,21 @@ class VppEnv(EnvBase):
             episodes.target[ids, 2] = target.draw_other_angle(self.rng, episodes.target[ids, 2])
             episodes.switch[ids] += target.draw_dwell(self.rng, len(ids))
 
-    def _pack(self, terminated: np.ndarray, truncated: np.ndarray) -> TensorDict:
-        """Fresh tensors of what an agent sees now."""
-        error = np.linalg.norm((self.episodes.target - self.state.qpos)[:, :2], axis=1)
-        return TensorDict(
-            {
-                "observation": torch.from_numpy(self.episodes.observation.copy()),
-                "position_error": as_column(error),
-                "episode_return": as_column(self.episodes.total),
-                "terminated": torch.from_numpy(terminated[:, None].copy()),
-                "truncated": torch.from_numpy(truncated[:, None].copy()),
-                "done": torch.from_numpy((terminated | truncated)[:, None]),
-            },
-            batch_size=self.batch_size,
-        )
+    def _pack(self, terminated: np.ndarray, truncated: np.ndarray, reward: np.ndarray | None = None) -> TensorDict:
+        """Fresh tensors of what an agent sees now, with the reward after a step."""
+        delta = self.episodes.target - self.state.qpos
+        seen = {
+            "observation": torch.from_numpy(self.episodes.observation.copy()),
+            "position_error": as_column(np.hypot(delta[:, 0], delta[:, 1])),
+            "episode_return": as_column(self.episodes.total),
+            "terminated": torch.from_numpy(terminated[:, None].copy()),
+            "truncated": torch.from_numpy(truncated[:, None].copy()),
+            "done": torch.from_numpy((terminated | truncated)[:, None]),
+        }
+        if reward is not None:
+            seen["reward"] = as_column(reward)
+        # TorchRL would copy it all once more if it did not say where it is.
+        return TensorDict(seen, batch_size=self.batch_size, device=self.device)
 
 
 def as_column(values: np.ndarray) -> torch.Tensor:
