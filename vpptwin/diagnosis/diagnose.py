@@ -26,6 +26,9 @@ TEMPER = 4.0
 """Cost differences are divided by this before they become probabilities: the noise is not exactly what is assumed."""
 SIGMAS_HELD_OUT = 2.0
 """Standard errors by which a cause must improve the held-out windows."""
+STRONG = 10.0 * BAR
+"""Drop in cost on the fitted windows beyond which one standard error is enough: a dozen held-out windows with a few wild
+ones among them cannot outvote that, but they must not speak against it."""
 POWERLESS = 50.0
 """Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
 then named on twice the evidence, unless they speak against it."""
@@ -145,7 +148,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str) -> bool
     gain, error = improvement((before**2).sum(axis=1), (after**2).sum(axis=1))
     if ((before - after) ** 2).sum() < POWERLESS:
         return step.drop(effect) > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
-    return gain > SIGMAS_HELD_OUT * error
+    return gain > (1.0 if step.drop(effect) > STRONG else SIGMAS_HELD_OUT) * error
 
 
 def find_rivals(search: Search, fit: Fit, effect: str) -> list[Rival]:

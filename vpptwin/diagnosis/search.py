@@ -103,7 +103,8 @@ class Search:
         steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
-            variations.append(Variation({**values, self.unknowns[i].key: float(at[i] + step)}))
+            moved = self.unknowns[i].parameter.clip(at[i] + step)  # rounding may lead past a bound
+            variations.append(Variation({**values, self.unknowns[i].key: float(moved)}))
         predicted = self.bench.predict(variations)
         residual = np.where(self.bench.valid, self.bench.measured - predicted[0], 0.0)
         slopes = np.where(self.bench.valid, predicted[1:] - predicted[0], 0.0) / steps[:, None, None]

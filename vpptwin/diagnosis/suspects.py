@@ -37,8 +37,12 @@ class Unknown:
         return size if self.nominal + size <= self.parameter.high else -size
 
     def step_from(self, value: float) -> float:
-        """Secant step from a value other than the nominal."""
-        return self.step if self.parameter.low <= value + self.step <= self.parameter.high else -self.step
+        """Secant step from a value other than the nominal, shortened where neither way has room for all of it."""
+        low, high = self.parameter.low, self.parameter.high
+        for step in (self.step, -self.step):
+            if low <= value + step <= high:
+                return step
+        return high - value if high - value > value - low else low - value
 
 
 def list_unknowns(spec: TwinSpec) -> tuple[Unknown, ...]:

@@ -5,11 +5,16 @@ Each effect raises or scales the level that the joint can muster against its mot
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vpptwin.effects.base import Effect, Motion, Stage
 from vpptwin.effects.joint import JOINT_SHOWS, Place
 from vpptwin.effects.parameter import Parameter, Prior
+
+BREAKAWAY = 0.25
+"""Share of its friction by which a well-built joint's breakaway exceeds it."""
 
 
 def apply_coulomb(level: float, motion: Motion, /, force: float) -> float:
@@ -42,6 +47,7 @@ def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Breakaway friction on a joint, with the Stribeck curve that leads down to sliding friction F_c."""
     unit, speed, typical = ("N m", "rad/s", 0.2) if place.rotary else ("N", "m/s", 0.05)
     force = place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
+    force = replace(force, tolerance=BREAKAWAY * force.tolerance)
     prior = Prior("normal", typical, 0.2 * typical)
     velocity = Parameter(
         "velocity", speed, typical, 0.1 * typical, 10.0 * typical, prior, 0.4 * typical, 10.0 * typical
