@@ -87,6 +87,20 @@ def test_servo_step_is_exact_between_milliseconds() -> None:
     np.testing.assert_allclose(pitch, expected, atol=1e-12)
 
 
+def test_late_command_waits_before_a_limited_servo_moves() -> None:
+    """Until it arrives, amid a millisecond, the blade stands; then it follows at its rate less the play."""
+    effects = {
+        "command.delay": {"delay": 0.0073},
+        "servo.rate_limit": {"rate": 2.0},
+        "servo.backlash": {"gap": 0.01},
+    }
+    servo = Servo(Rig([effects], [None]), np.zeros((2, 1)))
+    pitch = np.array([servo.advance(np.full((2, 1), 0.2))[:, 0, 0] for _ in range(60)])
+    time = np.arange(60)[:, None] * 0.001 + NODES
+    # The lag of 20 ms alone would be faster than 2 rad/s until 0.04 rad are left, after 80 ms.
+    np.testing.assert_allclose(pitch, np.maximum(2.0 * (time - 0.0073) - 0.005, 0.0), atol=1e-12)
+
+
 SIDE = 0.6  # N, horizontal part of the thrust
 SIDE_THRUST, SIDE_ANGLE = math.hypot(SIDE, WEIGHT), -math.atan2(SIDE, WEIGHT)
 

@@ -32,9 +32,9 @@ class Servo:
         self.rate = hidden.get("servo.rate_limit", "rate")
         self.gap = hidden.get("servo.backlash", "gap") / 2
         self.limited = hidden.any("servo.rate_limit", "servo.backlash")
-        self.spans = np.diff(nodes, prepend=0.0)
-        starts = (nodes - self.spans)[:, None]
-        self.increments = self._solve(self.spans[:, None], np.maximum(switch - starts, 0.0), rig.servo_lag)
+        spans = np.diff(nodes, prepend=0.0)[:, None]
+        earlier = np.clip(switch - (nodes[:, None] - spans), 0.0, spans)  # of each span, until the new command arrives
+        self.moves = [(span[:, None], np.exp(-span / rig.servo_lag)[:, None]) for span in (earlier, spans - earlier)]
 
     @staticmethod
     def _solve(time: np.ndarray, switch: np.ndarray, lag: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -71,10 +71,11 @@ class Servo:
 
     def _advance_limited(self, earlier: np.ndarray, command: np.ndarray) -> np.ndarray:
         path = np.empty((len(NODES), *command.shape))
-        for node, (keep, first, second, span) in enumerate(zip(*self.increments, self.spans)):
-            reach = self.rate * span
-            wanted = keep * self.horn + first * earlier + second * command
-            self.horn = self.horn + np.clip(wanted - self.horn, -reach, reach)
+        moves = list(zip((earlier, command), self.moves))[0 if self.delayed else 1 :]
+        for node in range(len(NODES)):
+            for target, (span, keep) in moves:
+                reach = self.rate * span[node]
+                self.horn = self.horn + np.clip((1 - keep[node]) * (target - self.horn), -reach, reach)
             self.blade = np.clip(self.blade, self.horn - self.gap, self.horn + self.gap)
             path[node] = self.blade
         return path
