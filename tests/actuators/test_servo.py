@@ -12,12 +12,18 @@ from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_
 DT = 0.001
 
 
+def mean_arriving(history: np.ndarray, newest: int, delay: float) -> float:
+    """Mean over the coming step of a command that arrives `delay` [s] late."""
+    older, newer, late = read_delayed(history, newest, delay, DT)
+    return late * older + (1.0 - late) * newer
+
+
 def delay_series(commands: np.ndarray, delay: float, depth: int = 8) -> np.ndarray:
     """Send commands (n,), one a step, through a delay line that rested at zero: what arrives, (n,)."""
     history, arrived = np.zeros(depth), []
     for k, command in enumerate(commands):
         history[k % depth] = command
-        arrived.append(read_delayed(history, k % depth, delay, DT))
+        arrived.append(mean_arriving(history, k % depth, delay))
     return np.array(arrived)
 
 
@@ -152,5 +158,5 @@ def test_ring_starts_anywhere() -> None:
     for newest in range(7):
         history = np.empty(7)
         history[(newest - np.arange(7)) % 7] = commands
-        arrived.add(read_delayed(history, newest, 0.0034, DT))
+        arrived.add(mean_arriving(history, newest, 0.0034))
     assert arrived == {commands[3] * (1.0 - (3.4 - 3)) + commands[4] * (3.4 - 3)}

@@ -24,7 +24,6 @@ CASES = [
     if not (model == "vpp_planar" and case in ON_THE_RIG)
 ]
 # The twin limits the rate of the mean of two commands where one arrives amid a step: the blade starts early.
-LATE_AND_LIMITED = pytest.mark.xfail(strict=True, reason="command.delay and servo.rate_limit together")
 Fly = Callable[[str, str], Comparison]
 FlyWrong = Callable[[str], np.ndarray]
 
@@ -70,9 +69,7 @@ def test_every_effect_on_the_motion_is_compared(specs: dict[str, TwinSpec]) -> N
         assert ours == set(DYNAMIC) - set(missing)
 
 
-@pytest.mark.parametrize(
-    ("model", "case"), [pytest.param(*pair, marks=LATE_AND_LIMITED) if pair[1] == "all" else pair for pair in CASES]
-)
+@pytest.mark.parametrize(("model", "case"), CASES)
 def test_twin_agrees_with_an_independent_integrator(fly: Fly, model: str, case: str) -> None:
     """From random states under random blade pitch and throttle both fly alike, but for what their steps explain."""
     comparison, count = fly(model, case), (WHOLE if case in WHOLE[0] else SINGLE)[2]

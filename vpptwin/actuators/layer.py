@@ -33,6 +33,7 @@ def layer_dtype(actuators: int, depth: int) -> np.dtype:
         history: ring of commands on their way, (depth, nu).
         newest: index of the last one.
         rotor_speed: (nu,) rad/s; zero on other rigs.
+        mean_speed: its mean over the last step, (nu,), which thrust goes by.
         governor: integral of the speed error, (nu,) rad.
         throttle: last throttle, (nu,), 0..1.
         gyro: low-passed rate [rad/s].
@@ -43,7 +44,7 @@ def layer_dtype(actuators: int, depth: int) -> np.dtype:
             *((name, *pair) for name in ("horn", "blade", "output", "mean")),
             ("history", np.float64, (depth, actuators)),
             ("newest", np.int64),
-            *((name, *pair) for name in ("rotor_speed", "governor", "throttle")),
+            *((name, *pair) for name in ("rotor_speed", "mean_speed", "governor", "throttle")),
             ("gyro", np.float64),
         ]
     )
@@ -117,13 +118,19 @@ def push_commands(state: Record) -> None:
 @register_jitable
 def move_actuator(state: Record, constants: Record, i: int, command: float, dt: float) -> None:
     """Delay, lag limited in rate, play and trim: actuator i follows the command issued now for one step."""
-    arriving = command
+    lag, rate, start = constants["actuator.time_constant"][i], constants["actuator.rate_limit"][i], state.horn[i]
+    arriving, part, late = command, 0.0, 0.0
     if state.history.shape[0] > 0:
         state.history[state.newest, i] = command
-        arriving = read_delayed(state.history[:, i], state.newest, constants["actuator.delay"][i], dt)
-    start = state.horn[i]
-    end, mean = step_lag(start, arriving, constants["actuator.time_constant"][i], dt)
-    end, mean = limit_rate(start, end, mean, constants["actuator.rate_limit"][i], dt)
+        older, arriving, part = read_delayed(state.history[:, i], state.newest, constants["actuator.delay"][i], dt)
+        if part > 0.0:  # until the new command arrives
+            begin = start
+            start, late = step_lag(begin, older, lag, part * dt)
+            start, late = limit_rate(begin, start, late, rate, part * dt)
+    rest = (1.0 - part) * dt
+    end, mean = step_lag(start, arriving, lag, rest)
+    end, mean = limit_rate(start, end, mean, rate, rest)
+    mean = part * late + (1.0 - part) * mean
     gap, trim = constants["actuator.gap"][i], constants["actuator.trim"][i]
     state.horn[i] = end
     state["mean"][i] = take_up_play(state.blade[i], mean, gap) + trim
@@ -136,9 +143,10 @@ def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int
     """Advance the speed of rotor i under its throttle, at `time` [s] since the battery was full."""
     sagged = np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
     voltage = state.throttle[i] * vehicle.motor.battery * sagged
-    state.rotor_speed[i] = step_speed(
-        vehicle.motor, vehicle.rotor, state.rotor_speed[i], state.output[i], voltage, constants["rotor.drag_gain"], dt
-    )
+    before, pitch = state.rotor_speed[i], state["mean"][i]
+    after = step_speed(vehicle.motor, vehicle.rotor, before, pitch, voltage, constants["rotor.drag_gain"], dt)
+    state.rotor_speed[i] = after
+    state.mean_speed[i] = 0.5 * (before + after)
 
 
 @register_jitable

@@ -30,13 +30,21 @@ def step_speed(
     drag_gain: Number,
     dt: float,
 ) -> Number:
-    """Rotor speed [rad/s] after dt [s]: I ω̇ = (i - i_0)/k_Q - D (paper Eq. 6), voltage [V] held.
+    """Rotor speed [rad/s] after dt [s] by the midpoint rule, voltage [V] held, at the mean blade pitch of the step.
 
-    `drag_gain` multiplies the drag torque D.
+    `drag_gain` multiplies the drag torque.
     """
+    middle = speed + 0.5 * dt * accelerate_rotor(motor, rotor, speed, pitch, voltage, drag_gain)
+    return np.maximum(speed + dt * accelerate_rotor(motor, rotor, middle, pitch, voltage, drag_gain), 0.0)
+
+
+@register_jitable
+def accelerate_rotor(
+    motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch: Number, voltage: Number, drag_gain: Number
+) -> Number:
+    """Acceleration of a rotor [rad/s²]: I ω̇ = (i - i_0)/k_Q - D (paper Eq. 6)."""
     torque = (compute_current(motor, voltage, speed) - motor.no_load_current) / motor.k_q
-    drag = drag_gain * compute_drag_torque(rotor, speed, pitch)
-    return np.maximum(speed + dt * (torque - drag) / rotor.inertia, 0.0)
+    return (torque - drag_gain * compute_drag_torque(rotor, speed, pitch)) / rotor.inertia
 
 
 @register_jitable

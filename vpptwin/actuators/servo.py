@@ -47,17 +47,19 @@ def take_up_play(blade: Number, horn: Number, gap: Number) -> Number:
 
 
 @register_jitable
-def read_delayed(history: np.ndarray, newest: int, delay: float, dt: float) -> float:
-    """Mean over the coming step of a held command that arrives `delay` [s] late.
+def read_delayed(history: np.ndarray, newest: int, delay: float, dt: float) -> tuple[float, float, float]:
+    """What a command that arrives `delay` [s] late is in the coming step: first the older one, then the newer one.
 
-    The command was piecewise constant, so its mean over one step is the interpolation between two neighbours: delays
-    are not rounded to whole steps.
+    Delays are not rounded to whole steps: the newer one arrives within the step.
 
     Args:
         history: ring of commands, (depth,).
         newest: index of the one issued now.
         delay: s, at most (depth - 2) dt.
         dt: step [s].
+
+    Returns:
+        The older command, the newer one, and the share of the step until it arrives, 0 to 1.
     """
     depth = len(history)
     steps = delay / dt
@@ -65,4 +67,4 @@ def read_delayed(history: np.ndarray, newest: int, delay: float, dt: float) -> f
     part = steps - whole
     newer = history[(newest - whole) % depth]
     older = history[(newest - whole - 1) % depth]
-    return newer * (1.0 - part) + older * part
+    return older, newer, part

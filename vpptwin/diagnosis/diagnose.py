@@ -27,8 +27,8 @@ TEMPER = 4.0
 SIGMAS_HELD_OUT = 2.0
 """Standard errors by which a cause must improve the held-out windows."""
 STRONG = 10.0 * BAR
-"""Drop in cost on fitted windows beyond which one standard error is enough: a dozen held-out windows, a few of them wild,
-cannot outvote that, but they must not speak against it."""
+"""Drop in cost on fitted windows beyond which one standard error is enough: a dozen held-out windows, a few of them
+wild, cannot outvote that, but they must not speak against it."""
 POWERLESS = 50.0
 """Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
 then named on twice the evidence, unless they speak against it."""

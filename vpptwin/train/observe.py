@@ -47,11 +47,14 @@ def observe(
     """
     delta = target - pose
     angle, target_angle = delta[:, 2], target[:, 2]
-    columns = [
+    columns = (
         delta[:, 0], delta[:, 1], velocity[:, 0], velocity[:, 1], np.sin(angle), np.cos(angle), velocity[:, 2],
         integral[:, 0], integral[:, 1], np.sin(target_angle), np.cos(target_angle),
-    ]  # fmt: skip
-    return np.stack(columns[: observation_size(paper_inputs)], axis=1).astype(np.float32)
+    )  # fmt: skip
+    seen = np.empty((len(pose), observation_size(paper_inputs)), np.float32)
+    for i in range(seen.shape[1]):
+        seen[:, i] = columns[i]
+    return seen
 
 
 def observation_size(paper_inputs: bool = False) -> int:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numba import njit
 
 from vpptwin.effects import Effect
 from vpptwin.vehicle import Vehicle
@@ -146,12 +147,19 @@ def start_sensors(pose: np.ndarray, velocity: np.ndarray, depth: int, period: fl
 
 def record_poses(state: SensorState, pose: np.ndarray, velocity: np.ndarray) -> None:
     """Take down the present pose and velocity, (N, 3) each, in place of the oldest."""
-    if state.depth == 0:
-        return
-    rows = np.arange(len(pose))
-    state.newest[:] = (state.newest + 1) % state.depth
-    state.pose[rows, state.newest] = pose
-    state.velocity[rows, state.newest] = velocity
+    if state.depth:
+        _record_poses(state.pose, state.velocity, state.newest, pose, velocity)
+
+
+@njit(cache=True)
+def _record_poses(
+    poses: np.ndarray, velocities: np.ndarray, newest: np.ndarray, pose: np.ndarray, velocity: np.ndarray
+) -> None:
+    for i in range(len(newest)):
+        newest[i] = (newest[i] + 1) % poses.shape[1]
+        for j in range(3):
+            poses[i, newest[i], j] = pose[i, j]
+            velocities[i, newest[i], j] = velocity[i, j]
 
 
 def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -169,19 +177,34 @@ def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.nd
     Returns:
         Pose (N, 3) m, m, rad and velocity (N, 3) m/s, m/s, rad/s.
     """
-    rows, last = np.arange(len(age)), state.depth - 1
-    steps = np.clip(age / period, 0.0, last)
-    whole = np.minimum(steps.astype(np.intp), max(last - 1, 0))
-    newer = (state.newest - whole) % state.depth
-    older = (newer - 1) % state.depth if last else newer
-    p_0, p_1 = state.pose[rows, newer], state.pose[rows, older]
-    v_0, v_1 = state.velocity[rows, newer], state.velocity[rows, older]
-    u = (steps - whole)[:, None]
-    rest = 1.0 - u
-    pose = (1.0 + 2.0 * u) * rest * rest * p_0 + u * u * (3.0 - 2.0 * u) * p_1
-    pose += period * u * rest * (u * v_1 - rest * v_0)
-    velocity = rest * (1.0 - 3.0 * u) * v_0 + u * (3.0 * u - 2.0) * v_1 + 6.0 * u * rest * (p_0 - p_1) / period
+    pose, velocity = np.empty((len(age), 3)), np.empty((len(age), 3))
+    _look_back(state.pose, state.velocity, state.newest, age, period, pose, velocity)
     return pose, velocity
+
+
+@njit(cache=True)
+def _look_back(
+    poses: np.ndarray, velocities: np.ndarray, newest: np.ndarray, age: np.ndarray, period: float,
+    pose: np.ndarray, velocity: np.ndarray,
+) -> None:  # fmt: skip
+    depth = poses.shape[1]
+    for i in range(len(newest)):
+        steps = min(max(age[i] / period, 0.0), depth - 1.0)
+        whole = min(int(steps), max(depth - 2, 0))
+        newer, older = (newest[i] - whole) % depth, (newest[i] - min(whole + 1, depth - 1)) % depth
+        u = steps - whole
+        rest = 1.0 - u
+        for j in range(3):
+            p_0, p_1, v_0, v_1 = (
+                poses[i, newer, j],
+                poses[i, older, j],
+                velocities[i, newer, j],
+                velocities[i, older, j],
+            )
+            pose[i, j] = (1.0 + 2.0 * u) * rest * rest * p_0 + u * u * (3.0 - 2.0 * u) * p_1
+            pose[i, j] += period * u * rest * (u * v_1 - rest * v_0)
+            velocity[i, j] = rest * (1.0 - 3.0 * u) * v_0 + u * (3.0 * u - 2.0) * v_1
+            velocity[i, j] += 6.0 * u * rest * (p_0 - p_1) / period
 
 
 def read_sensors(

@@ -133,21 +133,23 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     move_actuator(layer, constants, 1, pitch_2, dt)
     for i in range(2):
         if len(tape.speed) > 0:
-            layer.rotor_speed[i] = tape.speed[k, i]
+            layer.rotor_speed[i] = layer.mean_speed[i] = tape.speed[k, i]
         elif len(tape.throttle) > 0 or tape.policy:
             if len(tape.throttle) > 0:
                 layer.throttle[i] = tape.throttle[k, i]
             spin_rotor(vehicle, layer, constants, i, view.time, dt)
+        else:
+            layer.mean_speed[i] = layer.rotor_speed[i]
 
     craft = Craft(
         view.qpos[X], view.qpos[Z], view.qvel[X], view.qvel[Z], view.qvel[PITCH],
         np.sin(view.qpos[PITCH]), np.cos(view.qpos[PITCH]), vehicle.airframe.half_length,
-        layer.rotor_speed[0], layer.rotor_speed[1], view.time,
+        layer.mean_speed[0], layer.mean_speed[1], view.time,
     )  # fmt: skip
     climb = craft.v_z * craft.cosine - craft.v_x * craft.sine
     for i in range(2):
         side = 2.0 * i - 1.0
-        rotor = Rotor(side, layer.rotor_speed[i], layer["mean"][i], craft.z, climb + side * craft.arm * craft.rate)
+        rotor = Rotor(side, layer.mean_speed[i], layer["mean"][i], craft.z, climb + side * craft.arm * craft.rate)
         thrust = compute_thrust(vehicle.rotor, rotor.speed, rotor.pitch)
         thrust = shape_thrust(rig.active, row.parameters, thrust, rotor)
         view.ctrl[i] = limit_control(constants, i, thrust)

@@ -68,7 +68,7 @@ class Twin:
         self._dry = np.array(model.dof_frictionloss)
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        depth = delay_depth(self.effects.values(), self.dt)
+        depth = delay_depth(spec.catalogue, self.dt)
         self._kernel = compile_kernel(model, spec.catalogue, spec.vehicle is not None, depth)
         self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
@@ -163,7 +163,7 @@ class Twin:
         layer = np.zeros(n, self._kernel.layer)
         layer["output"] = layer["mean"] = self._constants.table["actuator.trim"][rows]
         if self.spec.vehicle is not None:
-            layer["rotor_speed"] = self.spec.vehicle.rotor.speed
+            layer["rotor_speed"] = layer["mean_speed"] = self.spec.vehicle.rotor.speed
         return TwinState(
             time=np.array(np.broadcast_to(time, n), dtype=float),
             qpos=np.array(np.broadcast_to(start if qpos is None else qpos, (n, model.nq)), dtype=float),
