@@ -7,19 +7,15 @@ import pytest
 
 from vpptwin.effects import CATALOGUE
 from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.past import SensorState, history_depth, look_back, record_poses, start_sensors
 from vpptwin.twin.sensors import (
     PERFECT,
-    SensorState,
     age_of_pose,
-    history_depth,
-    look_back,
     measure_pose,
     measure_rate,
     measure_velocity,
     perfect_sensors,
-    record_poses,
     sensor_noise,
-    start_sensors,
 )
 from vpptwin.vehicle import load_vehicle
 

@@ -20,7 +20,8 @@ from vpptwin.train.reward import compute_reward
 from vpptwin.train.tasks import Task
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
-from vpptwin.twin.sensors import history_depth, read_sensors, record_poses, sensor_noise, start_sensors
+from vpptwin.twin.past import history_depth, record_poses, start_sensors
+from vpptwin.twin.sensors import read_sensors, sensor_noise
 from vpptwin.twin.spec import check_effects
 
 Rows = np.ndarray | slice

@@ -12,7 +12,7 @@ import torch
 from vpptwin.train.env import VppEnv
 from vpptwin.train.episodes import Episodes
 from vpptwin.twin import TwinState
-from vpptwin.twin.sensors import SensorState
+from vpptwin.twin.past import SensorState
 
 
 def take_snapshot(env: VppEnv) -> dict[str, Any]:
