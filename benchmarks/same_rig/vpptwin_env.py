@@ -43,7 +43,9 @@ class TwinRigs:
     """`VppEnv` on the nominal twin; the rig's file is its own, so `rig` is not read."""
 
     title = "vpptwin VppEnv"
-    leaves_out = "nothing that the others have; besides 11 observations with error integral, shaped reward, non-finite guard"
+    leaves_out = (
+        "nothing that the others have; besides 11 observations with error integral, shaped reward, non-finite guard"
+    )
     controlled = True
     workers = 0
 
