@@ -91,7 +91,7 @@ def fly_plain(twin: Twin, state: TwinState, inputs: Inputs) -> TwinState:
         with called_by_engine(partial(step, rig, row, tape)):
             mujoco.mj_step(own, data, inputs.steps)
         result.time[i], result.qpos[i], result.qvel[i] = data.time, data.qpos, data.qvel
-        result.warmstart[i], result.memory[i, 1:] = data.qacc_warmstart, data.qfrc_constraint
+        result.warmstart[i], result.memory[i, 2:] = data.qacc_warmstart, data.qfrc_constraint
     return result
 
 

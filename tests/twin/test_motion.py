@@ -7,15 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
-from vpptwin.vehicle import load_vehicle
-
-X, Z, PITCH = 0, 1, 2
-SPEC = load_twin()
-VEHICLE = load_vehicle()
-WEIGHT = (VEHICLE.airframe.mass + VEHICLE.rig.slider_mass) * VEHICLE.gravity
-MASS_X = VEHICLE.airframe.mass + VEHICLE.rig.slider_mass + VEHICLE.rig.carriage_mass
-BLADE_PER_NEWTON = 1.0 / (VEHICLE.rotor.k_t * VEHICLE.rotor.speed)
+from tests.twin.hover import (
+    BLADE_PER_NEWTON,
+    MASS_X,
+    PITCH,
+    SPEC,
+    VEHICLE,
+    WEIGHT,
+    X,
+    Z,
+    coast,
+    place,
+)
+from vpptwin.twin import Twin, TwinSpec, load_twin
 
 
 @pytest.fixture(scope="module")
@@ -24,26 +28,6 @@ def planar(tmp_path_factory: pytest.TempPathFactory) -> TwinSpec:
     path: Path = tmp_path_factory.mktemp("planar") / "twin.yaml"
     path.write_text("model: vpp_planar.xml\nvehicle: vehicle.yaml\n")
     return load_twin(path)
-
-
-def place(
-    twin: Twin, pose: np.ndarray | None = None, velocity: np.ndarray | None = None, thrust: float = 0.0
-) -> TwinState:
-    """A state at a pose and velocity at one time, (N, 3), the blades already where they give `thrust` [N] in all."""
-    pose = np.array([[0.0, 1.0, 0.0]]) if pose is None else pose
-    velocity = np.zeros_like(pose) if velocity is None else velocity
-    state = twin.initial_state(qpos=twin.pose_for_engine(pose, velocity), qvel=velocity)
-    for name in ("horn", "blade", "output", "mean", "history"):
-        state.actuators[name] = 0.5 * thrust * BLADE_PER_NEWTON
-    return state
-
-
-def coast(twin: Twin, state: TwinState, seconds: float, thrust: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and velocities after every step, (N, steps, 3), under blades that ask for `thrust` [N] in all."""
-    steps = round(seconds / twin.dt)
-    commands = np.full((twin.num_sims, steps, 2), 0.5 * thrust * BLADE_PER_NEWTON)
-    _, qpos, qvel = twin.replay_commands(state, commands)
-    return twin.pose_at_time(qpos, qvel), qvel
 
 
 @pytest.mark.parametrize(("angle", "thrust"), [(0.0, WEIGHT), (np.pi, -WEIGHT)], ids=["upright", "inverted"])

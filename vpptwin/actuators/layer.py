@@ -140,8 +140,8 @@ def move_actuator(state: Record, constants: Record, i: int, command: float, dt: 
 
 @register_jitable
 def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int, time: float, dt: float) -> None:
-    """Advance the speed of rotor i under its throttle, at `time` [s] since the battery was full."""
-    sagged = np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
+    """Advance the speed of rotor i under its throttle, from `time` [s] since the battery was full."""
+    sagged = np.maximum(1.0 - constants["battery.sag"] * (time + 0.5 * dt), 0.0)
     voltage = state.throttle[i] * vehicle.motor.battery * sagged
     before, pitch = state.rotor_speed[i], state["mean"][i]
     after = step_speed(vehicle.motor, vehicle.rotor, before, pitch, voltage, constants["rotor.drag_gain"], dt)

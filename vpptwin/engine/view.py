@@ -26,7 +26,8 @@ class View(NamedTuple):
         qfrc_bias: (nv,).
         qacc_warmstart: acceleration of the last step, (nv,).
         qfrc_constraint: of the last step, (nv,).
-        touching: whether a constraint is active.
+        constraints: how many are active, rows of contacts, end stops and equalities.
+        colliding: whether a contact is.
         inertia, row_length, row_start, column: the sparse joint-space inertia.
         dof_damping: (nv,).
         dof_armature: (nv,).
@@ -50,7 +51,8 @@ class View(NamedTuple):
     qfrc_bias: np.ndarray
     qfrc_constraint: np.ndarray
     qacc_warmstart: np.ndarray
-    touching: bool
+    constraints: int
+    colliding: bool
     inertia: np.ndarray
     row_length: np.ndarray
     row_start: np.ndarray
@@ -119,7 +121,12 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
     fields = {name: getattr(model, field) for name, (field, *_) in MODEL_ARRAYS.items()}
     fields |= {name: getattr(data, field) for name, (field, *_) in DATA_ARRAYS.items()}
     return View(
-        time=data.time, timestep=model.opt.timestep, touching=data.nefc > 0, gravity=model.opt.gravity, **fields
+        time=data.time,
+        timestep=model.opt.timestep,
+        constraints=data.nefc,
+        colliding=data.ncon > 0,
+        gravity=model.opt.gravity,
+        **fields,
     )
 
 

@@ -43,7 +43,8 @@ def control(m, d):
     context = carray(pointer_to(marks[1]), (1,), CONTEXT)[0]
     i = marks[2]
     model_numbers, data_numbers = carray(m, ({model_words},), np.float64), carray(d, ({data_words},), np.float64)
-    touching = carray(d, ({data_words} * 2,), np.int32)[{nefc}] > 0
+    data_halves = carray(d, ({data_words} * 2,), np.int32)
+    constraints, colliding = data_halves[{nefc}], data_halves[{ncon}] > 0
     gravity = model_numbers[{gravity} : {gravity} + 3]
     view = View(
         data_numbers[{time}], model_numbers[{timestep}],
@@ -53,7 +54,7 @@ def control(m, d):
         carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
         carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
         float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
-        float64_at(context.memory + (1 + {nv}) * 8 * i, 1 + {nv}),
+        float64_at(context.memory + (2 + {nv}) * 8 * i, 2 + {nv}),
         float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
     )
     steps = context.steps
@@ -138,6 +139,7 @@ def write_entry(model: mujoco.MjModel, pipeline: Pipeline, drone: bool) -> str:
         "nuserdata": model_offset("nuserdata") // 8,
         "userdata": data_offset("userdata") // 8,
         "nefc": data_offset("nefc") // 4,
+        "ncon": data_offset("ncon") // 4,
         "gravity": model_offset("opt.gravity") // 8,
         "timestep": model_offset("opt.timestep") // 8,
         "time": data_offset("time") // 8,
@@ -164,7 +166,7 @@ def write_view(model: mujoco.MjModel) -> str:
     for name in View._fields:
         if name in ("time", "timestep"):
             continue
-        if name in ("touching", "gravity"):
+        if name in ("constraints", "colliding", "gravity"):
             lines.append(f"        {name},")
             continue
         table, offset, struct = (

@@ -18,7 +18,7 @@ class TwinState:
         qpos: generalized positions, (N, nq) m, rad; x, z, θ on the drone.
         qvel: generalized velocities, (N, nv) m/s, rad/s.
         warmstart: accelerations of the last step, (N, nv): the constraint solver starts from them.
-        memory: force on the carriage in the last step [N], then the constraints' forces in it, (N, 1 + nv).
+        memory: of the last step the force on the carriage [N], the number of constraints, their forces, (N, 2 + nv).
         actuators: state of the actuator layer, (N,) records of `vpptwin.actuators.layer.layer_dtype`.
     """
 

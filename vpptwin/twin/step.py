@@ -35,7 +35,7 @@ class Row(NamedTuple):
         layer: state of the actuators, a record of `layer_dtype`.
         constants: a record of `constants_dtype`.
         parameters: of the effects that act every step, (P,).
-        memory: force on the carriage in the last step [N], then constraint forces of the last step, (1 + nv,).
+        memory: of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,).
         scratch: room for forces, friction levels, friction and inertia, (5 + 2 nv, nv).
     """
 
@@ -157,6 +157,8 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     load = 0.0
     if rig.carriage >= 0:
         load = row.memory[0] - view.body_mass[rig.carriage] * view.qacc_warmstart[X]
+        if not view.colliding:  # then it is an end stop of the rail that holds, which acts on the carriage
+            load += last_constraint(view, row, k, X)
     lever = (craft.z - vehicle.rig.rail_height) / vehicle.rig.bearing_spacing
     force = row.scratch[0]
     force[:] = 0.0
@@ -202,11 +204,18 @@ def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
 
 
 @register_jitable(forceinline=True)
+def last_constraint(view: View, row: Row, k: int, i: int) -> float:
+    """Force of the constraints on degree of freedom i in the step before step k [N, N m]."""
+    return row.memory[2 + i] if k == 0 else view.qfrc_constraint[i]
+
+
+@register_jitable(forceinline=True)
 def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     """Add dry friction, where something rubs, to the forces in `scratch[0]`, and hand them to the engine.
 
     Friction answers to every other force. Those of contacts, limits and equalities are known only after the engine's
-    solver has run: they are taken from the step before.
+    solver has run: they are taken from the step before, unless one has come or gone since. A contact that is no more
+    would have friction push against nothing, and a craft that rests on two points hop from one to the other.
     """
     scratch, n = row.scratch, len(view.qvel)
     force, forward, backward, friction, push = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
@@ -216,13 +225,14 @@ def resist(rubs: bool, view: View, row: Row, k: int) -> None:
             push[i] = force[i] + view.qfrc_passive[i] - view.qfrc_bias[i]
         for i in range(len(view.ctrl)):
             add_actuator_force(view, i, view.ctrl[i], push)
-        if view.touching:
+        if view.constraints > 0 and view.constraints == row.memory[1]:
             for i in range(n):
-                push[i] += row.memory[1 + i] if k == 0 else view.qfrc_constraint[i]
+                push[i] += last_constraint(view, row, k, i)
         dense, inverse = scratch[5 : 5 + n], scratch[5 + n : 5 + 2 * n]
         coupled = expand_inertia(
             view.inertia, view.row_length, view.row_start, view.column, view.dof_damping, view.timestep, dense
         )
         rub(push, view.qvel, forward, backward, dense, inverse, coupled, view.timestep, friction)
+    row.memory[1] = view.constraints
     for i in range(n):
         view.qfrc_applied[i] = force[i] + friction[i]

@@ -169,7 +169,7 @@ class Twin:
             qpos=np.array(np.broadcast_to(start if qpos is None else qpos, (n, model.nq)), dtype=float),
             qvel=np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float),
             warmstart=np.zeros((n, model.nv)),
-            memory=np.zeros((n, 1 + model.nv)),
+            memory=np.zeros((n, 2 + model.nv)),
             actuators=layer,
         )
 
@@ -277,4 +277,4 @@ class Twin:
         with installed(self._kernel.callback):
             self._batch.step(nstep=steps)
         state.time[:], state.qpos[:], state.qvel[:] = live["time"], live["qpos"], live["qvel"]
-        state.warmstart[:], state.memory[:, 1:] = live["qacc_warmstart"], live["qfrc_constraint"]
+        state.warmstart[:], state.memory[:, 2:] = live["qacc_warmstart"], live["qfrc_constraint"]
