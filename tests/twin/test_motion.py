@@ -17,6 +17,7 @@ from tests.twin.hover import (
     X,
     Z,
     coast,
+    make_twin,
     place,
 )
 from vpptwin.twin import Twin, TwinSpec, load_twin
@@ -98,34 +99,43 @@ def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
     assert np.abs(work.sum(axis=1)).min() > 0.01
 
 
-MIRRORED = {"rail_x.bias": ("force", 0.3), "rotor.asymmetry": ("fraction", 0.02)}
-SYMMETRIC = {
-    "rail_x.coulomb": ("force", 0.2), "rail_z.viscous": ("damping", 0.3), "air.drag": ("k_d", 0.1),
-    "rotor.thrust_gain": ("gain", 1.05), "servo.lag": ("time_constant", 0.03), "command.delay": ("delay", 0.0032),
-    "airframe.mass": ("mass", 0.03), "rail_z.bias": ("force", 0.2),
+FLIPPED = {
+    ("rail_x.bias", "force"), ("pitch.bias", "force"), ("rail_x.asymmetry", "fraction"), ("rail_x.spring", "rest"),
+    ("rail_x.tight_spot", "place"), ("rail.tilt", "angle"), ("airframe.com", "offset"), ("rotor.asymmetry", "fraction"),
+    ("gyro.bias", "bias"), ("mocap.misalignment", "angle"),
 }  # fmt: skip
+"""Parameters that a mirror turns over; those of `servo.trim` it exchanges, all others it leaves."""
 
 
-@pytest.mark.parametrize("with_effects", [False, True], ids=["bare", "with effects"])
-def test_left_and_right_are_mirror_images(with_effects: bool) -> None:
-    """Mirrored in x, with rates, biases and rotors exchanged, the same commands fly the mirrored path."""
-    effects = MIRRORED | SYMMETRIC if with_effects else {}
-    twin = Twin(SPEC, 16, active=effects)
-    sign = np.repeat([1.0, -1.0], 8)
-    for effect_id, (parameter, value) in effects.items():
-        twin.set_parameter(effect_id, parameter, value * (sign if effect_id in MIRRORED else 1.0))
+def draw_mirrored(count: int, ids: list[str]) -> dict[str, dict[str, np.ndarray]]:
+    """Parameters of effects from their priors, (2 count,): the second half as a mirror shows the first."""
+    rng, values = np.random.default_rng(4), {}
+    for effect in SPEC.catalogue:
+        if effect.id in ids:
+            drawn = {p.name: p.draw(rng, count) for p in effect.parameters}
+            seen = {name: -v if (effect.id, name) in FLIPPED else v for name, v in drawn.items()}
+            if effect.id == "servo.trim":
+                seen = {"offset_1": drawn["offset_2"], "offset_2": drawn["offset_1"]}
+            values[effect.id] = {name: np.concatenate([v, seen[name]]) for name, v in drawn.items()}
+    return values
+
+
+@pytest.mark.parametrize(
+    "ids", [[], *([e.id] for e in SPEC.catalogue), [e.id for e in SPEC.catalogue]], ids=lambda ids: ",".join(ids[:2])
+)
+def test_left_and_right_are_mirror_images(ids: list[str]) -> None:
+    """Mirrored in x, its effects with it, the same commands fly the mirrored path: bare, with each effect, with all."""
+    twin = make_twin(16, draw_mirrored(8, ids))
     rng = np.random.default_rng(3)
-    flip = np.stack([sign, np.ones(16), sign], axis=1)
-    pose = np.tile(rng.uniform([-0.3, 1.2, -1.0], [0.3, 1.5, 1.0], (8, 3)), (2, 1)) * flip
-    velocity = np.tile(rng.uniform(-1, 1, (8, 3)), (2, 1)) * flip
-    state = place(twin, pose, velocity, thrust=WEIGHT)
+    pose = rng.uniform([-0.3, 1.2, -1.0], [0.3, 1.5, 1.0], (8, 3))
+    velocity, flip = rng.uniform(-1, 1, (8, 3)), np.array([-1.0, 1.0, -1.0])
+    state = place(twin, np.concatenate([pose, pose * flip]), np.concatenate([velocity, velocity * flip]), thrust=WEIGHT)
     for _ in range(40):
-        command = np.tile(rng.normal([5.0, 0.0], [2.0, 3.0], (8, 2)), (2, 1))
-        command[:, 1] *= sign
-        state = twin.step_policy(state, command)
+        command = rng.normal([5.0, 0.0], [2.0, 3.0], (8, 2))
+        state = twin.step_policy(state, np.concatenate([command, command * [1, -1]]))
     # Rounding alone differs, amplified little in 0.4 s; m, m, rad.
-    np.testing.assert_allclose(state.qpos[8:], state.qpos[:8] * [-1, 1, -1], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(state.qvel[8:], state.qvel[:8] * [-1, 1, -1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(state.qpos[8:], state.qpos[:8] * flip, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(state.qvel[8:], state.qvel[:8] * flip, rtol=0, atol=1e-10)
     np.testing.assert_allclose(state.blade_pitch[8:], state.blade_pitch[:8, ::-1], rtol=0, atol=1e-11)
     assert np.abs(state.qpos[:8] - state.qpos[8:]).max() > 0.1
 

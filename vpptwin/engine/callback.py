@@ -13,7 +13,9 @@ from contextlib import contextmanager
 
 import mujoco
 import numpy as np
-from numba import cfunc, types
+from numba import types
+
+from vpptwin.engine.compile import c_function
 
 MARK = int.from_bytes(b"vpptwin!", "little")
 """First word of `userdata` in our simulations."""
@@ -23,13 +25,13 @@ WORDS = 3
 _LOCK = threading.RLock()
 
 
-@cfunc(types.float64(), cache=True)
+@c_function(types.float64())
 def stop_clock() -> float:
     """Time that does not pass [ms]."""
     return 0.0
 
 
-@cfunc(types.void(types.voidptr), cache=True)
+@c_function(types.void(types.voidptr))
 def keep_quiet(text: int) -> None:
     """Take a warning of the engine and leave it."""
 

@@ -10,6 +10,7 @@ from mujoco.batch import Batch
 
 from vpptwin.actuators.layer import NO_LIMIT
 from vpptwin.effects import Effect, Stage
+from vpptwin.engine.callback import installed
 from vpptwin.twin.kernel import Kernel
 from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
@@ -124,7 +125,8 @@ class ConstantTable:
         for name, values in fresh.items():
             self.table[name][slice(None) if whole else rows] = values
         if self._derives:
-            self._batch.set_const(None if whole else rows)
+            with installed(None):  # a user's callback in Python would be refused
+                self._batch.set_const(None if whole else rows)
         self._stale = None
 
 

@@ -9,13 +9,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, njit, types
 from platformdirs import user_cache_path
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import MARK, WORDS, as_function
+from vpptwin.engine.compile import c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
@@ -195,7 +196,7 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     }  # fmt: skip
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr)
-    function = cfunc(signature, cache=file is not None, error_model="numpy")(namespace["control"])
+    function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
     return Kernel(pipeline, as_function(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
 
 

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Effect, Site
-from vpptwin.engine.callback import WORDS
+from vpptwin.engine.callback import WORDS, installed
 from vpptwin.errors import InputError
 from vpptwin.vehicle import Vehicle
 
@@ -44,7 +44,8 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
         if vehicle is not None:
             apply_vehicle(spec, vehicle, path)
         spec.nuserdata = WORDS  # marks our simulations to the compiled step
-        model = spec.compile()
+        with installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
+            model = spec.compile()
     except InputError:
         raise
     except (ValueError, mujoco.FatalError) as error:
@@ -99,16 +100,23 @@ def apply_vehicle(spec: mujoco.MjSpec, vehicle: Vehicle, path: Path) -> None:
         joints["rail_z"].range = list(vehicle.rig.travel_z)
 
 
+def inertia_at_rest(model: mujoco.MjModel) -> np.ndarray:
+    """Joint-space inertia in the reference pose, (nv, nv) kg, kg m²."""
+    data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_makeM(model, data)
+    mujoco.mj_fullM(model, data, inertia)
+    return inertia
+
+
 def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     """Name, whether rotary, and a typical force or torque of every named joint with one degree of freedom.
 
     The typical force accelerates what the joint carries by 10 m/s² or 30 rad/s²: an order of magnitude for bounds and
     first steps of a fit, nothing finer.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
+    inertia = inertia_at_rest(model)
     described = []
     for i in range(model.njnt):
         kind = int(model.jnt_type[i])
@@ -122,10 +130,7 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
 
 def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:
     """A copy of the model in which these joints are so heavy that only the force meant to lead them moves them."""
-    held, data = copy.copy(model), mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
+    held, inertia = copy.copy(model), inertia_at_rest(model)
     for name in joints:
         dof = int(model.joint(name).dofadr[0])
         held.dof_armature[dof] += HEAVY * inertia[dof, dof]

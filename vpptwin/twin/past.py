@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from vpptwin.effects import Effect
+from vpptwin.engine.compile import can_keep
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def record_poses(state: SensorState, pose: np.ndarray, velocity: np.ndarray) -> 
         _record_poses(state.pose, state.velocity, state.newest, pose, velocity)
 
 
-@njit(cache=True)
+@njit(cache=can_keep())
 def _record_poses(
     poses: np.ndarray, velocities: np.ndarray, newest: np.ndarray, pose: np.ndarray, velocity: np.ndarray
 ) -> None:
@@ -118,7 +119,7 @@ def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.nd
     return pose, velocity
 
 
-@njit(cache=True)
+@njit(cache=can_keep())
 def _look_back(
     poses: np.ndarray, velocities: np.ndarray, newest: np.ndarray, age: np.ndarray, period: float,
     pose: np.ndarray, velocity: np.ndarray,

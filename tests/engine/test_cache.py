@@ -1,0 +1,142 @@
+"""The compiled step on disk: found by the next process, and not missed where no file lasts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import types
+
+from vpptwin.engine.compile import c_function, can_keep
+from vpptwin.twin.kernel import _store
+
+ROOT = Path(__file__).resolve().parents[2]
+MODEL = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="slide" type="slide" damping="0.5"/>
+<geom size="0.1"/></body></worldbody></mujoco>"""
+TWIN = "model: slide.xml\nsignals: {joints: {slide: /joint_states}}\n"
+PROGRAM = """
+import sys
+import tempfile
+def refuse(*args, **kwargs):
+    raise PermissionError(13, "read-only")
+if "read-only" in sys.argv:
+    tempfile.TemporaryFile = refuse  # by which numba asks whether it may write into a folder
+from vpptwin.twin import Twin, load_twin
+import numpy as np
+twin = Twin(load_twin(sys.argv[1]), 1, active=["slide.coulomb"])
+twin.set_parameter("slide.coulomb", "force", 0.3)
+state = twin.replay_commands(twin.initial_state(qvel=np.array([0.5])), np.zeros((1, 20, 0)))[0]
+print(twin._kernel.keep.cache_hits, float(state.qpos[0, 0]).hex())
+"""
+
+
+@pytest.fixture(scope="module")
+def twin_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A twin of one slide, whose step compiles quickly."""
+    folder = tmp_path_factory.mktemp("slide")
+    (folder / "slide.xml").write_text(MODEL)
+    (folder / "twin.yaml").write_text(TWIN)
+    return folder / "twin.yaml"
+
+
+def run(twin: Path, cache: Path, *flags: str) -> tuple[int, str]:
+    """Simulate in a process of its own; how often numba found its code on disk, and where the slide got to."""
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(ROOT)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(twin), *flags], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    hits, position = done.stdout.split()
+    return int(hits), position
+
+
+def list_files(folder: Path) -> dict[str, tuple[int, int]]:
+    """Every file with its size and when it was written [ns]."""
+    return {str(f): (f.stat().st_size, f.stat().st_mtime_ns) for f in folder.rglob("*") if f.is_file()}
+
+
+@pytest.fixture(scope="module")
+def first(twin_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The cache that a first process has filled, and where its slide got to."""
+    cache = tmp_path_factory.mktemp("cache")
+    hits, position = run(twin_file, cache)
+    assert hits == 0
+    return cache, position
+
+
+def test_second_process_compiles_nothing(twin_file: Path, first: tuple[Path, str]) -> None:
+    """The next process finds the compiled step on disk, writes no file and gets to the same place."""
+    cache, position = first
+    before = list_files(cache / "vpptwin")
+    assert any(name.endswith(".nbc") for name in before)
+    assert run(twin_file, cache) == (1, position)
+    assert list_files(cache / "vpptwin") == before
+
+
+def test_a_rig_of_the_same_sizes_shares_the_step(twin_file: Path, first: tuple[Path, str]) -> None:
+    """A model that differs in numbers alone runs the same compiled step, to another place."""
+    cache, position = first
+    other = twin_file.parent / "other.yaml"
+    (twin_file.parent / "other.xml").write_text(MODEL.replace('name="slide"', 'name="slide" armature="0.1"'))
+    other.write_text(TWIN.replace("slide.xml", "other.xml"))
+    hits, elsewhere = run(other, cache)
+    assert (hits, elsewhere != position) == (1, True)
+    assert len(list((cache / "vpptwin" / "kernels").iterdir())) == 1
+
+
+def test_without_a_cache_it_compiles_in_memory(twin_file: Path, first: tuple[Path, str]) -> None:
+    """Where no folder can be written, a twin compiles its step in memory and does the same; the cache stays as is."""
+    cache, position = first
+    before = list_files(cache)
+    assert run(twin_file, cache, "read-only") == (0, position)
+    assert list_files(cache) == before
+
+
+def test_text_needs_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no folder can be made for the text of a step, there is none; a text that was cut off is written anew."""
+    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: tmp_path / name)
+    file = _store("whole text", "key")
+    assert file is not None
+    file.write_text("whole")
+    assert _store("whole text", "key") == file
+    assert file.read_text() == "whole text"
+    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: file / name)
+    assert _store("whole text", "key") is None
+
+
+def compile_twice(folder: Path) -> tuple[int, float]:
+    """Compile a small function from a file; how often it was found on disk, and what it makes of 2."""
+    file = folder / "twice.py"
+    file.write_text("def twice(x):\n    return 2.0 * x\n")
+    namespace: dict = {}
+    exec(compile(file.read_text(), str(file), "exec"), namespace)
+    compiled = c_function(types.float64(types.float64))(namespace["twice"])
+    return compiled.cache_hits, compiled.ctypes(2.0)
+
+
+@pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc"])
+def test_a_damaged_file_is_compiled_over(tmp_path: Path, pattern: str) -> None:
+    """A cache of which a file was cut off, as by a full disk, is written anew."""
+    assert compile_twice(tmp_path) == (0, 4.0)
+    assert compile_twice(tmp_path) == (1, 4.0)
+    (file,) = tmp_path.rglob(pattern)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert compile_twice(tmp_path) == (0, 4.0)
+    assert compile_twice(tmp_path) == (1, 4.0)
+
+
+def test_compiles_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A function is compiled in memory where numba finds no folder for it, and nothing is asked to be kept there."""
+
+    def refuse(*args: object, **kwargs: object) -> None:
+        raise PermissionError(13, "read-only")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refuse)
+    assert compile_twice(tmp_path) == (0, 4.0)
+    assert not list(tmp_path.rglob("*.nb?"))
+    assert can_keep.__wrapped__() is False

@@ -1,0 +1,55 @@
+"""Compiling by numba, kept on disk where a disk can be written and in memory alone where not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+from numba import cfunc, njit
+
+
+@cache
+def can_keep() -> bool:
+    """Whether numba finds a folder for what it compiles of this package: beside it or in the user's cache."""
+    try:
+        njit(cache=True)(_probe)
+    except RuntimeError:
+        return False
+    return True
+
+
+def _probe() -> None:
+    """Nothing."""
+
+
+def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]:  # noqa: ANN401
+    """A decorator that makes a C function of a Python one.
+
+    Args:
+        signature: numba's, of arguments and result.
+        keep: whether it may be kept on disk and, the next time, be loaded from there.
+        options: of `numba.cfunc`.
+    """
+
+    def make(function: Callable[..., Any]) -> Any:  # noqa: ANN401
+        for _ in range(2 if keep else 0):
+            try:
+                return cfunc(signature, cache=True, **options)(function)
+            except (UnpicklingError, EOFError):  # a file was cut off: once more, without it
+                drop_cache(function)
+            except (RuntimeError, OSError):  # no folder that can be written, a full disk
+                break
+        return cfunc(signature, **options)(function)
+
+    return make
+
+
+def drop_cache(function: Callable[..., Any]) -> None:
+    """Remove what numba keeps beside the file that a function comes from."""
+    for file in Path(function.__code__.co_filename).parent.glob("__pycache__/*.nb?"):
+        with suppress(OSError):
+            file.unlink()
