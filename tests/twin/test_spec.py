@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.effects.rigs import CART_PENDULUM, CART_TWIN
 from vpptwin.effects import CATALOGUE
@@ -195,9 +196,55 @@ def test_bad_models_of_the_drone_are_refused(write: Writer, model: str, found: s
         pytest.param(
             SLIDE,
             '<actuator><general joint="slide" dyntype="filter" dynprm="0.1"/></actuator>',
-            "state of its own.*motor and position",
+            "actuator 0 with a state of its own.*motor and position",
             id="actuator with a state",
         ),
+        pytest.param(
+            SLIDE,
+            '<actuator><muscle name="biceps" joint="slide" lengthrange="0 1"/></actuator>',
+            "actuator biceps with a state of its own",
+            id="muscle",
+        ),
+        pytest.param(
+            SLIDE,
+            '<actuator><motor name="late" joint="slide" delay="0.01" nsample="20"/></actuator>',
+            "actuator late with a state of its own.*effects lag and delay",
+            id="actuator with a delay",
+        ),
+        pytest.param(
+            SLIDE,
+            '<actuator><general name="odd" joint="slide" gaintype="user"/></actuator>',
+            "actuator odd with gain user and bias none.*fixed or affine.*dry friction",
+            id="user's actuator",
+        ),
+        pytest.param(
+            SLIDE,
+            '<actuator><pid joint="slide"/></actuator>',
+            "actuator 0 with gain pid and bias affine",
+            id="controller as an actuator",
+        ),
+        pytest.param(
+            SLIDE,
+            '<tendon><fixed name="t" actuatorfrcrange="-1 1"><joint joint="slide" coef="1"/></fixed></tendon>'
+            '<actuator><motor tendon="t"/></actuator>',
+            "switched off by actuatorfrcrange of a tendon",
+            id="limit of a tendon",
+        ),
+        pytest.param(
+            SLIDE,
+            '<option actuatorgroupdisable="0"/><actuator><motor joint="slide"/></actuator>',
+            "switched off by actuatorgroupdisable",
+            id="group switched off",
+        ),
+        pytest.param(
+            SLIDE,
+            '<option><flag clampctrl="disable"/></option><actuator><motor joint="slide"/></actuator>',
+            "switched off by flag clampctrl",
+            id="flag",
+        ),
+        pytest.param(SLIDE, '<option integrator="RK4"/>', "integrator RK4.*Euler, implicitfast", id="RK4"),
+        pytest.param(SLIDE, '<option integrator="discrete"/>', "integrator DISCRETE", id="discrete"),
+        pytest.param(SLIDE, '<option><flag sleep="enable"/></option>', "may sleep", id="sleep"),
     ],
 )
 def test_bad_models_of_other_rigs_are_refused(write: Writer, joint: str, rest: str, found: str) -> None:
@@ -243,6 +290,47 @@ def test_missing_twin_is_refused(tmp_path: Path) -> None:
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
     for name in ("absent.yaml", ".", "binary.yaml"):
         refuse(tmp_path / name, "no readable twin.*`nominal` or a twin YAML")
+
+
+@pytest.mark.parametrize(
+    ("effect", "lacking"),
+    [
+        ("rail_x.jamming: {mu: 0.01}", "carriage and slider"),
+        ("rail_z.jamming: {mu: 0.1}", "carriage and slider"),
+        ("carriage.mass: {mass: 0.1}", "carriage"),
+    ],
+)
+def test_effects_of_the_rig_are_refused_on_the_free_craft(write: Writer, effect: str, lacking: str) -> None:
+    """What the free craft lacks can't jam or be too heavy: one line says what is missing, in a file or given later."""
+    drone = "model: vpp_planar.xml\nvehicle: vehicle.yaml\n"
+    refuse(write(f"{drone}effects:\n  {effect}\n"), f"on a model without {lacking}.*rail_rig")
+    spec = load_twin(write(drone))
+    with pytest.raises(InputError, match=f"without {lacking}"):
+        spec.with_effects(yaml.safe_load(effect))
+    name = effect.split(":")[0]
+    assert name not in {e.id for e in spec.catalogue}
+    with pytest.raises(KeyError, match=f"no effect {name}"):
+        Twin(spec, 1, active=[name])
+
+
+@pytest.mark.parametrize(
+    ("joint", "effect", "found"),
+    [
+        pytest.param(SLIDE, "slide.jamming: {mu: 0.1}", "unknown effect 'slide.jamming'.*slide\\.", id="not generic"),
+        pytest.param(SLIDE, "rail_x.jamming: {mu: 0.1}", "without carriage and slider", id="the drone's"),
+        pytest.param(
+            SLIDE + '<geom size="0.1"/></body><body><joint type="slide"/>', "joint1.coulomb: {force: 0.1}",
+            "unknown effect 'joint1.coulomb'.*slide.coulomb", id="unnamed joint",
+        ),
+        pytest.param(
+            SLIDE + '<geom size="0.1"/></body><body><freejoint name="ball"/>', "ball.coulomb: {force: 0.1}",
+            "ball or free joint.*hinge and slide", id="free joint",
+        ),
+    ],
+)  # fmt: skip
+def test_generic_effects_are_refused_where_none_can_be(write: Writer, joint: str, effect: str, found: str) -> None:
+    """An effect on a joint that has no name or too many freedoms, or one that no such joint has, is refused."""
+    refuse(write(OWN + f"effects:\n  {effect}\n", own_xml=FREE_BODY.format(joint=joint, rest="")), found)
 
 
 def test_effects_given_to_a_spec_are_checked() -> None:

@@ -39,6 +39,10 @@ class View(NamedTuple):
         gain_type, bias_type: (nu,).
         ctrl_limited, force_limited: (nu,).
         ctrl_range, force_range: (nu, 2).
+        joint: of each degree of freedom, (nv,).
+        joint_limited, joint_range: limit of what all actuators together exert on a joint, (njnt,), (njnt, 2).
+        joint_lifted: whether the actuators of a joint compensate gravity, (njnt,).
+        qfrc_gravcomp: what that takes, (nv,).
     """
 
     time: float
@@ -75,6 +79,11 @@ class View(NamedTuple):
     force_limited: np.ndarray
     ctrl_range: np.ndarray
     force_range: np.ndarray
+    joint: np.ndarray
+    joint_limited: np.ndarray
+    joint_range: np.ndarray
+    joint_lifted: np.ndarray
+    qfrc_gravcomp: np.ndarray
 
 
 MODEL_ARRAYS = {
@@ -92,6 +101,10 @@ MODEL_ARRAYS = {
     "force_limited": ("actuator_forcelimited", np.bool_, "nu"),
     "ctrl_range": ("actuator_ctrlrange", np.float64, "nu"),
     "force_range": ("actuator_forcerange", np.float64, "nu"),
+    "joint": ("dof_jntid", np.int32, "nv"),
+    "joint_limited": ("jnt_actfrclimited", np.bool_, "njnt"),
+    "joint_range": ("jnt_actfrcrange", np.float64, "njnt"),
+    "joint_lifted": ("jnt_actgravcomp", np.bool_, "njnt"),
 }
 """View field → field of mjModel, its type and its leading size."""
 DATA_ARRAYS = {
@@ -110,9 +123,16 @@ DATA_ARRAYS = {
     "moment_column": ("moment_colind", np.int32, "nJmom"),
     "length": ("actuator_length", np.float64, "nu"),
     "velocity": ("actuator_velocity", np.float64, "nu"),
+    "qfrc_gravcomp": ("qfrc_gravcomp", np.float64, "nv"),
 }
 """View field → field of mjData, its type and its leading size."""
-COLUMNS = {"gain": int(mujoco.mjNGAIN), "bias": int(mujoco.mjNBIAS), "ctrl_range": 2, "force_range": 2}
+COLUMNS = {
+    "gain": int(mujoco.mjNGAIN),
+    "bias": int(mujoco.mjNBIAS),
+    "ctrl_range": 2,
+    "force_range": 2,
+    "joint_range": 2,
+}
 """View fields with a second axis and its size."""
 
 
@@ -131,8 +151,23 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
 
 
 @register_jitable(forceinline=True)
-def add_actuator_force(view: View, i: int, control: float, push: np.ndarray) -> None:
-    """Add to `push`, (nv,), what actuator i will exert under a control, as the engine is about to compute it."""
+def foresee_actuators(view: View, exerted: np.ndarray) -> None:
+    """Write what the actuators will exert under `view.ctrl`, (nv,) [N, N m], as the engine is about to compute it."""
+    exerted[:] = 0.0
+    for i in range(len(view.ctrl)):
+        add_actuator_force(view, i, exerted)
+    for i in range(len(exerted)):
+        joint = view.joint[i]
+        if view.joint_lifted[joint]:
+            exerted[i] += view.qfrc_gravcomp[i]
+        if view.joint_limited[joint]:
+            exerted[i] = min(max(exerted[i], view.joint_range[joint, 0]), view.joint_range[joint, 1])
+
+
+@register_jitable(forceinline=True)
+def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
+    """Add to `exerted`, (nv,), what actuator i will exert by itself."""
+    control = view.ctrl[i]
     if view.ctrl_limited[i]:
         control = min(max(control, view.ctrl_range[i, 0]), view.ctrl_range[i, 1])
     gain = view.gain[i, 0]
@@ -144,4 +179,4 @@ def add_actuator_force(view: View, i: int, control: float, push: np.ndarray) -> 
     if view.force_limited[i]:
         force = min(max(force, view.force_range[i, 0]), view.force_range[i, 1])
     for k in range(view.moment_start[i], view.moment_start[i] + view.moment_length[i]):
-        push[view.moment_column[k]] += view.moment[k] * force
+        exerted[view.moment_column[k]] += view.moment[k] * force

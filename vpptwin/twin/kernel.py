@@ -105,7 +105,7 @@ class Kernel:
 
 def scratch_rows(nv: int) -> int:
     """Rows of the room that a simulation's friction needs, each (nv,)."""
-    return 5 + 2 * nv
+    return 6 + 2 * nv
 
 
 _KERNELS: dict[str, Kernel] = {}

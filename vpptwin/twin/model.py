@@ -22,6 +22,14 @@ HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
 
 SLIDE, HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+INTEGRATORS = {
+    int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+}  # fmt: skip
+"""Integrators that evaluate the forces once a step."""
+GAINS = {int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)}
+BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
+"""Actuators whose force the compiled step foresees, as friction answers to it."""
 
 
 def read_nominal(vehicle: Vehicle, key: str) -> float:
@@ -36,8 +44,8 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
     """Compile an MJCF, with masses, inertia, geometry, travel and gravity from the vehicle where there is one.
 
     Raises:
-        InputError: if MuJoCo refuses the file, a vehicle is given and the model is not of the drone, or the model has
-            states that a twin's state does not hold.
+        InputError: if MuJoCo refuses the file, a vehicle is given and the model is not of the drone, or the model is
+            one that a twin can't step (`check_engine`).
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -56,13 +64,55 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
     if vehicle is not None:
         check_craft(model, path)
+    check_engine(model, path)
+    return model
+
+
+def check_engine(model: mujoco.MjModel, path: Path) -> None:
+    """Check that the model has no states that a twin's state does not hold, and steps and pushes as the twin expects.
+
+    Raises:
+        InputError: if it has or does not.
+    """
     if mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_FULLPHYSICS)) != 1 + model.nq + model.nv:
+        delayed = [i for i in range(len(model.actuator_delay)) if model.actuator_delay[i] or model.actuator_dyntype[i]]
+        found = f"actuator {model.actuator(delayed[0]).name or delayed[0]}" if delayed else "a plugin or sensor"
         raise InputError(
-            f"{path}: an actuator or plugin with a state of its own",
+            f"{path}: {found} with a state of its own",
             "actuators that act at once, such as motor and position",
             "leave out dyntype, delay or plugin; the effects lag and delay do what they did",
         )
-    return model
+    unforeseen = {
+        "flag actuation": model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION),
+        "flag clampctrl": model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL),
+        "actuatorgroupdisable": model.opt.disableactuator,
+        "actuatorfrcrange of a tendon": model.tendon_actfrclimited.any(),
+    }
+    for setting, used in unforeseen.items():
+        if used and model.nu:
+            raise InputError(
+                f"{path}: actuators limited or switched off by {setting}",
+                "limits of controls, actuators or joints, as dry friction has to know their force beforehand",
+                "leave it out, or the actuators",
+            )
+    if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
+        raise InputError(f"{path}: bodies that may sleep", "bodies that are simulated always", "leave out flag sleep")
+    if int(model.opt.integrator) not in INTEGRATORS:
+        found = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
+        raise InputError(
+            f"{path}: integrator {found}",
+            "Euler, implicitfast or implicit, which compute forces once a step as actuators and friction need it",
+            'set integrator="Euler"',
+        )
+    for i, kinds in enumerate(zip(model.actuator_gaintype, model.actuator_biastype)):
+        if int(kinds[0]) not in GAINS or int(kinds[1]) not in BIASES:
+            gain = mujoco.mjtGain(kinds[0]).name.removeprefix("mjGAIN_").lower()
+            bias = mujoco.mjtBias(kinds[1]).name.removeprefix("mjBIAS_").lower()
+            raise InputError(
+                f"{path}: actuator {model.actuator(i).name or i} with gain {gain} and bias {bias}",
+                "gain fixed or affine and bias none or affine, such as motor, position and velocity",
+                "replace it: dry friction has to know its force beforehand",
+            )
 
 
 def check_craft(model: mujoco.MjModel, path: Path) -> None:

@@ -106,6 +106,13 @@ def check_effects(
         try:
             effect = find_effect(catalogue, effect_id)
         except KeyError as error:
+            needed = [part for effect in CATALOGUE if effect.id == effect_id for part in effect.needs]
+            if needed:
+                raise InputError(
+                    f"{source}: effect {effect_id!r} on a model without {' and '.join(needed)}",
+                    "a model with a body or joint of that name, such as rail_rig.xml",
+                    "name another model or leave the effect out",
+                ) from error
             raise InputError(
                 f"{source}: unknown effect {effect_id!r}",
                 f"an id such as {error.args[0]}",

@@ -21,7 +21,7 @@ from vpptwin.actuators.layer import (
 )
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.effects.base import Craft, Rotor
-from vpptwin.engine.view import View, add_actuator_force
+from vpptwin.engine.view import View, foresee_actuators
 from vpptwin.twin.friction import expand_inertia, rub
 
 X, Z, PITCH = 0, 1, 2
@@ -36,7 +36,7 @@ class Row(NamedTuple):
         constants: a record of `constants_dtype`.
         parameters: of the effects that act every step, (P,).
         memory: of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,).
-        scratch: room for forces, friction levels, friction and inertia, (5 + 2 nv, nv).
+        scratch: room for forces, friction levels, friction and inertia, (6 + 2 nv, nv).
     """
 
     layer: Any
@@ -218,17 +218,18 @@ def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     would have friction push against nothing, and a craft that rests on two points hop from one to the other.
     """
     scratch, n = row.scratch, len(view.qvel)
-    force, forward, backward, friction, push = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    force, forward, backward, friction, push, exerted = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
+    )  # fmt: skip
     friction[:] = 0.0
     if rubs:
+        foresee_actuators(view, exerted)
         for i in range(n):
-            push[i] = force[i] + view.qfrc_passive[i] - view.qfrc_bias[i]
-        for i in range(len(view.ctrl)):
-            add_actuator_force(view, i, view.ctrl[i], push)
+            push[i] = force[i] + exerted[i] + view.qfrc_passive[i] - view.qfrc_bias[i]
         if view.constraints > 0 and view.constraints == row.memory[1]:
             for i in range(n):
                 push[i] += last_constraint(view, row, k, i)
-        dense, inverse = scratch[5 : 5 + n], scratch[5 + n : 5 + 2 * n]
+        dense, inverse = scratch[6 : 6 + n], scratch[6 + n : 6 + 2 * n]
         coupled = expand_inertia(
             view.inertia, view.row_length, view.row_start, view.column, view.dof_damping, view.timestep, dense
         )
