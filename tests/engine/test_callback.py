@@ -229,3 +229,19 @@ def test_twins_come_and_go(rigs: dict[str, Rig]) -> None:
             expected = expected or state
             assert_same(state, expected)
         del twin, state
+
+
+def test_one_twin_in_two_threads(rigs: dict[str, Rig]) -> None:
+    """One and the same twin stepped from two threads, from states of their own, serves one after the other."""
+    rig = rigs["flown"]
+    twin = rig.twin(4, {"rail_x.coulomb": {"force": 0.3}})
+    alone = fly(rig, twin, 60)
+    found: list[TwinState] = []
+
+    def work() -> None:
+        found.extend(fly(rig, twin, 60) for _ in range(5))
+
+    run_together(work, work)
+    assert len(found) == 10
+    for state in found:
+        assert_same(state, alone)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -320,3 +321,44 @@ def test_constants_are_to_read(twin: Twin) -> None:
     np.testing.assert_array_equal(twin.constants["actuator.delay"], np.full((4, 2), 0.003))
     with pytest.raises(ValueError, match="read-only"):
         twin.constants["gyro.bias"][:] = 1.0
+
+
+WRONG_TAPES = {
+    "one simulation too few": lambda twin, state: twin.replay_commands(state, np.zeros((3, 5, 2))),
+    "one actuator too many": lambda twin, state: twin.replay_commands(state, np.zeros((4, 5, 3))),
+    "speeds of fewer steps": lambda twin, state: twin.replay_commands(
+        state, np.zeros((4, 5, 2)), rotor_speed=np.zeros((4, 4, 2))
+    ),
+    "throttle of one rotor": lambda twin, state: twin.replay_commands(
+        state, np.zeros((4, 5, 2)), throttle=np.zeros((4, 5, 1))
+    ),
+    "forces in two axes": lambda twin, state: twin.replay_commands(
+        state, np.zeros((4, 5, 2)), disturbance=np.zeros((4, 1, 2))
+    ),
+    "a state of fewer simulations": lambda twin, state: twin.step_policy(state.take(np.arange(3)), np.zeros((4, 2))),
+    "past commands of fewer": lambda twin, state: twin.warm_up(state.actuators, np.zeros((3, 5, 2))),
+    "actuators of fewer": lambda twin, state: twin.warm_up(state.actuators[:3], np.zeros((4, 5, 2))),
+}
+
+
+@pytest.mark.parametrize("call", WRONG_TAPES.values(), ids=WRONG_TAPES)
+def test_arrays_of_another_shape_are_refused(
+    twin: Twin, flown: TwinState, call: Callable[[Twin, TwinState], object]
+) -> None:
+    """Compiled code reads without looking: arrays of a wrong shape are refused before, with the right one."""
+    before = freeze(flown)
+    with pytest.raises(ValueError, match=r"\(.*expected \("):
+        call(twin, flown)
+    assert_equal(flown, before)
+
+
+def test_states_of_another_kind_are_refused(twin: Twin, flown: TwinState) -> None:
+    """A state with actuators of another kind, or whose arrays are views into others, is refused in place."""
+    other = TwinState.from_arrays({name: a[:, :7] if name.endswith("history") else a for name, a in list_arrays(flown)})
+    with pytest.raises(ValueError, match="another rig or another catalogue"):
+        twin.advance_policy(other, command(twin, 1))
+    twice = flown.take(np.repeat(np.arange(4), 2))
+    view = replace(twice.take(np.arange(4)), actuators=twice.actuators[::2])
+    with pytest.raises(ValueError, match="arrays of its own"):
+        twin.advance_policy(view, command(twin, 1))
+    twin.step_policy(view, command(twin, 1))  # which copies it first

@@ -204,6 +204,9 @@ class Twin:
 
     def warm_up(self, layer: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first."""
+        expected = (self.num_sims, commands.shape[1] if commands.ndim > 1 else 0, self.spec.model.nu)
+        if commands.shape != expected or layer.shape != (self.num_sims,):
+            raise ValueError(f"commands have shape {commands.shape}, the layer {layer.shape}; expected {expected}")
         self._constants.refresh()
         return warm_up(layer, self._constants.records, commands, self.dt)
 
@@ -257,6 +260,7 @@ class Twin:
 
     def _run(self, state: TwinState, steps: int, tape: dict[str, np.ndarray], policy: bool = False) -> None:
         """Advance `state` in place by a number of inner steps under the inputs of a tape."""
+        self._check_shapes(state, steps, tape, policy)
         self._constants.refresh()
         live, context = self._live, self._context[0]
         held = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in tape.items()}
@@ -266,15 +270,40 @@ class Twin:
             "active": self._active, "dry": self._dry, "driven": self._led,
             "counter": np.zeros(self.num_sims, np.int64),
         }  # fmt: skip
-        for name in CONTEXT.names or ():
-            context[name] = 0
-        for name, array in (rows | held).items():
-            context[name] = array.ctypes.data
-        context["policy"], context["steps"] = int(policy), steps
-        context["segments"] = held["push"].shape[1] if "push" in held else 0
-        live["time"][:], live["qpos"][:], live["qvel"][:] = state.time, state.qpos, state.qvel
-        live["qacc_warmstart"][:] = state.warmstart
-        with installed(self._kernel.callback):
+        with installed(self._kernel.callback):  # and under its lock
+            for name in CONTEXT.names or ():
+                context[name] = 0
+            for name, array in (rows | held).items():
+                context[name] = array.ctypes.data
+            context["policy"], context["steps"] = int(policy), steps
+            context["segments"] = held["push"].shape[1] if "push" in held else 0
+            live["time"][:], live["qpos"][:], live["qvel"][:] = state.time, state.qpos, state.qvel
+            live["qacc_warmstart"][:] = state.warmstart
             self._batch.step(nstep=steps)
-        state.time[:], state.qpos[:], state.qvel[:] = live["time"], live["qpos"], live["qvel"]
-        state.warmstart[:], state.memory[:, 2:] = live["qacc_warmstart"], live["qfrc_constraint"]
+            state.time[:], state.qpos[:], state.qvel[:] = live["time"], live["qpos"], live["qvel"]
+            state.warmstart[:], state.memory[:, 2:] = live["qacc_warmstart"], live["qfrc_constraint"]
+
+    def _check_shapes(self, state: TwinState, steps: int, tape: dict[str, np.ndarray], policy: bool) -> None:
+        """Refuse arrays of other shapes than compiled code will read and write, as it does so unchecked.
+
+        Raises:
+            ValueError: with what was found and what was expected.
+        """
+        n, model = self.num_sims, self.spec.model
+        given = {"memory": state.memory, "actuators": state.actuators} | tape
+        expected: dict[str, tuple[int, ...]] = {"memory": (n, 2 + model.nv), "actuators": (n,)}
+        for name in tape:
+            expected[name] = (n, steps, model.nv if name in ("lead", "qvel") else model.nu)
+        if policy:
+            expected["command"] = (n, 2)
+        if "qpos" in tape:
+            expected["qpos"] = (n, steps, model.nq)
+        if "push" in tape:
+            expected["push"] = (n, tape["push"].shape[1] if tape["push"].ndim > 1 else 0, model.nv)
+        for name, shape in expected.items():
+            if given[name].shape != shape:
+                raise ValueError(f"{name} has shape {given[name].shape}; expected {shape} for {n} simulations")
+        if state.actuators.dtype != self._kernel.layer or state.memory.dtype != np.float64:
+            raise ValueError("a state of another rig or another catalogue; expected one that this twin has made")
+        if not (state.actuators.flags.c_contiguous and state.memory.flags.c_contiguous):
+            raise ValueError("a state whose arrays are views; expected arrays of its own, as TwinState.copy makes them")
