@@ -21,18 +21,20 @@ def rig(request: pytest.FixtureRequest, rigs: dict[str, Rig]) -> Rig:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Give a test with arguments `rig` and `effect_id` every effect, one with `rig` alone every rig.
+    """Give a test with arguments `rig` and `effect_id` every effect, one with `rig` alone every rig; others are left alone.
 
     The marker `concerns(*rigs, only=predicate)` narrows this down to some rigs, and to effects of which
     `predicate(effect)` holds.
     """
+    if "rig" not in metafunc.fixturenames:
+        return
     marker = metafunc.definition.get_closest_marker("concerns")
     names, only = (marker.args or tuple(EFFECTS), marker.kwargs.get("only")) if marker else (tuple(EFFECTS), None)
     if "effect_id" in metafunc.fixturenames:
         cases = [(name, effect.id) for name in names for effect in EFFECTS[name] if only is None or only(effect)]
         given = [((name, effect_id), effect_id) for name, effect_id in cases]
         metafunc.parametrize(("rig", "effect_id"), given, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
-    elif "rig" in metafunc.fixturenames:
+    else:
         metafunc.parametrize("rig", [(name, "") for name in names], indirect=True, ids=names)
 
 
