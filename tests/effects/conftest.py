@@ -21,7 +21,7 @@ def rig(request: pytest.FixtureRequest, rigs: dict[str, Rig]) -> Rig:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Give a test with arguments `rig` and `effect_id` every effect, one with `rig` alone every rig; others are left alone.
+    """Give a test with `rig` and `effect_id` every effect, one with `rig` alone every rig; leave the others alone.
 
     The marker `concerns(*rigs, only=predicate)` narrows this down to some rigs, and to effects of which
     `predicate(effect)` holds.
