@@ -112,7 +112,7 @@ def compile_twice(folder: Path) -> tuple[int, float]:
     """Compile a small function from a file; how often it was found on disk, and what it makes of 2."""
     file = folder / "twice.py"
     file.write_text("def twice(x):\n    return 2.0 * x\n")
-    namespace: dict = {}
+    namespace: dict = {"__name__": __name__}
     exec(compile(file.read_text(), str(file), "exec"), namespace)
     compiled = c_function(types.float64(types.float64))(namespace["twice"])
     return compiled.cache_hits, compiled.ctypes(2.0)
