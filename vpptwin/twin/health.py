@@ -206,4 +206,5 @@ if __name__ == "__main__":
     try:
         print(describe_replay(replay_fault(*sys.argv[1:3])))
     except (InputError, TypeError) as error:
-        sys.exit(f"{error}; usage: python -m vpptwin.twin.health FAULT.npz [TWIN]")
+        print(f"{error}; usage: python -m vpptwin.twin.health FAULT.npz [TWIN]", file=sys.stderr)
+        sys.exit(2)
