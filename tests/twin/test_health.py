@@ -167,4 +167,4 @@ def test_command_line(tmp_path: Path) -> None:
     assert "bit-equal" in result.stdout
     refused = subprocess.run([*command, "nowhere.npz"], capture_output=True, text=True, check=False)
     assert refused.returncode == 2
-    assert refused.stderr.count("\n") == 2
+    assert refused.stderr.count("\n") == 1
