@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from vpptwin.engine.callback import stop_clock
+from vpptwin.engine.callback import stopped_clock
 from vpptwin.resources import find_model_file
 from vpptwin.train.randomize import Priors, randomize
 from vpptwin.train.tasks import HOVER, Task
@@ -144,17 +144,6 @@ class EngineRigs(Rigs):
             self.batch.step(nstep=SUBSTEPS)
         ids = self.end_episodes(spent)
         self.qpos[ids], self.qvel[ids] = self.begin(ids)
-
-
-@contextmanager
-def stopped_clock() -> Iterator[None]:
-    """Stop the engine's profiling clock in a block, as our control callback does."""
-    before = mujoco.get_mjcb_time()
-    mujoco.set_mjcb_time(stop_clock.ctypes)
-    try:
-        yield
-    finally:
-        mujoco.set_mjcb_time(before)
 
 
 class TwinRigs(Rigs):

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from vpptwin.diagnosis.channels import (
     MODEL_FLOOR,
     Channel,
-    Sensors,
     bin_channel,
     body_force,
     join_channels,
@@ -19,10 +16,12 @@ from vpptwin.diagnosis.channels import (
 )
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin.sensors import perfect_sensors
 
 DT = 0.001
 GRAVITY = 9.81
-PERFECT = Sensors.perfect(np.zeros(2))
+PERFECT = perfect_sensors(1)
+START = np.zeros(2)
 
 
 def lay_windows(starts: list[float], length: float) -> Windows:
@@ -86,7 +85,7 @@ def test_empty_bins_count_for_nothing() -> None:
     assert channel.std[0, 1] > 1e4 * channel.std[0, 0]
     pose, velocity = np.ones((1, 31, 3)), np.zeros((1, 31, 3))
     np.testing.assert_array_equal(
-        predict_channel(channel, pose, velocity, DT, GRAVITY, Sensors.perfect(np.zeros(1))), [[1, 0, 1]]
+        predict_channel(channel, pose, velocity, DT, GRAVITY, np.zeros(1), PERFECT), [[1, 0, 1]]
     )
 
 
@@ -103,7 +102,7 @@ def test_poses_and_velocities_of_a_known_motion() -> None:
     time = 0.0004 + np.arange(300) / 241.0
     for kind, value in (("position", np.sin(3.0 * time)), ("velocity", 3.0 * np.cos(3.0 * time))):
         channel = bin_one(windows, Series("x", "m", time, value, 1e-3), kind)
-        predicted = predict_channel(channel, *move(windows), DT, GRAVITY, PERFECT)
+        predicted = predict_channel(channel, *move(windows), DT, GRAVITY, START, PERFECT)
         # The chord misses an arc of curvature up to 27 by 27 dt²/8 = 3.4e-6.
         np.testing.assert_allclose(predicted, channel.value, atol=4e-6)
 
@@ -114,7 +113,9 @@ def test_delayed_poses_show_the_past() -> None:
     time = 0.0004 + np.arange(300) / 241.0
     for k in range(2):
         channel = bin_one(windows, Series("x", "m", time, np.sin(3.0 * (time - delay[k])), 1e-3), delayed=True)
-        predicted = predict_channel(channel, *move(windows), DT, GRAVITY, replace(PERFECT, delay=delay))
+        predicted = predict_channel(
+            channel, *move(windows), DT, GRAVITY, START, PERFECT | {"mocap.delay": delay[:, None, None]}
+        )
         np.testing.assert_allclose(predicted[k], channel.value[k], atol=4e-6)
         assert np.abs(predicted[1 - k] - channel.value[1 - k]).max() > 1e-3
 
@@ -127,7 +128,7 @@ def test_accelerometer_sees_gravity_and_acceleration_in_body_axes() -> None:
     for axis, value in ((0, force.real), (1, force.imag)):
         series = Series("force", "m/s²", time, value, 0.08)
         channel = bin_channel(windows, series, value, "specific force", axis, False, 0.0, "force")
-        predicted = predict_channel(channel, *move(windows), DT, GRAVITY, PERFECT)
+        predicted = predict_channel(channel, *move(windows), DT, GRAVITY, START, PERFECT)
         # Differences of velocity over a step are exact to dt²/24 of the third derivative; the first bin reaches half a
         # step before the first difference, worth 0.5 ms of 40 m/s³ in one of ten samples.
         np.testing.assert_allclose(predicted, channel.value, atol=3e-3)
@@ -158,7 +159,7 @@ def test_windows_of_flights_with_other_rates_join() -> None:
     np.testing.assert_array_equal(joined.value, np.concatenate([slow.value, fast.value]))
     np.testing.assert_allclose(joined.weight.sum(axis=2), 1.0)
     pose = np.repeat(7.0 * DT * np.arange(31)[None, :, None], 2, axis=0)
-    predicted = predict_channel(joined, pose, pose, DT, GRAVITY, PERFECT)
+    predicted = predict_channel(joined, pose, pose, DT, GRAVITY, START, PERFECT)
     np.testing.assert_allclose(predicted, joined.value, atol=1e-12)
     np.testing.assert_array_equal(joined.take(np.array([1])).value, fast.value)
 

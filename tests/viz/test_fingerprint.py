@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.viz.fingerprint import draw_fingerprint, fly, show_value, take_fingerprint
+from vpptwin.viz.fingerprint import SIZES, draw_fingerprint, fly, take_fingerprint
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -38,7 +38,7 @@ def test_dry_friction_draws_its_law(spec: TwinSpec) -> None:
     taken = take_fingerprint(spec, effect)
     moving = 0.45 + 0.05 + 0.08  # kg, vehicle.yaml
     fast = np.abs(taken.cause) > 0.2
-    expected = -np.sign(taken.cause) * show_value(effect.parameters[0]) / moving
+    expected = -np.sign(taken.cause) * effect.parameters[0].away(SIZES) / moving
     assert taken.trace.name == "ẍ [m/s²]"
     np.testing.assert_allclose(taken.trace.departure[fast], expected[fast], rtol=0.02)
 

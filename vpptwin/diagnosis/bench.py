@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vpptwin.diagnosis.channels import Channel, Sensors, predict_channel
+from vpptwin.diagnosis.channels import Channel, predict_channel
 from vpptwin.estimation.windows import Windows, simulate_windows
+from vpptwin.twin.sensors import Constants
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -98,15 +99,19 @@ class Bench:
         predicted = []
         for i, variation in enumerate(variations):
             sensors = self.sensors(variation.values)
-            parts = [
-                predict_channel(c, pose[i], velocity[i], self.windows.dt, self._gravity, sensors) for c in self.channels
-            ]
+            parts = [self.observe_channel(c, pose[i], velocity[i], sensors, self._gravity) for c in self.channels]
             predicted.append(np.concatenate(parts, axis=1))
         return np.stack(predicted)
 
-    def sensors(self, values: Mapping[Key, float]) -> Sensors:
-        """The sensors of a twin with parameters set."""
-        return Sensors.of_twin(self.twin_with(values), self.windows.start)
+    def observe_channel(
+        self, channel: Channel, pose: np.ndarray, velocity: np.ndarray, sensors: Constants, gravity: float = 0.0
+    ) -> np.ndarray:
+        """A channel of simulated poses and velocities (K, steps + 1, nv), (K, B); gravity [m/s²] for its forces."""
+        return predict_channel(channel, pose, velocity, self.windows.dt, gravity, self.windows.start, sensors)
+
+    def sensors(self, values: Mapping[Key, float]) -> Constants:
+        """Constants of the sensors of a twin with parameters set, (1,)."""
+        return self.twin_with(values).constants.copy()
 
     def twin_with(self, values: Mapping[Key, float]) -> Twin:
         """One simulation of the twin with parameters set, for reading its constants."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
-from vpptwin.twin.twin import Twin
+from vpptwin.twin.sensors import Constants, age_of_pose, measure_coordinate, measure_rate
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
@@ -19,48 +19,6 @@ MODEL_FLOOR = {"position": 0.0, "velocity": 0.02, "specific force": 0.1}
 that switches a few milliseconds early, vibration, blades between two samples."""
 MISSING = 1e6
 """Standard deviations given to a bin without samples, which takes it out of every sum."""
-
-
-PITCH = 2
-"""Degree of freedom of the drone that its gyro measures and that its motion capture sees as an angle."""
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """What the drone's sensors make of the truth in K windows, each (K,); on other rigs they show it as it is.
-
-    Attributes:
-        start: when the window starts, s since the start of the log.
-        delay: age of motion-capture poses [s].
-        drift: further age per second of log [s/s].
-        scale: factor on motion-capture positions.
-        angle: added to the motion capture's θ [rad].
-        gyro_scale: factor on the gyro's rate.
-        gyro_bias: added to it [rad/s].
-        drone: whether they are the drone's.
-    """
-
-    start: np.ndarray
-    delay: np.ndarray
-    drift: np.ndarray
-    scale: np.ndarray
-    angle: np.ndarray
-    gyro_scale: np.ndarray
-    gyro_bias: np.ndarray
-    drone: bool = True
-
-    @classmethod
-    def perfect(cls, start: np.ndarray, drone: bool = True) -> Sensors:
-        """Sensors without errors."""
-        zero, one = np.zeros(len(start)), np.ones(len(start))
-        return cls(start, zero, zero, one, zero, one, zero, drone)
-
-    @classmethod
-    def of_twin(cls, twin: Twin, start: np.ndarray) -> Sensors:
-        """Those of a twin of one simulation."""
-        names = ("mocap.delay", "clock.drift", "mocap.scale", "mocap.angle", "gyro.scale", "gyro.bias")
-        delay, drift, scale, angle, gain, bias = (np.repeat(twin.constant(name), len(start)) for name in names)
-        return cls(start, delay, drift, scale, angle, gain, bias, twin.spec.vehicle is not None)
 
 
 @dataclass(frozen=True)
@@ -167,8 +125,9 @@ def pad_samples(array: np.ndarray, samples: int) -> np.ndarray:
 
 
 def predict_channel(
-    channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, sensors: Sensors
-) -> np.ndarray:
+    channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, start: np.ndarray,
+    sensors: Constants,
+) -> np.ndarray:  # fmt: skip
     """The channel as a simulation shows it.
 
     Args:
@@ -177,7 +136,8 @@ def predict_channel(
         velocity: (K, steps + 1, nv) m/s, rad/s.
         dt: time between them, s.
         gravity: m/s².
-        sensors: what they make of it.
+        start: when the windows start, (K,) s since the start of the log.
+        sensors: constants of the sensors, which broadcast over (K, B, S).
 
     Returns:
         Mean over each bin, (K, B).
@@ -190,21 +150,17 @@ def predict_channel(
         track, shift = pose[..., channel.axis], 0.0
     offset = channel.offset + shift
     if channel.delayed:
-        offset = offset - sensors.delay[:, None, None]
-        offset = offset - sensors.drift[:, None, None] * (sensors.start[:, None, None] + channel.offset)
+        offset = offset - age_of_pose(sensors, start[:, None, None] + channel.offset)
     position = np.clip(offset / dt, 0.0, track.shape[1] - 1.000001)
     whole = position.astype(np.intp)
     part = position - whole
     rows = np.arange(len(track))[:, None, None]
     sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
-    mean = (sampled * channel.weight).sum(axis=2)
-    if channel.kind == "specific force" or not sensors.drone:
-        return mean
-    if channel.kind == "velocity":
-        return sensors.gyro_scale[:, None] * mean + sensors.gyro_bias[:, None] * channel.weight.sum(axis=2)
-    if channel.axis == PITCH:
-        return mean + sensors.angle[:, None] * channel.weight.sum(axis=2)
-    return sensors.scale[:, None] * mean
+    if channel.kind == "velocity":  # on the drone its gyro's; sensors of other rigs have no errors
+        sampled = measure_rate(sensors, sampled)
+    elif channel.kind == "position":
+        sampled = measure_coordinate(sensors, channel.axis, sampled)
+    return (sampled * channel.weight).sum(axis=2)
 
 
 def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
-from vpptwin.diagnosis.channels import BIN, predict_channel
+from vpptwin.diagnosis.channels import BIN
 from vpptwin.diagnosis.likelihood import Likelihood, build_likelihood, rotary_dofs, whiten_with
 
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
@@ -83,7 +83,7 @@ class HeldOut:
         for channel in self.long.channels:
             if channel.kind == "specific force":
                 continue
-            predicted = predict_channel(channel, pose[0], velocity[0], self.long.windows.dt, 0.0, sensors)
+            predicted = self.long.observe_channel(channel, pose[0], velocity[0], sensors)
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
             per_horizon = np.array([self._near(square, h) for h in HORIZONS_S])

@@ -10,7 +10,6 @@ from markupsafe import Markup
 
 from vpptwin import __version__
 from vpptwin.diagnosis.bench import Variation
-from vpptwin.diagnosis.channels import predict_channel
 from vpptwin.diagnosis.diagnose import Diagnosis
 from vpptwin.diagnosis.holdout import HORIZONS_S, HeldOut, Score
 from vpptwin.diagnosis.summary import (
@@ -100,7 +99,7 @@ def draw_overlay(held_out: HeldOut, diagnosis: Diagnosis) -> str:
     for i, channel in enumerate(channels):
         measured[:, i] = channel.value[shown][seen]
         for j, into in enumerate((before, after)):
-            predicted = predict_channel(channel, pose[j], velocity[j], bench.windows.dt, 0.0, sensors[j])
+            predicted = bench.observe_channel(channel, pose[j], velocity[j], sensors[j])
             into[:, i] = predicted[shown][seen]
     labels = [f"{c.name} [{c.unit}]" for c in channels]
     starts = bench.windows.start[shown].tolist()

@@ -12,7 +12,7 @@ X, Y, Z = 0, 1, 2
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
-    """Mass added to the nominal craft [kg]."""
+    """Mass added to that of a body [kg]: the craft, or the carriage, which moves in x only."""
     constants["body_mass"][:, site.body] += mass
 
 

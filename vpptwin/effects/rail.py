@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vpptwin.effects.airframe import apply_mass
 from vpptwin.effects.base import Constants, Effect, Motion, Site, Stage
 from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.effects.parameter import Parameter, Prior
@@ -36,11 +37,6 @@ def apply_tilt(constants: Constants, site: Site, /, angle: np.ndarray) -> None:
     """Gravity leaks into x: -g sin(angle) on all that moves along the rail [rad]."""
     gravity = constants["opt.gravity"]
     gravity[:, X] += gravity[:, Z] * np.sin(angle)
-
-
-def apply_carriage_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
-    """Mass added to the nominal carriage, which moves in x only [kg]."""
-    constants["body_mass"][:, site.body] += mass
 
 
 JAMMING_X = Effect(
@@ -104,7 +100,7 @@ CARRIAGE_MASS = Effect(
     equation="m_carriage + mass",
     parameters=(Parameter("mass", "kg", 0.0, -0.06, 0.3, Prior("normal", 0.0, 0.01), 0.03, 0.0015),),
     stage=Stage.CONSTANT,
-    apply=apply_carriage_mass,
+    apply=apply_mass,
     shows=("/mocap/pose", "/imu/data"),
     look_alikes=("rail_x.spring",),
     writes=("body_mass",),

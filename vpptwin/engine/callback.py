@@ -40,24 +40,35 @@ _STOPPED_CLOCK, _QUIET = stop_clock.ctypes, keep_quiet.ctypes
 
 
 @contextmanager
+def stopped_clock() -> Iterator[None]:
+    """Let the engine's profiling clock stand still in the block.
+
+    MuJoCo's Python bindings install one that the engine reads some thirty times a step, a third of the step of a model
+    as small as ours.
+    """
+    clock = mujoco.get_mjcb_time()
+    mujoco.set_mjcb_time(_STOPPED_CLOCK)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_time(clock)
+
+
+@contextmanager
 def installed(callback: object) -> Iterator[None]:
     """Run our control callback (a ctypes function) while in the block; what was installed before comes back after.
 
-    The engine's profiling clock stands still meanwhile: its Python bindings install one that MuJoCo reads some thirty
-    times a step, a third of the step of a model as small as ours. Its warnings, which it would write into a file of the
-    working folder, are left: they are of simulations that diverge, and `vpptwin.twin.health` tells those.
+    The engine's profiling clock stands still meanwhile. Its warnings, which it would write into a file of the working
+    folder, are left: they are of simulations that diverge, and `vpptwin.twin.health` tells those.
     """
-    with _LOCK:
-        before, clock = mujoco.get_mjcb_control(), mujoco.get_mjcb_time()
-        warning = mujoco.get_mju_user_warning()
+    with _LOCK, stopped_clock():
+        before, warning = mujoco.get_mjcb_control(), mujoco.get_mju_user_warning()
         mujoco.set_mjcb_control(callback)
-        mujoco.set_mjcb_time(_STOPPED_CLOCK)
         mujoco.set_mju_user_warning(_QUIET)
         try:
             yield
         finally:
             mujoco.set_mjcb_control(before)
-            mujoco.set_mjcb_time(clock)
             mujoco.set_mju_user_warning(warning)
 
 

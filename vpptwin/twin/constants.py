@@ -15,7 +15,6 @@ from vpptwin.twin.kernel import Kernel
 from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
 
-DELAY_CONSTANT = "actuator.delay"
 Key = tuple[str, str]
 """Effect id and parameter."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,

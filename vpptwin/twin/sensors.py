@@ -43,10 +43,14 @@ def age_of_pose(constants: Constants, stamp: np.ndarray | float) -> np.ndarray:
     return constants["mocap.delay"] + constants["clock.drift"] * stamp
 
 
+def measure_coordinate(constants: Constants, axis: int, value: np.ndarray) -> np.ndarray:
+    """x, z or θ as motion capture gives it, noise and age apart [m, m, rad]; any shape that constants broadcast to."""
+    return value + constants["mocap.angle"] if axis == PITCH else value * constants["mocap.scale"]
+
+
 def measure_pose(constants: Constants, pose: np.ndarray) -> np.ndarray:
     """A pose x, z, θ as motion capture gives it, noise and age apart, (N, 3) m, m, rad."""
-    scale = constants["mocap.scale"]
-    return np.stack([pose[:, X] * scale, pose[:, Z] * scale, pose[:, PITCH] + constants["mocap.angle"]], axis=1)
+    return np.stack([measure_coordinate(constants, axis, pose[:, axis]) for axis in (X, Z, PITCH)], axis=1)
 
 
 def measure_velocity(constants: Constants, velocity: np.ndarray) -> np.ndarray:

@@ -12,9 +12,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from vpptwin.effects import Effect, Parameter
+from vpptwin.effects import Effect
 from vpptwin.pilot import Script, pilot_commands
 from vpptwin.twin import Twin, TwinSpec, TwinState
+from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
 from vpptwin.viz.palette import BLUE, VERMILION
 
 STRETCH = 0.05
@@ -71,13 +72,6 @@ class Fingerprint:
     cause_name: str
 
 
-def show_value(parameter: Parameter) -> float:
-    """A value well away from off, within the bounds."""
-    up = parameter.off + SIZES * parameter.size
-    down = parameter.off - SIZES * parameter.size
-    return float(up if up <= parameter.high else max(down, parameter.low))
-
-
 def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
     """Fly without the effect; from every stretch's start let two twins go on under the same commands, one with it.
 
@@ -93,7 +87,7 @@ def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
         twin = Twin(spec, count, active=active, num_threads=1)
         for other in active:
             for i, p in enumerate(twin.effects[other].parameters):
-                shown = show_value(p) if i == 0 else p.off
+                shown = p.away(SIZES) if i == 0 else p.off
                 twin.set_parameter(other, p.name, shown if on or other != effect.id else p.off)
         state = states.copy()
         for k in range(commands.shape[1]):
@@ -112,7 +106,7 @@ def fly(spec: TwinSpec, active: tuple[str, ...]) -> tuple[TwinState, np.ndarray]
     twin = Twin(spec, 1, active=active, num_threads=1)
     for effect_id in active[1:]:  # what the effect modifies is there in both
         strength = twin.effects[effect_id].parameters[0]
-        twin.set_parameter(effect_id, strength.name, show_value(strength))
+        twin.set_parameter(effect_id, strength.name, strength.away(SIZES))
     vehicle, state = twin.vehicle, twin.initial_state(START)
     period = 1.0 / vehicle.control.policy_rate
     each = round(STRETCH / period)
@@ -135,14 +129,16 @@ def compare(twin: Twin, without: TwinState, having: TwinState) -> Iterator[Trace
         yield Trace(name, axis, gained[:, axis], noise)
     speed = having.rotor_speed - without.rotor_speed
     yield Trace("rotor 1\nspeed [rad/s]", 3, speed[:, 0], 1.0)
-    age = twin.constant("mocap.delay") + twin.constant("clock.drift") * without.time
-    scale, angle = twin.constant("mocap.scale"), twin.constant("mocap.angle")
-    for axis, name, noise in ((0, "measured\nx [mm]", 0.4), (1, "measured\nz [mm]", 0.4)):
-        seen = scale * (without.qpos[:, axis] - age * without.qvel[:, axis]) - without.qpos[:, axis]
-        yield Trace(name, axis, 1000 * seen, noise)
-    yield Trace("measured\nθ [mrad]", 2, 1000 * (angle - age * without.qvel[:, 2]), 3.0)
-    rate = twin.constant("gyro.scale") * without.qvel[:, 2] + twin.constant("gyro.bias") - without.qvel[:, 2]
-    yield Trace("measured\nq [rad/s]", 2, rate, 0.02)
+    pose, velocity = without.qpos, without.qvel
+    late = pose - age_of_pose(twin.constants, without.time)[:, None] * velocity
+    seen = 1000 * (measure_pose(twin.constants, late) - pose)
+    for axis, name, noise in (
+        (0, "measured\nx [mm]", 0.4),
+        (1, "measured\nz [mm]", 0.4),
+        (2, "measured\nθ [mrad]", 3.0),
+    ):
+        yield Trace(name, axis, seen[:, axis], noise)
+    yield Trace("measured\nq [rad/s]", 2, measure_rate(twin.constants, velocity[:, 2]) - velocity[:, 2], 0.02)
 
 
 def follow(
