@@ -163,7 +163,7 @@ def check_score(score: dict) -> None:
 
 def check_cause(cause: dict) -> None:
     """An entry of `causes` in SPEC 7, against the catalogue."""
-    assert set(cause) == {"effect", "confidence", "parameters", "gain", "also_explained_by"}
+    assert set(cause) == {"effect", "confidence", "parameters", "gain", "gain_interval", "also_explained_by"}
     effect = find_effect(CATALOGUE, cause["effect"])
     assert 0.0 < cause["confidence"] < 1.0
     assert cause["gain"] <= 1.0
@@ -176,15 +176,16 @@ def check_cause(cause: dict) -> None:
         assert parameter.low <= entry["value"] <= parameter.high
         check_numbers([entry["std"]], 1)
     rivals = cause["also_explained_by"]
-    assert all(set(rival) == {"effect", "confidence"} for rival in rivals)
+    assert all(set(rival) == {"effect", "confidence", "sigma"} for rival in rivals)
     assert all(find_effect(CATALOGUE, rival["effect"]) is not effect for rival in rivals)
     assert sum(rival["confidence"] for rival in rivals) + cause["confidence"] <= 1.0
 
 
 def check_verdict(verdict: dict) -> None:
-    """verdict.json has the form of SPEC 7, key by key; `warnings` is ours."""
+    """verdict.json has the form of SPEC 7, key by key; the last line of keys is ours."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
-    assert set(verdict) == {*keys, "suggested_experiment", "warnings"}
+    ours = ("experiment", "cleared", "unseen", "improvement", "warnings")
+    assert set(verdict) == {*keys, "suggested_experiment", *ours}
     assert all(isinstance(log, str) for log in verdict["logs"])
     assert isinstance(verdict["twin"], str)
     assert set(verdict["samples"]) == {"windows", "held_out_windows"}
@@ -198,7 +199,7 @@ def check_verdict(verdict: dict) -> None:
     gains = [cause["gain"] for cause in verdict["causes"]]
     assert gains == sorted(gains, reverse=True)
     unexplained = verdict["unexplained"]
-    assert set(unexplained) == {"significant", "share", "channel", "depends_on"}
+    assert set(unexplained) == {"significant", "share", "channel", "depends_on", "sigma"}
     assert isinstance(unexplained["significant"], bool)
     assert 0.0 <= unexplained["share"] <= 1.0
     assert unexplained["channel"] is None or isinstance(unexplained["channel"], str)

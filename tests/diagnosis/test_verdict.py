@@ -62,12 +62,14 @@ def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
         "confidence": 0.9,
         "parameters": {"force": {"value": 0.3081, "unit": "N", "std": 0.0123, "nominal": 0.0}},
         "gain": 0.62,
+        "gain_interval": None,
         "also_explained_by": [
-            {"effect": "rail_x.viscous", "confidence": 0.06},
-            {"effect": "air.drag", "confidence": 0.04},
+            {"effect": "rail_x.viscous", "confidence": 0.06, "sigma": 0.0},
+            {"effect": "air.drag", "confidence": 0.04, "sigma": 0.0},
         ],
     }
-    assert content["unexplained"] == {"significant": False, "share": 0.01, "channel": None, "depends_on": []}
+    left = {"significant": False, "share": 0.01, "channel": None, "depends_on": [], "sigma": 0.0}
+    assert content["unexplained"] == left
     assert content["suggested_experiment"] is None
     assert content["warnings"] == ["late"]
 

@@ -23,15 +23,16 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that this data cannot tell from the named one, and how probable it is instead."""
+    """An effect that this data cannot tell from the named one: how probable it is instead, and how many sigma apart."""
 
     effect: str
     confidence: float
+    sigma: float = 0.0
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A named effect; `gain` is the share of the held-out excess chi2 that it removes."""
+    """A named effect; `gain` is the share of the held-out excess chi2 that it removes, with its 90 % interval."""
 
     effect: str
     confidence: float
@@ -39,16 +40,59 @@ class Cause:
     gain: float
     also_explained_by: list[Rival]
     summary: str = ""
+    gain_interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is left: whether it exceeds no-effect flights, its share of the excess, its channel and what it follows."""
+    """What is left: whether it exceeds no-effect flights, its share of the excess, its channel and what it follows.
+
+    `sigma` is the excess in standard deviations of what flights without an effect leave.
+    """
 
     significant: bool
     share: float
     channel: str | None
     depends_on: list[str]
+    sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cleared:
+    """A suspect that these flights would have shown: with 90 % probability its parameter lies between low and high."""
+
+    effect: str
+    parameter: str
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A suspect that these flights could not have shown, and why."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The manoeuvre of the library that separates what is confused best.
+
+    Attributes:
+        manoeuvre: its name.
+        parameters: its parameters.
+        separates: the effects that it tells apart.
+        sigma: how far apart they are predicted to be after it.
+        command: what to type to see it flown in the twin.
+    """
+
+    manoeuvre: str
+    parameters: dict[str, float]
+    separates: list[str]
+    sigma: float
+    command: str
 
 
 @dataclass(frozen=True)
@@ -64,7 +108,11 @@ class Verdict:
     gap: bool
     causes: list[Cause]
     unexplained: Unexplained
-    suggested_experiment: str | None = None
+    cleared: list[Cleared] = field(default_factory=list)
+    unseen: list[Unseen] = field(default_factory=list)
+    improvement: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """90 % interval of the change in error per horizon, as a share of the error before, from blocks of flight."""
+    experiment: Experiment | None = None
     warnings: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, object]:
@@ -80,7 +128,11 @@ class Verdict:
             "gap": self.gap,
             "causes": causes,
             "unexplained": asdict(self.unexplained),
-            "suggested_experiment": self.suggested_experiment,
+            "suggested_experiment": self.experiment.manoeuvre if self.experiment is not None else None,
+            "experiment": asdict(self.experiment) if self.experiment is not None else None,
+            "cleared": [asdict(suspect) for suspect in self.cleared],
+            "unseen": [asdict(suspect) for suspect in self.unseen],
+            "improvement": self.improvement,
             "warnings": self.warnings,
         }
         return content
