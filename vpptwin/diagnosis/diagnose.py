@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,10 +16,14 @@ from vpptwin.diagnosis.leftover import judge_leftover
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, Fit, Search, Step
 from vpptwin.diagnosis.suspects import Unknown, list_unknowns
 from vpptwin.diagnosis.verdict import Cause, Estimate, Rival, Verdict
+from vpptwin.diagnosis.wrench import WrenchPlot
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
+
+if TYPE_CHECKING:
+    from vpptwin.diagnosis.preflight import Preflight
 
 RIVAL_DROP = 18.0
 """A rival within this drop in cost of the named cause is reported with it (3 sigma, doubled for imperfect models)."""
@@ -49,6 +54,8 @@ class Diagnosis:
         search: the search, with the fitted windows.
         fit: its last fit.
         held_out: the judging windows.
+        leftover_plot: the missing force that remains, against what it follows; None if nothing remains.
+        preflight: what each log could show, in the order of the logs.
     """
 
     verdict: Verdict
@@ -57,6 +64,8 @@ class Diagnosis:
     search: Search
     fit: Fit
     held_out: HeldOut
+    leftover_plot: WrenchPlot | None = None
+    preflight: list[Preflight] = field(default_factory=list)
 
 
 def diagnose(
