@@ -14,7 +14,7 @@ from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
 RATE = 100.0
-"""Samples per second of a prediction [Hz]."""
+"""Samples per second of a prediction, if nobody asks for more [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,14 @@ class Prediction:
     restarts: np.ndarray
 
 
-def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5) -> Prediction:
+def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: float = RATE) -> Prediction:
     """Drive the twin with a flight's logged commands.
 
     Args:
         spec: the twin.
         flight: the log.
         restart: seconds between restarts from a state estimated without looking ahead; None runs freely from the start.
+        rate: samples per second of the prediction, at most one per step of the twin [Hz].
 
     Raises:
         InputError: if the flight is shorter than one restart interval.
@@ -63,7 +64,7 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5) -> Predi
     windows = cut_windows(spec, measurements, starts, length, causal=True)
     twin = Twin(spec, len(windows))
     pose, velocity = simulate_windows(twin, windows)
-    every = max(round(1.0 / (RATE * windows.dt)), 1)
+    every = max(round(1.0 / (rate * windows.dt)), 1)
     picked = slice(0, windows.steps, every)
     time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]
     nominal = spec.vehicle.rotor.speed if spec.vehicle is not None else 0.0

@@ -18,7 +18,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
-from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE
+from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
 from vpptwin.logs.convert import Value, split_column
 from vpptwin.logs.decode import find_leaf
 from vpptwin.logs.flight import Stream
@@ -117,12 +117,12 @@ class FlightWriter:
         """Write one message.
 
         Args:
-            topic: one of SPEC 3.
+            topic: one of SPEC 3, or one of them below a namespace, such as `/twin/after/mocap/pose`.
             time: of the header stamp [s since time zero].
             values: column -> number or (k,), SI; optional columns left out are written as NaN.
             log_time: when it was recorded [s since time zero]; None for `time`.
         """
-        channel = CHANNELS[topic]
+        channel = find_channel(topic)
         given = {column.name: values.get(column.name) for column in channel.columns}
         missing = [column.name for column in channel.columns if given[column.name] is None and not column.optional]
         if missing or set(values) - set(given):
@@ -190,9 +190,9 @@ class FlightWriter:
             if message_type not in self._schemas:
                 text = compose_definition(message_type).encode()
                 self._schemas[message_type] = self._writer.register_schema(message_type, SchemaEncoding.ROS2, text)
-            units = (
-                {column.name: column.unit for column in CHANNELS[topic].columns} if topic in CHANNELS else JOINT_COLUMNS
-            )
+            units = JOINT_COLUMNS
+            if message_type != JOINT_STATE:
+                units = {column.name: column.unit for column in find_channel(topic).columns}
             metadata = {
                 "offered_qos_profiles": "",
                 "units": ", ".join(f"{name} {unit}" for name, unit in units.items()),
@@ -201,6 +201,18 @@ class FlightWriter:
                 topic, MessageEncoding.CDR, self._schemas[message_type], metadata
             )
         return self._channels[topic]
+
+
+def find_channel(topic: str) -> Channel:
+    """The channel whose form messages on a topic take: its own, or that of the canonical topic that it ends with.
+
+    Raises:
+        KeyError: if there is none.
+    """
+    for canonical, channel in CHANNELS.items():
+        if topic.endswith(canonical):
+            return channel
+    raise KeyError(topic)
 
 
 def pack_leaf(message: bytearray, leaf: Leaf, value: Value) -> None:
