@@ -104,7 +104,7 @@ def fly_own(spec: TwinSpec, commands: np.ndarray, imu: bool = True, rotors: bool
     twin = Twin(spec, 1, num_threads=1)
     count, speed = len(commands), np.full((1, len(commands), 2), twin.vehicle.rotor.speed)
     start = np.array([0.0, 1.5, 0.0])
-    _, qpos, qvel = twin.replay_commands(twin.initial_state(qpos=start), commands[None], speed)
+    _, qpos, qvel, _ = twin.replay_commands(twin.initial_state(qpos=start), commands[None], speed)
     pose = np.concatenate([start[None], twin.pose_at_time(qpos, qvel)[0]])
     velocity = np.concatenate([np.zeros((1, 3)), qvel[0]])
     time = np.arange(count + 1) / 1000.0

@@ -33,7 +33,7 @@ def coast(twin: Twin, state: TwinState, seconds: float, thrust: float = 0.0) -> 
     """Poses and velocities after every step, (N, steps, 3), under blades that ask for `thrust` [N] in all."""
     steps = round(seconds / twin.dt)
     commands = np.full((twin.num_sims, steps, 2), 0.5 * thrust * BLADE_PER_NEWTON)
-    _, qpos, qvel = twin.replay_commands(state, commands)
+    _, qpos, qvel, _ = twin.replay_commands(state, commands)
     return twin.pose_at_time(qpos, qvel), qvel
 
 

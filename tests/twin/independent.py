@@ -80,7 +80,7 @@ class Flights:
         commands, throttle = (
             np.repeat(given.transpose(2, 0, 1), round(HOLD / step), axis=1) for given in (self.pitch, self.throttle)
         )
-        _, qpos, qvel = twin.replay_commands(state, commands, throttle=throttle)
+        _, qpos, qvel, _ = twin.replay_commands(state, commands, throttle=throttle)
         every = round(EVERY / step)
         qpos, qvel = qpos[:, every - 1 :: every], qvel[:, every - 1 :: every]
         later = np.concatenate([twin.pose_at_time(qpos, qvel), qvel], axis=2).transpose(1, 2, 0)

@@ -124,7 +124,7 @@ def test_craft_at_rest_stays_at_rest(pose: tuple[float, float, float], hold: flo
     else:  # pressed against it sideways, with more than its friction, and pushed up or down
         hand[:, 0, Z] += 0.8 * sign * level
         hand[:, 0, X] = np.sign(pose[X]) * (level + 1.0)
-    _, qpos, _ = twin.replay_commands(place(twin, np.tile(pose, (3, 1))), np.zeros((3, 12000, 2)), disturbance=hand)
+    qpos = twin.replay_commands(place(twin, np.tile(pose, (3, 1))), np.zeros((3, 12000, 2)), disturbance=hand).qpos
     settled = qpos[:, 2000:]
     assert np.abs(settled - settled[:, :1])[..., :2].max() < 1e-4
     assert np.abs(settled - settled[:, :1])[..., PITCH].max() < 1e-3  # rad: 0.2 mm at the tip

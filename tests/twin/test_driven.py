@@ -37,14 +37,14 @@ def test_free_joint_feels_a_driven_one(tmp_path: Path, free: int, driven: int) -
     both = Twin(load_cart(tmp_path, "both"), ROWS, active=hidden, num_threads=1)
     both.set_parameter(hidden[0], "damping", 0.05)
     both.set_parameter(hidden[1], "force", 0.1)
-    _, qpos, velocity = both.replay_commands(both.initial_state(qpos=start), commands)
+    _, qpos, velocity, _ = both.replay_commands(both.initial_state(qpos=start), commands)
     pose = both.pose_at_time(qpos, velocity)
     full_pose = np.concatenate([start[:, None], pose], axis=1)
     full_velocity = np.concatenate([np.zeros((ROWS, 1, 2)), velocity], axis=1)
     led = Driven(np.array([driven]), full_pose[:, :-1, [driven]], full_velocity[:, :-1, [driven]])
     half = Twin(load_cart(tmp_path, JOINTS[free], JOINTS[driven]), ROWS, num_threads=1)
     applied = commands if free == 0 else np.zeros_like(commands)  # what acts on the driven joint need not be known
-    _, led_qpos, led_velocity = half.replay_commands(half.initial_state(qpos=start), applied, driven=led)
+    _, led_qpos, led_velocity, _ = half.replay_commands(half.initial_state(qpos=start), applied, driven=led)
     led_pose = half.pose_at_time(led_qpos, led_velocity)
     # The driven joint is off by a millionth of the other forces on it; its last acceleration is taken from the one
     # before, hence one step less.
@@ -70,7 +70,7 @@ def test_friction_of_a_free_joint_holds_beside_a_driven_one(tmp_path: Path) -> N
     angle = 0.3 * np.sin(3.0 * time)[None, :, None]
     speed = 0.9 * np.cos(3.0 * time)[None, :, None]  # pulls with 0.2 kg * 0.3 m * 2.7 rad/s² = 0.16 N or so
     start = twin.initial_state(qvel=np.array([0.0, 0.9]))
-    _, qpos, _ = twin.replay_commands(start, np.zeros((1, 2000, 1)), driven=Driven(np.array([1]), angle, speed))
+    qpos = twin.replay_commands(start, np.zeros((1, 2000, 1)), driven=Driven(np.array([1]), angle, speed)).qpos
     assert np.abs(qpos[..., 0]).max() < 2e-5  # m in 2 s: the creep of 0.1 mm in 10 s that SPEC 1 allows
 
 

@@ -90,7 +90,9 @@ def replay(spec: TwinSpec, flights: Flights) -> tuple[np.ndarray, np.ndarray]:
     per = round(HOLD / twin.dt)
     start = twin.initial_state(qpos=twin.pose_for_engine(flights.pose, flights.velocity), qvel=flights.velocity)
     commands = np.repeat(flights.command, per, axis=1)
-    _, qpos, qvel = twin.replay_commands(start, commands, np.repeat(flights.speed[:, None], commands.shape[1], axis=1))
+    _, qpos, qvel, _ = twin.replay_commands(
+        start, commands, np.repeat(flights.speed[:, None], commands.shape[1], axis=1)
+    )
     every = slice(per // 5 - 1, None, per // 5)
     pose = np.concatenate([flights.pose[:, None], twin.pose_at_time(qpos, qvel)[:, every]], axis=1)
     velocity = np.concatenate([flights.velocity[:, None], qvel[:, every]], axis=1)

@@ -25,7 +25,7 @@ def push(
     steps = round(seconds / twin.dt)
     held = forces + np.array([0.0, WEIGHT, 0.0])
     start = place(twin, pose, velocity)
-    _, qpos, qvel = twin.replay_commands(start, np.zeros((twin.num_sims, steps, 2)), disturbance=held)
+    _, qpos, qvel, _ = twin.replay_commands(start, np.zeros((twin.num_sims, steps, 2)), disturbance=held)
     return twin.pose_at_time(qpos, qvel), qvel
 
 

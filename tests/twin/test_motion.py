@@ -82,7 +82,7 @@ def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
     blades = np.array([0.10, 0.102])
     start = place(twin, pose, velocity)
     start.actuators["horn"] = start.actuators["blade"] = blades
-    _, qpos, qvel = twin.replay_commands(start, np.tile(blades, (10, 400, 1)))
+    _, qpos, qvel, _ = twin.replay_commands(start, np.tile(blades, (10, 400, 1)))
     path = np.concatenate([pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     speed = np.concatenate([velocity[:, None], qvel], axis=1)
     left, right = blades / BLADE_PER_NEWTON

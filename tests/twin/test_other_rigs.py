@@ -58,12 +58,12 @@ def test_a_lift_stands_still(tmp_path: Path, rig: str) -> None:
     changes, control = RIGS[rig]
     twin = load_lift(tmp_path, changes)
     # 1e-15 and less: rounding, as on our own rails; the engine's own integrators and clamps are foreseen exactly.
-    _, qpos, qvel = twin.replay_commands(twin.initial_state(), np.full((1, 3000, 1), control))
+    _, qpos, qvel, _ = twin.replay_commands(twin.initial_state(), np.full((1, 3000, 1), control))
     assert np.abs(qpos).max() < 1e-12
     assert np.abs(qvel).max() < 1e-12
     moved = load_lift(tmp_path, changes)
     moved.set_parameter("lift.coulomb", "force", 1.0 if "MJCF" not in rig else 0.0)
-    _, qpos, _ = moved.replay_commands(moved.initial_state(), np.full((1, 1000, 1), control))
+    qpos = moved.replay_commands(moved.initial_state(), np.full((1, 1000, 1), control)).qpos
     assert qpos[0, -1, 0] < -0.004  # m in a second, where a servo pulls back; most fall by 0.2 m
 
 
@@ -78,6 +78,6 @@ def test_every_generic_effect_at_once(tmp_path: Path) -> None:
     for effect in spec.catalogue:
         for p in effect.parameters:
             twin.set_parameter(effect.id, p.name, p.draw(rng, 5))
-    state, _, _ = twin.replay_commands(twin.initial_state(), np.full((5, 500, 1), WEIGHT))
+    state = twin.replay_commands(twin.initial_state(), np.full((5, 500, 1), WEIGHT)).state
     assert state.finite().all()
     assert np.unique(state.qpos[:, 0]).size == 5

@@ -79,7 +79,7 @@ def test_replay_leaves_its_arguments(twin: Twin, flown: TwinState) -> None:
     for array in (blades, speed, push):
         array.flags.writeable = False
     before = freeze(flown)
-    after, qpos, qvel = twin.replay_commands(flown, blades, speed, disturbance=push)
+    after, qpos, qvel, _ = twin.replay_commands(flown, blades, speed, disturbance=push)
     assert_equal(flown, before)
     assert_apart(flown, after)
     for name, array in list_arrays(after):
@@ -210,23 +210,23 @@ def test_disturbance_is_a_force_held_in_turn(twin: Twin, flown: TwinState) -> No
     """Three segments of disturbance act one third of the steps each, as so large a bias would."""
     blades, push = np.full((4, 30, 2), 0.1), np.zeros((4, 3, 3))
     push[:, 1, 0] = 0.6
-    after, _, _ = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0), disturbance=push)
+    after = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0), disturbance=push).state
     biased = Twin(SPEC, 4, active=(*ACTIVE, "rail_x.bias"), num_threads=1)
     for effect_id, parameter in (("rail_x.coulomb", "force"), ("command.delay", "delay")):
         biased.set_parameter(effect_id, parameter, twin.parameter(effect_id, parameter))
     state = flown
     for force in (0.0, 0.6, 0.0):
         biased.set_parameter("rail_x.bias", "force", force)
-        state, _, _ = biased.replay_commands(state, blades[:, :10], np.full((4, 10, 2), 470.0))
+        state = biased.replay_commands(state, blades[:, :10], np.full((4, 10, 2), 470.0)).state
     assert_equal(after, dict(list_arrays(state)))
-    without, _, _ = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0))
+    without = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0)).state
     assert (after.qvel[:, 0] - without.qvel[:, 0] > 0.003).all()  # 0.6 N for 10 ms on 0.6 kg, less friction
 
 
 def test_rotors_can_be_simulated_from_throttle(twin: Twin, flown: TwinState) -> None:
     """Replayed with throttles instead of measured speeds, rotors speed up and slow down by themselves."""
     throttle = np.full((4, 100, 2), 0.45) * np.array([1.0, 0.5])
-    after, _, _ = twin.replay_commands(flown, np.full((4, 100, 2), 0.1), throttle=throttle)
+    after = twin.replay_commands(flown, np.full((4, 100, 2), 0.1), throttle=throttle).state
     assert (after.rotor_speed[:, 0] > 450.0).all()
     assert (after.rotor_speed[:, 1] < 350.0).all()
     np.testing.assert_array_equal(after.throttle, throttle[:, -1])
@@ -236,7 +236,7 @@ def test_warm_up_moves_the_actuators_alone(twin: Twin) -> None:
     """Past commands run through delay and lag leave the actuators as a replay of them does."""
     start, blades = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (4, 40, 2))
     layer = twin.warm_up(start.actuators, blades)
-    replayed, _, _ = twin.replay_commands(start, blades)
+    replayed = twin.replay_commands(start, blades).state
     for name in ("horn", "blade", "output", "mean", "history", "newest"):
         np.testing.assert_array_equal(layer[name], replayed.actuators[name], err_msg=name)
     assert np.ptp(layer["output"][:, 0]) > 1e-4  # four delays, four states
@@ -299,10 +299,10 @@ def test_broken_row_leaves_the_others_alone(twin: Twin, flown: TwinState) -> Non
 def test_track_is_where_single_steps_lead(twin: Twin, flown: TwinState) -> None:
     """The qpos and qvel that a replay returns are those after each of its steps."""
     blades = np.random.default_rng(13).uniform(0.05, 0.15, (4, 12, 2))
-    _, qpos, qvel = twin.replay_commands(flown, blades)
+    _, qpos, qvel, _ = twin.replay_commands(flown, blades)
     state = flown
     for k in range(12):
-        state, _, _ = twin.replay_commands(state, blades[:, k : k + 1])
+        state = twin.replay_commands(state, blades[:, k : k + 1]).state
         np.testing.assert_array_equal(qpos[:, k], state.qpos)
         np.testing.assert_array_equal(qvel[:, k], state.qvel)
 

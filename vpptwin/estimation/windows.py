@@ -185,7 +185,9 @@ def simulate_windows(
     layer["horn"] = layer["blade"] = windows.warm[:, 0]
     layer["history"] = windows.warm[:, :1]
     start = replace(start, actuators=twin.warm_up(layer, windows.warm))
-    _, qpos, qvel = twin.replay_commands(start, windows.command, windows.rotor_speed, None, disturbance, windows.driven)
+    _, qpos, qvel, _ = twin.replay_commands(
+        start, windows.command, windows.rotor_speed, None, disturbance, windows.driven
+    )
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     return pose, velocity

@@ -27,6 +27,7 @@ CONTEXT = np.dtype(
     [(name, np.int64) for name in (
         "vehicle", "layer", "constants", "parameters", "memory", "scratch", "active", "dry", "driven", "counter",
         "policy", "steps", "segments", "command", "speed", "throttle", "push", "lead", "qpos", "qvel",
+        "rotor_speed",
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
@@ -78,6 +79,8 @@ def control(m, d):
         float64_table_at(context.qvel + steps * {nv} * 8 * i, steps, {nv})[k, :] = view.qvel
     rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
     {step}
+    if context.rotor_speed:
+        float64_table_at(context.rotor_speed + steps * {nu} * 8 * i, steps, {nu})[k, :] = row.layer.rotor_speed
 """
 
 

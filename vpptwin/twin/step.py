@@ -52,8 +52,8 @@ class Tape(NamedTuple):
     Attributes:
         policy: whether `command` is that of a policy (thrust N, rate rad/s), held throughout, instead of one per step.
         command: (1, 2) or (steps, nu).
-        speed: measured rotor speed, (steps, nu) rad/s; no rows when it is simulated.
-        throttle: (steps, nu) 0..1; no rows when there is none.
+        speed: measured rotor speed, which thrust goes by, (steps, nu) rad/s; no rows when it is simulated.
+        throttle: by which motors are simulated, (steps, nu) 0..1; no rows when there is none.
         push: generalized force added, (segments, nv) N, N m; no rows for none.
         lead: where driven joints' qpos is after each step, (steps, nv); no rows when none is driven.
         driven: inertia by which each joint is driven, (nv,); 0 for free ones.
@@ -132,14 +132,16 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     move_actuator(layer, constants, 0, pitch_1, dt)
     move_actuator(layer, constants, 1, pitch_2, dt)
     for i in range(2):
-        if len(tape.speed) > 0:
-            layer.rotor_speed[i] = layer.mean_speed[i] = tape.speed[k, i]
-        elif len(tape.throttle) > 0 or tape.policy:
-            if len(tape.throttle) > 0:
-                layer.throttle[i] = tape.throttle[k, i]
+        if len(tape.throttle) > 0:
+            layer.throttle[i] = tape.throttle[k, i]
+        elif len(tape.speed) > 0:
+            layer.rotor_speed[i] = tape.speed[k, i]
+        if len(tape.throttle) > 0 or tape.policy:
             spin_rotor(vehicle, layer, constants, i, view.time, dt)
         else:
             layer.mean_speed[i] = layer.rotor_speed[i]
+        if len(tape.speed) > 0:
+            layer.mean_speed[i] = tape.speed[k, i]
 
     craft = Craft(
         view.qpos[X], view.qpos[Z], view.qvel[X], view.qvel[Z], view.qvel[PITCH],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -16,18 +15,10 @@ from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
 from vpptwin.twin.kernel import CONTEXT, compile_kernel, delay_depth, warm_up
 from vpptwin.twin.model import hold_joints
+from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
 from vpptwin.vehicle import Vehicle
-
-
-@dataclass(frozen=True)
-class Driven:
-    """Joints that follow a log: their degrees of freedom (D,), poses and velocities at every step, (N, steps, D)."""
-
-    dofs: np.ndarray
-    pose: np.ndarray
-    velocity: np.ndarray
 
 
 class Twin:
@@ -218,26 +209,29 @@ class Twin:
         throttle: np.ndarray | None = None,
         disturbance: np.ndarray | None = None,
         driven: Driven | None = None,
-    ) -> tuple[TwinState, np.ndarray, np.ndarray]:
+    ) -> Replay:
         """Run under logged actuator commands, one per inner step.
 
         Args:
             state: N simulations; not modified.
             commands: blade pitch [rad] (control input on other rigs), (N, steps, nu).
-            rotor_speed: measured rotor speed, (N, steps, 2) rad/s; None simulates it from `throttle`.
-            throttle: (N, steps, 2), 0..1; used when `rotor_speed` is None. With neither, speeds stay as they are.
+            rotor_speed: measured rotor speed, (N, steps, 2) rad/s, which thrust goes by; None simulates it.
+            throttle: (N, steps, 2), 0..1, by which motors are simulated, beside measured speeds where these are given.
+                Without either, speeds stay as they are.
             disturbance: generalized force added, (N, segments, nv) N, N m, each held for an equal part of the steps.
             driven: joints that follow given tracks instead of the engine.
 
         Returns:
-            The final state, and qpos, qvel after every step, (N, steps, nq) and (N, steps, nv).
+            The final state, and positions, velocities and simulated rotor speeds after every step.
         """
         result, steps, model = state.copy(), commands.shape[1], self.spec.model
         tape = {"command": commands}
         if self.spec.vehicle is not None and rotor_speed is not None:
             tape["speed"] = rotor_speed
-        elif self.spec.vehicle is not None and throttle is not None:
-            tape["throttle"] = throttle
+        spun = None
+        if self.spec.vehicle is not None and throttle is not None:
+            spun = np.empty((self.num_sims, steps, 2))
+            tape |= {"throttle": throttle, "rotor_speed": spun}
         if disturbance is not None:
             tape["push"] = disturbance
         if driven is not None:
@@ -247,7 +241,7 @@ class Twin:
         self._run(result, steps, tape)
         qpos = np.concatenate([before[0][:, 1:], result.qpos[:, None]], axis=1)
         qvel = np.concatenate([before[1][:, 1:], result.qvel[:, None]], axis=1)
-        return result, qpos, qvel
+        return Replay(result, qpos, qvel, spun)
 
     def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
         """Put driven joints at the start of their tracks; where their qpos is to be after each step, (N, steps, nv)."""

@@ -1,0 +1,35 @@
+"""What goes into a replay besides commands, and what comes out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from vpptwin.twin.state import TwinState
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Joints that follow a log: their degrees of freedom (D,), poses and velocities at every step, (N, steps, D)."""
+
+    dofs: np.ndarray
+    pose: np.ndarray
+    velocity: np.ndarray
+
+
+class Replay(NamedTuple):
+    """What became of N simulations under logged commands.
+
+    Attributes:
+        state: the final state.
+        qpos: the engine's positions after every step, (N, steps, nq) m, rad.
+        qvel: velocities after every step, (N, steps, nv) m/s, rad/s.
+        rotor_speed: of the simulated motors after every step, (N, steps, 2) rad/s; None where none is simulated.
+    """
+
+    state: TwinState
+    qpos: np.ndarray
+    qvel: np.ndarray
+    rotor_speed: np.ndarray | None
