@@ -1,0 +1,99 @@
+"""The measurements of a rig that is not the drone: joint states and control inputs named by the twin's `signals`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.estimation.series import Measurements, Series, common_span
+from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.model import HINGE
+from vpptwin.twin.spec import TwinSpec
+
+POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
+"""Shares of its range below which a joint's logged position and velocity are not believed."""
+
+
+def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
+    """Measurements of another rig: the joint states and control inputs that the twin's `signals` name."""
+    assert spec.signals is not None
+    positions: dict[int, Series] = {}
+    velocities: dict[int, Series] = {}
+    for joint, topic in spec.signals.joints.items():
+        dof, position, velocity = read_joint(spec, flight, topic, joint)
+        positions[dof] = position
+        if velocity is not None:
+            velocities[dof] = velocity
+    driven = {}
+    for joint, topic in spec.signals.driven.items():
+        dof, driven[dof], _ = read_joint(spec, flight, topic, joint)
+    command = read_efforts(spec, flight, spec.signals.actuators)
+    start, end = common_span([*positions.values(), *driven.values(), command])
+    return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
+
+
+def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[int, Series, Series | None]:
+    """Degree of freedom, position and, where logged, velocity of a joint."""
+    stream = find_joint(flight, topic, joint)
+    dof = int(spec.model.joint(joint).dofadr[0])
+    rotary = int(spec.model.joint(joint).type[0]) == HINGE
+    length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
+    if "position" not in stream.values:
+        raise InputError(
+            f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+        )
+    position = Series(
+        joint, length, stream.time, stream["position"], estimate_noise(stream["position"], POSITION_SHARE), white=False
+    )
+    if "velocity" not in stream.values:
+        return dof, position, None
+    noise = estimate_noise(stream["velocity"], VELOCITY_SHARE)
+    return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
+
+
+def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
+    """Control inputs of all actuators on one time axis, held between samples; unlogged actuators stay at zero."""
+    streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
+    if not streams:
+        return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)
+    time = np.unique(np.concatenate([s.time for s in streams.values()]))
+    time = time[time >= max(s.time[0] for s in streams.values())]
+    value = np.zeros((len(time), spec.model.nu))
+    for name, stream in streams.items():
+        if "effort" not in stream.values:
+            raise InputError(
+                f"{flight.path}: no effort of actuator {name!r} on {actuators[name]}",
+                "`effort` = control input in the JointState", "record it or correct `signals`",
+            )  # fmt: skip
+        held = np.searchsorted(stream.time, time, side="right") - 1
+        value[:, spec.model.actuator(name).id] = stream["effort"][held]
+    return Series("control", "", time, value, 0.0)
+
+
+def find_joint(flight: Flight, topic: str, name: str) -> Stream:
+    """The stream of a joint or actuator on a JointState topic."""
+    joints = flight.joints.get(topic)
+    if joints is None:
+        known = ", ".join(flight.joints) or "no JointState topic at all"
+        raise InputError(f"{flight.path}: no topic {topic}", f"it in the log, which has {known}", "correct `signals`")
+    if name not in joints:
+        raise InputError(f"{flight.path}: {topic} has no {name!r}", f"one of {', '.join(joints)}", "correct `signals`")
+    return joints[name]
+
+
+def estimate_noise(value: np.ndarray, share: float) -> float:
+    """Noise of one sample of somebody's estimator output, 1 sigma in its unit.
+
+    Third differences remove what is smooth and leave the noise; but estimators smooth that away too, so nothing is
+    believed better than a `share` of the range in which the signal moves.
+
+    Args:
+        value: samples, (n,).
+        share: of the range between the 1st and the 99th percentile.
+    """
+    low, high = np.percentile(value, [1.0, 99.0])
+    floor = max(share * float(high - low), 1e-9)
+    if len(value) < 8:
+        return floor
+    spread = np.median(np.abs(np.diff(value, 3))) / 0.6745 / np.sqrt(20.0)
+    return float(max(spread, floor))

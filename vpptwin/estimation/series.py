@@ -1,0 +1,72 @@
+"""Measured quantities as series of samples, and those of one flight together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples of one quantity.
+
+    Attributes:
+        name: what it is, e.g. `x` or `pitch rate`.
+        unit: SI unit.
+        time: (n,) s, increasing.
+        value: (n,) or (n, k).
+        std: sensor noise of one sample, 1 sigma, in the unit.
+        white: the noise is independent from sample to sample, so that averaging reduces it.
+    """
+
+    name: str
+    unit: str
+    time: np.ndarray
+    value: np.ndarray
+    std: float
+    white: bool = True
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What was measured and commanded on one flight.
+
+    Attributes:
+        name: file the flight came from.
+        positions: degree of freedom → position [m or rad].
+        velocities: degree of freedom → velocity [m/s or rad/s].
+        specific_force: accelerometer in body axes x, z, (n, 2) m/s²; None without one.
+        command: actuator commands (n, nu): blade pitch [rad] on the drone, control inputs elsewhere.
+        rotor_speed: measured speed (n, 2) rad/s; None where it was not measured.
+        delayed: degrees of freedom whose position comes from the motion capture.
+        start, end: span in which everything needed is there [s].
+        driven: degree of freedom → position of a joint that is not simulated but follows its log.
+        throttle: commanded share of the battery's voltage (n, 2); None where it was not logged.
+        current: measured motor currents (n, 2) A; None where they were not measured.
+        warnings: what was left out, filled in or is lost, one line each.
+    """
+
+    name: str
+    positions: dict[int, Series]
+    velocities: dict[int, Series]
+    specific_force: Series | None
+    command: Series
+    rotor_speed: Series | None
+    delayed: tuple[int, ...]
+    start: float
+    end: float
+    driven: dict[int, Series] = field(default_factory=dict)
+    throttle: Series | None = None
+    current: Series | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Usable length of the flight [s]."""
+        return self.end - self.start
+
+
+def common_span(series: list[Series]) -> tuple[float, float]:
+    """Span in which all series have samples [s]."""
+    return max(float(s.time[0]) for s in series), min(float(s.time[-1]) for s in series)
