@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from vpptwin.estimation.initial import estimate_states
+from vpptwin.estimation.initial import estimate_states, fit_end
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
 WARM_UP = 0.15
 """Past commands run through the actuators before a window, so that they start where they were [s]."""
+SPIN_SPAN = 0.01
+"""Rotor speeds this long around a window's start, or as long before it, tell the speed there [s]."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Windows:
         pose: estimated pose at the start, (K, nv).
         velocity: estimated velocity at the start, (K, nv).
         driven: tracks of joints that follow the log; None where there are none.
+        throttle: mean over each step, (K, steps, 2); None where it or the rotor speed is not known.
+        spin: estimated rotor speed at the start, (K, 2) rad/s; None where there is no throttle.
     """
 
     flight: np.ndarray
@@ -43,6 +48,8 @@ class Windows:
     pose: np.ndarray
     velocity: np.ndarray
     driven: Driven | None = None
+    throttle: np.ndarray | None = None
+    spin: np.ndarray | None = None
 
     def __len__(self) -> int:
         """Number of windows."""
@@ -55,7 +62,9 @@ class Windows:
 
     def take(self, ids: np.ndarray) -> Windows:
         """Some of the windows; repeats are allowed."""
-        speed = None if self.rotor_speed is None else self.rotor_speed[ids]
+        speed, throttle, spin = (
+            None if array is None else array[ids] for array in (self.rotor_speed, self.throttle, self.spin)
+        )
         return replace(
             self,
             flight=self.flight[ids],
@@ -66,6 +75,8 @@ class Windows:
             pose=self.pose[ids],
             velocity=self.velocity[ids],
             driven=self.driven and Driven(self.driven.dofs, self.driven.pose[ids], self.driven.velocity[ids]),
+            throttle=throttle,
+            spin=spin,
         )
 
     def shift(self, pose: np.ndarray, velocity: np.ndarray) -> Windows:
@@ -112,9 +123,12 @@ def cut_windows(
     steps, warm = round(length / dt), round(WARM_UP / dt)
     edges = starts[:, None] + dt * np.arange(-warm, steps + 1)
     command = average_held(measurements.command, edges)
-    speed = None
+    speed = throttle = spin = None
     if measurements.rotor_speed is not None:
         speed = average_sampled(measurements.rotor_speed, edges[:, warm:])
+        if measurements.throttle is not None:
+            throttle = average_held(measurements.throttle, edges[:, warm:])
+            spin = estimate_spin(measurements.rotor_speed, starts, causal)
     gravity = -float(spec.model.opt.gravity[2])
     pose, velocity = estimate_states(measurements, starts, spec.model.nv, gravity, causal)
     driven = follow_log(measurements, edges[:, warm:]) if measurements.driven else None
@@ -131,7 +145,15 @@ def cut_windows(
         pose=pose,
         velocity=velocity,
         driven=driven,
+        throttle=throttle,
+        spin=spin,
     )
+
+
+def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
+    """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
+    rotors = [replace(speed, value=speed.value[:, i]) for i in range(2)]
+    return np.array([[fit_end(rotor, time, SPIN_SPAN, causal) for rotor in rotors] for time in times])
 
 
 def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
@@ -146,48 +168,78 @@ def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
 
 def join_windows(parts: list[Windows]) -> Windows:
     """All windows of several flights as one set."""
-    speeds = [part.rotor_speed for part in parts]
     tracks = [part.driven for part in parts if part.driven is not None]
     driven = None
     if tracks:
         pose, velocity = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("pose", "velocity"))
         driven = Driven(tracks[0].dofs, pose, velocity)
-    known = [speed for speed in speeds if speed is not None]
     return replace(
         parts[0],
         flight=np.concatenate([p.flight for p in parts]),
         start=np.concatenate([p.start for p in parts]),
         warm=np.concatenate([p.warm for p in parts]),
         command=np.concatenate([p.command for p in parts]),
-        rotor_speed=np.concatenate(known) if len(known) == len(parts) else None,
+        rotor_speed=join_known([p.rotor_speed for p in parts]),
         pose=np.concatenate([p.pose for p in parts]),
         velocity=np.concatenate([p.velocity for p in parts]),
         driven=driven,
+        throttle=join_known([p.throttle for p in parts]),
+        spin=join_known([p.spin for p in parts]),
     )
+
+
+def join_known(arrays: list[np.ndarray | None]) -> np.ndarray | None:
+    """All rows of several arrays, or None where one of them is not known."""
+    known = [array for array in arrays if array is not None]
+    return np.concatenate(known) if len(known) == len(arrays) else None
+
+
+class Motion(NamedTuple):
+    """What a twin does in K windows, at the start and after every step.
+
+    Attributes:
+        pose: (K, steps + 1, nv) m, rad.
+        velocity: at the same times, (K, steps + 1, nv) m/s, rad/s.
+        rotor_speed: of the simulated motors, (K, steps + 1, 2) rad/s; None where the throttle is not known.
+    """
+
+    pose: np.ndarray
+    velocity: np.ndarray
+    rotor_speed: np.ndarray | None
 
 
 def simulate_windows(
     twin: Twin, windows: Windows, disturbance: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and velocity of `fly_windows`."""
+    motion = fly_windows(twin, windows, disturbance)
+    return motion.pose, motion.velocity
+
+
+def fly_windows(twin: Twin, windows: Windows, disturbance: np.ndarray | None = None) -> Motion:
     """Drive a twin of len(windows) simulations through the windows.
+
+    Thrust goes by the measured rotor speed. Where the throttle is known, the motors run beside, from the measured
+    speed at the start, as they do in the twin.
 
     Args:
         twin: one simulation a window.
         windows: the windows.
         disturbance: generalized force added, (K, segments, nv) N, N m; None for none.
-
-    Returns:
-        Pose and velocity at the start and after every step, both at that very time, (K, steps + 1, nv).
     """
     qpos = twin.pose_for_engine(windows.pose, windows.velocity)
     start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
     layer = start.actuators
     layer["horn"] = layer["blade"] = windows.warm[:, 0]
     layer["history"] = windows.warm[:, :1]
+    if windows.spin is not None:
+        layer["rotor_speed"] = windows.spin
     start = replace(start, actuators=twin.warm_up(layer, windows.warm))
-    _, qpos, qvel, _ = twin.replay_commands(
-        start, windows.command, windows.rotor_speed, None, disturbance, windows.driven
+    _, qpos, qvel, rotor_speed = twin.replay_commands(
+        start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
     )
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
-    return pose, velocity
+    if rotor_speed is not None:
+        rotor_speed = np.concatenate([start.rotor_speed[:, None], rotor_speed], axis=1)
+    return Motion(pose, velocity, rotor_speed)
