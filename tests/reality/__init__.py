@@ -4,20 +4,25 @@ Nothing of vpptwin is imported and no MuJoCo: other equations, another integrato
 law (true sticking), another log writer.
 """
 
-from .effects import ALIEN, CORE, EFFECTS, EXTENDED, draw_effect
+from .effects import ALIEN, CORE, EFFECTS, EXTENDED, LOOK_ALIKES, draw_effect, draw_together, measure_strength
 from .flight import fly, fly_many
 from .manoeuvres import MANOEUVRES
 from .recording import Recording, write_mcap
+from .rig import true_size
 
 __all__ = [
     "ALIEN",
     "CORE",
     "EFFECTS",
     "EXTENDED",
+    "LOOK_ALIKES",
     "MANOEUVRES",
     "Recording",
     "draw_effect",
+    "draw_together",
     "fly",
     "fly_many",
+    "measure_strength",
+    "true_size",
     "write_mcap",
 ]

@@ -22,6 +22,8 @@ def main() -> None:
     parser.add_argument("--no-gusts", dest="gusts", action="store_false")
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="nominal rig, exact mocap stamps")
     parser.add_argument("--no-dropouts", dest="dropouts", action="store_false")
+    parser.add_argument("--distractors", action="store_true", help="thrust ripple and gyro wander, hardly noticeable")
+    parser.add_argument("--outliers", action="store_true", help="0.5 %% of the mocap frames are far off")
     parser.add_argument("--out", type=Path, required=True)
     given = vars(parser.parse_args())
     out, effects = given.pop("out"), given.pop("effect")

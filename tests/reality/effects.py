@@ -21,16 +21,35 @@ class Size:
         unit: SI unit of the parameter.
         off: Value at which the effect does nothing (NaN: the vehicle's nominal value).
         spans: Intervals to draw from, negative ones included, each equally likely.
+        idle: Value from which on it does nothing in flight, where that is not `off`.
     """
 
     unit: str
     off: float
     spans: tuple[tuple[float, float], ...]
+    idle: float | None = None
+
+    @property
+    def nothing(self) -> float:
+        """The value from which strength counts."""
+        return self.off if self.idle is None else self.idle
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw one size, rounded to five digits so that a printed failure can be flown again."""
         low, high = self.spans[rng.integers(len(self.spans))]
         return float(f"{rng.uniform(low, high):.5g}")
+
+    def draw_faint(self, rng: np.random.Generator, least: float) -> float:
+        """Draw a size of strength `least` to 1: below all that `draw` gives."""
+        span = self.spans[rng.integers(len(self.spans))]
+        edge = min(span, key=lambda end: abs(end - self.nothing))
+        return float(f"{self.nothing + rng.uniform(least, 1.0) * (edge - self.nothing):.5g}")
+
+    def measure_strength(self, value: float) -> float:
+        """Distance from nothing over that of the faint end of the value's span: 1 is the least that `draw` gives."""
+        edges = [min(span, key=lambda end: abs(end - self.nothing)) for span in self.spans]
+        edge = next((e for e in edges if (e - self.nothing) * (value - self.nothing) > 0.0), edges[0])
+        return abs(value - self.nothing) / abs(edge - self.nothing)
 
 
 def _either_sign(low: float, high: float) -> tuple[tuple[float, float], ...]:
@@ -49,7 +68,7 @@ CORE: dict[str, dict[str, Size]] = {
     "air.drag": {"k_d": Size("N s^2/m^2", 0.0, ((0.05, 0.25),))},
     "rotor.thrust_gain": {"gain": Size("1", 1.0, ((0.85, 0.95), (1.05, 1.15)))},
     "rotor.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.02, 0.08))},
-    "servo.lag": {"time_constant": Size("s", float("nan"), ((0.028, 0.050),))},
+    "servo.lag": {"time_constant": Size("s", float("nan"), ((0.028, 0.050),), idle=0.020)},
     "command.delay": {"delay": Size("s", 0.0, ((0.004, 0.015),))},
     "mocap.delay": {"delay": Size("s", 0.0, ((0.005, 0.020),))},
 }
@@ -74,12 +93,12 @@ EXTENDED: dict[str, dict[str, Size]] = {
     "airframe.com_height": {"offset": Size("m", 0.0, _either_sign(0.006, 0.02))},
     "air.ground_effect": {"gain": Size("1", 0.0, ((0.15, 0.40),)), "height": Size("m", 0.3, ((0.2, 0.4),))},
     "rotor.negative_thrust": {"loss": Size("1", 0.0, ((0.08, 0.25),))},
-    "rotor.stall": {"onset": Size("rad", 1.0, ((0.15, 0.18),))},
+    "rotor.stall": {"onset": Size("rad", 1.0, ((0.15, 0.18),), idle=0.21)},  # the largest blade pitch
     "rotor.inflow": {"damping": Size("N s/(m rad)", 0.0, ((4e-4, 1.2e-3),))},
     "rotor.in_plane": {"damping": Size("N s/(m rad)", 0.0, ((2e-4, 6e-4),))},
     "rotor.drag": {"gain": Size("1", 1.0, ((0.75, 0.90), (1.10, 1.30)))},
     "battery.sag": {"rate": Size("1/s", 0.0, ((0.003, 0.008),))},
-    "servo.rate_limit": {"rate": Size("rad/s", 1e9, ((1.5, 3.0),))},
+    "servo.rate_limit": {"rate": Size("rad/s", 1e9, ((1.5, 3.0),), idle=6.0)},
     "servo.backlash": {"gap": Size("rad", 0.0, ((0.006, 0.015),))},
     "servo.trim": {
         "offset_1": Size("rad", 0.0, _either_sign(0.004, 0.012)),
@@ -109,18 +128,59 @@ COMPANIONS: dict[str, dict[str, Size]] = {
 }
 
 
-def draw_effect(rng: np.random.Generator, among: Sequence[str] = tuple(CORE)) -> dict[str, dict[str, float]]:
+# DIAGNOSIS.md's look-alikes, and dry friction of one rail: hardly told apart even alone, so never hidden together.
+LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
+    frozenset(group.split())
+    for group in (
+        "rail_x.bias rail.tilt mocap.misalignment",
+        "airframe.mass rotor.thrust_gain rail_z.bias servo.trim rotor.negative_thrust",
+        "rotor.asymmetry servo.trim airframe.com pitch.bias",
+        "rail_x.viscous rail_z.viscous air.drag rotor.in_plane rotor.inflow",
+        "command.delay servo.lag servo.rate_limit servo.backlash",
+        "airframe.inertia gyro.scale rotor.thrust_gain rotor.stall",
+        "mocap.delay clock.drift",
+        "rail_x.spring carriage.mass rail_x.bias",
+        "rail_x.coulomb rail_x.stiction rail_x.jamming rail_x.tight_spot rail_x.viscous",
+        "rail_z.coulomb rail_z.stiction rail_z.jamming rail_z.viscous",
+        "pitch.coulomb pitch.viscous rotor.inflow",
+        "rotor.drag battery.sag",
+    )
+)
+
+
+def draw_effect(
+    rng: np.random.Generator, among: Sequence[str] = tuple(CORE), faint: float | None = None
+) -> dict[str, dict[str, float]]:
     """Draw one hidden effect with its size and sign.
 
     Args:
         rng: Source of randomness.
         among: Effect ids to choose from.
+        faint: Least strength of an effect that is to be fainter than its spans; None for one within them.
 
     Returns:
         {id: {parameter: value in SI}}.
     """
     effect = among[int(rng.integers(len(among)))]
-    return {effect: {name: size.draw(rng) for name, size in EFFECTS[effect].items()}}
+    values = {name: size.draw(rng) for name, size in EFFECTS[effect].items()}
+    if faint is not None:
+        strength = next(iter(values))
+        values[strength] = EFFECTS[effect][strength].draw_faint(rng, faint)
+    return {effect: values}
+
+
+def draw_together(rng: np.random.Generator, count: int, among: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Draw several hidden effects, no two of them look-alikes."""
+    while True:
+        chosen = [among[int(i)] for i in rng.choice(len(among), count, replace=False)]
+        if all(len(group.intersection(chosen)) < 2 for group in LOOK_ALIKES):
+            return {k: v for effect in chosen for k, v in draw_effect(rng, (effect,)).items()}
+
+
+def measure_strength(effect: str, values: Mapping[str, float]) -> float:
+    """Strength of a hidden effect: 1 at the faint end of what is drawn, below 1 if fainter still."""
+    name, size = next(iter(EFFECTS[effect].items()))
+    return size.measure_strength(values[name])
 
 
 def check_effects(effects: Effects) -> None:

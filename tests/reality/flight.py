@@ -49,6 +49,8 @@ class FlightPlan(TypedDict, total=False):
     gusts: bool
     jitter: bool
     dropouts: bool
+    distractors: bool
+    outliers: bool
     initial: Sequence[float] | None
 
 
@@ -57,6 +59,8 @@ _DEFAULTS: FlightPlan = {
     "gusts": True,
     "jitter": True,
     "dropouts": True,
+    "distractors": False,
+    "outliers": False,
     "initial": None,
     "session": None,
 }
@@ -72,6 +76,8 @@ def fly(
     gusts: bool = True,
     jitter: bool = True,
     dropouts: bool = True,
+    distractors: bool = False,
+    outliers: bool = False,
     initial: Sequence[float] | None = None,
 ) -> Recording:
     """Fly one flight.
@@ -85,6 +91,8 @@ def fly(
         gusts: Whether gusts blow.
         jitter: Whether the rig differs from nominal within tolerance, and mocap stamps jitter.
         dropouts: Whether mocap frames go missing.
+        distractors: Whether thrust ripples and the gyro wanders, both too little to be noticed.
+        outliers: Whether a few recorded mocap frames are far off (the pilot's own filter has refused them).
         initial: x m, z m, theta rad and their rates at the start; by default the craft settles in hover first.
     """
     plan: FlightPlan = {
@@ -96,6 +104,8 @@ def fly(
         "gusts": gusts,
         "jitter": jitter,
         "dropouts": dropouts,
+        "distractors": distractors,
+        "outliers": outliers,
         "initial": initial,
     }
     return fly_many([plan])[0]
@@ -130,6 +140,7 @@ class Batch:
         self.rig = Rig([f["effects"] for f in flights], [s if f["jitter"] else None for f, s in zip(flights, sessions)])
         nominal = self.rig.nominal
         self.chances = draw_chances(flights, self.steps + 1, nominal)
+        self.rippling = any(f["distractors"] for f in flights)
         scripts = [write_script(f["manoeuvre"], f["duration"] + PERIOD_MARGIN, f["seed"]) for f in flights]
         self.pilot = Pilot(scripts, nominal)
         state = np.zeros((6, self.count))
@@ -184,6 +195,8 @@ class Batch:
             path = self.servo.advance(pitch)
             speeds = self.motor.advance(throttle, path, (k - self.lead) * STEP)
             thrusts = self.propeller.compute_thrust(path, speeds)
+            if self.rippling:
+                thrusts = thrusts * chances.ripple[k]
             gust = chances.gust[k] + _GUST_WEIGHTS * (chances.gust[k + 1] - chances.gust[k])
             plant.advance(thrusts, speeds, gust)
             blade, speed, thrust = path[-1], speeds[-1], thrusts[-1]

@@ -118,7 +118,7 @@ def _gather_topics(batch: Batch, row: int) -> dict[str, Topic]:
     stamps = frames * MOCAP_PERIOD + batch.chances.phase[row]
     kept = batch.chances.seen[frames, row] & (stamps >= lead) & (frames <= batch.newest[row])
     seen_at = (stamps[kept] - lead) * STEP + batch.chances.jitter[frames[kept], row]
-    pose = batch.frames[frames[kept], :, row]
+    pose = batch.frames[frames[kept], :, row] + batch.chances.wild[frames[kept], :, row]
     late = np.maximum(0.008 + 4e-4 * np.round(rng.standard_normal(kept.sum()), 1), 0.006)
     late = late - batch.drift[row] * seen_at  # the stamp is the mocap clock's, the record the onboard clock's
 

@@ -64,6 +64,24 @@ def draw_tolerances(session: int) -> dict[str, float]:
     }
 
 
+def true_size(effect: str, parameter: str, value: float, session: int) -> float:
+    """What a rig really has: the hidden value and, where it adds to that, the tolerance of the session's rig."""
+    tolerance, nominal = draw_tolerances(session), load_nominal()
+    match effect:
+        case "rail_x.coulomb":
+            return value + tolerance["friction_x"]
+        case "rail_z.coulomb":
+            return value + tolerance["friction_z"]
+        case "airframe.mass" | "airframe.inertia":
+            return value + nominal["airframe"][parameter] * tolerance[parameter]
+        case "rotor.thrust_gain":
+            return value * (1 + tolerance["k_t"])
+        case "rotor.asymmetry":
+            return value + tolerance["asymmetry"]
+        case _:
+            return value
+
+
 class Rig:
     """Constants of the true rigs. Arrays end in the flight axis."""
 

@@ -21,6 +21,10 @@ STAMP_JITTER = 0.0002  # s
 GUST_TIME = 0.3  # s, correlation
 GUST_SHARE = 0.01  # of weight, and of weight times half the arm length
 DROPOUT_RATE, DROPOUT_TIME = 0.15, 0.05  # 1/s, s
+RIPPLE, RIPPLE_RATE = 0.004, 2 * np.pi * 150.0  # of thrust, rad/s: two blades at 75 Hz
+GYRO_WANDER, WANDER_TIME = 0.001, 20.0  # rad/s, s
+OUTLIER_SHARE = 0.005  # of mocap frames
+OUTLIER_REACH, OUTLIER_TURN = 0.3, 0.8  # m, rad
 
 
 def quantise(value: np.ndarray, lsb: float) -> np.ndarray:
@@ -42,6 +46,8 @@ class Chances:
         jitter: s, error of mocap stamps, (frames, flights).
         seen: Whether a frame arrives, (frames, flights).
         phase: ms from a policy tick to the mocap frame that follows, (flights,).
+        ripple: Factor on thrust, (steps, flights).
+        wild: m, m, rad, by which recorded mocap frames are wrong, mostly 0, (frames, 3, flights).
     """
 
     gyro: np.ndarray
@@ -53,6 +59,8 @@ class Chances:
     jitter: np.ndarray
     seen: np.ndarray
     phase: np.ndarray
+    ripple: np.ndarray
+    wild: np.ndarray
 
 
 def _draw_gust(rng: np.random.Generator, steps: int, nominal: dict) -> np.ndarray:
@@ -77,11 +85,24 @@ def _draw_gaps(rng: np.random.Generator, frames: int) -> np.ndarray:
     return seen
 
 
+def _draw_distractors(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """What no catalogue lists and no diagnosis should notice: thrust ripple (a factor), gyro wander rad/s; (steps,)."""
+    time, phase = np.arange(steps) * STEP, rng.uniform(0, 2 * np.pi, 2)
+    ripple = 1 + RIPPLE * np.sin(RIPPLE_RATE * time + phase[0])
+    return ripple, GYRO_WANDER * np.sin(2 * np.pi * time / WANDER_TIME + phase[1])
+
+
+def _draw_outliers(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """Frames in which the tracker took something else for a marker, (frames, 3)."""
+    wrong = rng.uniform(-1, 1, (frames, 3)) * np.array([OUTLIER_REACH, OUTLIER_REACH, OUTLIER_TURN])
+    return wrong * (rng.random(frames) < OUTLIER_SHARE)[:, None]
+
+
 def draw_chances(flights: Sequence[Mapping[str, Any]], steps: int, nominal: dict) -> Chances:
     """Draw the random series of a batch.
 
     Args:
-        flights: Per flight `seed`, `gusts`, `jitter`, `dropouts`.
+        flights: Per flight `seed`, `gusts`, `jitter`, `dropouts`, `distractors`, `outliers`.
         steps: ms.
         nominal: Content of vehicle.yaml.
     """
@@ -90,7 +111,11 @@ def draw_chances(flights: Sequence[Mapping[str, Any]], steps: int, nominal: dict
     rows: dict[str, list[np.ndarray]] = {name: [] for name in Chances.__dataclass_fields__}
     for flight in flights:
         noise, gust, gaps, timing = (np.random.default_rng([flight["seed"], k]) for k in range(4))
-        rows["gyro"].append(sensors["imu"]["gyro_std"] * noise.standard_normal(steps))
+        small, wild = (np.random.default_rng([flight["seed"], k]) for k in (6, 7))
+        ripple, wander = _draw_distractors(small, steps) if flight["distractors"] else (np.ones(steps), 0.0)
+        rows["ripple"].append(ripple)
+        rows["wild"].append(_draw_outliers(wild, frames) if flight["outliers"] else np.zeros((frames, 3)))
+        rows["gyro"].append(sensors["imu"]["gyro_std"] * noise.standard_normal(steps) + wander)
         rows["accel"].append(sensors["imu"]["accel_std"] * noise.standard_normal((steps, 2)))
         rows["speed"].append(sensors["rotor"]["speed_std"] * noise.standard_normal((steps, 2)))
         rows["current"].append(sensors["rotor"]["current_std"] * noise.standard_normal((steps, 2)))
