@@ -1,0 +1,111 @@
+"""What a twin says of everything that a flight measured, at the log's own stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.estimation.measurements import Series, read_measurements
+from vpptwin.estimation.replay import Prediction, replay
+from vpptwin.logs.flight import Flight
+from vpptwin.twin.sensors import Constants, age_of_pose, measure_coordinate, measure_rate
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
+
+RESTART = 0.5
+"""The twin is put back to the state estimated from the log this often [s]."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One measured quantity of a flight.
+
+    Attributes:
+        name: what it is, e.g. `x` or `pitch rate`.
+        unit: SI unit.
+        kind: `position` or `velocity`.
+        dof: degree of freedom it measures.
+        time: stamps (n,) [s since the log's first].
+        measured: (n,).
+        noise: sensor noise of one sample, 1 sigma.
+        predicted: (twins, n) what each twin says; NaN where none could be simulated.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    dof: int
+    time: np.ndarray
+    measured: np.ndarray
+    noise: float
+    predicted: np.ndarray
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured minus predicted, (twins, n)."""
+        return self.measured - self.predicted
+
+
+@dataclass(frozen=True)
+class FlightPrediction:
+    """A flight beside one or several twins.
+
+    Attributes:
+        flight: the log.
+        tracks: everything measured, positions first.
+        restarts: when the twins were put back to the log [s].
+    """
+
+    flight: Flight
+    tracks: list[Track]
+    restarts: np.ndarray
+
+
+def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPrediction:
+    """Drive twins with a flight's commands, restarted every half second, and read their sensors at the log's stamps.
+
+    Raises:
+        InputError: if the flight is shorter than that, or lacks what the twins need.
+    """
+    measurements = read_measurements(twins[0], flight)
+    rate = 1.0 / float(twins[0].model.opt.timestep)
+    replays = [replay(twin, flight, RESTART, rate) for twin in twins]
+    constants = [Twin(twin, 1).constants for twin in twins]
+    tracks = []
+    for kind, quantities in (("position", measurements.positions), ("velocity", measurements.velocities)):
+        for dof, series in sorted(quantities.items()):
+            late = dof in measurements.delayed and kind == "position"
+            predicted = [read_sensor(r, c, series, dof, kind, late) for r, c in zip(replays, constants, strict=True)]
+            noise = float(series.std)
+            tracks.append(
+                Track(series.name, series.unit, kind, dof, series.time, series.value, noise, np.array(predicted))
+            )
+    return FlightPrediction(flight, tracks, replays[0].restarts)
+
+
+def read_sensor(
+    prediction: Prediction, constants: Constants, series: Series, dof: int, kind: str, late: bool
+) -> np.ndarray:
+    """What the sensor of one quantity would have shown in a twin, (n,); NaN where the twin was not simulated.
+
+    Args:
+        prediction: the twin's replay, one sample per step.
+        constants: of its sensors, (1,).
+        series: the quantity as logged.
+        dof: degree of freedom.
+        kind: `position` or `velocity`.
+        late: poses may be older than their stamps.
+    """
+    time = series.time - age_of_pose(constants, series.time) if late else series.time
+    # Between steps the twin goes on as it was: nothing reaches across a restart.
+    before = np.clip(np.searchsorted(prediction.time, time + 1e-9, side="right") - 1, 0, len(prediction.time) - 1)
+    ahead = time - prediction.time[before]
+    step = float(np.median(np.diff(prediction.time)))
+    velocity = prediction.qvel[before, dof]
+    if kind == "velocity":  # on the drone its gyro's; sensors of other rigs have no errors
+        value = measure_rate(constants, velocity)
+    else:
+        value = measure_coordinate(constants, dof, prediction.qpos[before, dof] + velocity * ahead)
+    return np.where((ahead > -1e-6) & (ahead < 1.5 * step), value, np.nan)
