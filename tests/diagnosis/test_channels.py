@@ -9,14 +9,13 @@ from vpptwin.diagnosis.channels import (
     MODEL_FLOOR,
     Channel,
     bin_channel,
-    body_force,
     join_channels,
     observe_windows,
     predict_channel,
 )
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
-from vpptwin.twin.sensors import perfect_sensors
+from vpptwin.twin.sensors import body_force, perfect_sensors
 
 DT = 0.001
 GRAVITY = 9.81

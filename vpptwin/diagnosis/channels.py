@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
-from vpptwin.twin.sensors import Constants, age_of_pose, measure_coordinate, measure_rate
+from vpptwin.twin.sensors import Constants, age_of_pose, body_force, measure_coordinate, measure_rate
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
@@ -161,12 +161,3 @@ def predict_channel(
     elif channel.kind == "position":
         sampled = measure_coordinate(sensors, channel.axis, sampled)
     return (sampled * channel.weight).sum(axis=2)
-
-
-def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:
-    """Specific force at the hinge in body axes x, z at the middle of every step, (K, steps, 2) m/s²."""
-    acceleration = np.diff(velocity[..., :2], axis=1) / dt
-    theta = 0.5 * (pose[:, 1:, 2] + pose[:, :-1, 2])
-    world_x, world_z = acceleration[..., 0], acceleration[..., 1] + gravity
-    cos, sin = np.cos(theta), np.sin(theta)
-    return np.stack([world_x * cos + world_z * sin, world_z * cos - world_x * sin], axis=-1)

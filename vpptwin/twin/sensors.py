@@ -63,6 +63,15 @@ def measure_rate(constants: Constants, rate: np.ndarray) -> np.ndarray:
     return constants["gyro.scale"] * rate + constants["gyro.bias"]
 
 
+def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:
+    """Specific force at the hinge in body axes x, z at the middle of every step, (K, steps, 2) m/s²."""
+    acceleration = np.diff(velocity[..., :2], axis=1) / dt
+    theta = 0.5 * (pose[:, 1:, 2] + pose[:, :-1, 2])
+    world_x, world_z = acceleration[..., 0], acceleration[..., 1] + gravity
+    cos, sin = np.cos(theta), np.sin(theta)
+    return np.stack([world_x * cos + world_z * sin, world_z * cos - world_x * sin], axis=-1)
+
+
 def sensor_noise(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations of a measured pose (3,) [m, m, rad] and velocity (3,) [m/s, m/s, rad/s].
 
