@@ -10,7 +10,7 @@ from tests.twin.plain import Inputs, fly_plain
 from vpptwin.twin import Twin, TwinState
 
 ROWS, STEPS = 4, 60
-KINDS = ("policy", "pitch", "speed", "throttle", "push", "cart", "cart pushed")
+KINDS = ("policy", "pitch", "speed", "throttle", "push", "cart", "cart pushed", "speed and throttle")
 TOLERANCE = 1e-9
 """Share of the largest value of an array. They are bit-equal where numpy and the compiler call the same exp and sin;
 elsewhere the last bit of these differs, 1e-16 in each step, which the rate loop's differentiator (1/dt) and a friction
@@ -48,8 +48,8 @@ def draw_inputs(kind: str, nu: int, nv: int, rng: np.random.Generator) -> Inputs
     return Inputs(
         STEPS,
         commands=commands,
-        speed=hold(420, 520) if kind == "speed" else None,
-        throttle=hold(0.2, 0.8) if kind == "throttle" else None,
+        speed=hold(420, 520) if "speed" in kind else None,
+        throttle=hold(0.2, 0.8) if "throttle" in kind else None,
         push=rng.normal(size=(ROWS, 7, nv)) if "push" in kind else None,
     )
 

@@ -232,6 +232,43 @@ def test_rotors_can_be_simulated_from_throttle(twin: Twin, flown: TwinState) -> 
     np.testing.assert_array_equal(after.throttle, throttle[:, -1])
 
 
+def test_motors_run_beside_measured_speeds(flown: TwinState) -> None:
+    """With throttles beside measured speeds the craft flies by the speeds alone, and the rotors by throttles alone."""
+    motors = Twin(SPEC, 4, active=("rotor.drag", "battery.sag"), num_threads=1)
+    motors.set_parameter("rotor.drag", "gain", np.array([1.0, 0.85, 1.0, 1.2]))
+    motors.set_parameter("battery.sag", "rate", np.array([0.0, 0.0, 0.01, 0.01]))
+    start = motors.initial_state(qpos=flown.qpos, qvel=flown.qvel, time=10.0)
+    rng = np.random.default_rng(14)
+    blades, speed = rng.uniform(0.05, 0.15, (4, 50, 2)), rng.uniform(440.0, 500.0, (4, 50, 2))
+    throttle = rng.uniform(0.3, 0.5, (4, 50, 2))
+    both = motors.replay_commands(start, blades, speed, throttle)
+    measured, simulated = (
+        motors.replay_commands(start, blades, speed),
+        motors.replay_commands(start, blades, None, throttle),
+    )
+    np.testing.assert_array_equal(both.qpos, measured.qpos)
+    np.testing.assert_array_equal(both.qvel, measured.qvel)
+    assert both.rotor_speed is not None
+    np.testing.assert_array_equal(both.rotor_speed, simulated.rotor_speed)
+    np.testing.assert_array_equal(both.state.actuators["mean_speed"], speed[:, -1])
+    assert np.abs(np.diff(both.rotor_speed[:, -1, 0])).min() > 1.0  # rad/s: drag and battery show
+
+
+def test_rotor_speeds_come_after_every_step(twin: Twin, flown: TwinState) -> None:
+    """The rotor speeds of a replay are those after each of its steps; there are none where no motor is simulated."""
+    rng = np.random.default_rng(15)
+    blades, throttle = rng.uniform(0.05, 0.15, (4, 12, 2)), rng.uniform(0.3, 0.5, (4, 12, 2))
+    track, state = twin.replay_commands(flown, blades, throttle=throttle).rotor_speed, flown
+    assert track is not None
+    for k in range(12):
+        state = twin.replay_commands(state, blades[:, k : k + 1], throttle=throttle[:, k : k + 1]).state
+        np.testing.assert_array_equal(track[:, k], state.rotor_speed)
+    assert twin.replay_commands(flown, blades).rotor_speed is None
+    measured = twin.replay_commands(flown, blades, np.full((4, 12, 2), 450.0))
+    assert measured.rotor_speed is None
+    np.testing.assert_array_equal(measured.state.rotor_speed, 450.0)
+
+
 def test_warm_up_moves_the_actuators_alone(twin: Twin) -> None:
     """Past commands run through delay and lag leave the actuators as a replay of them does."""
     start, blades = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (4, 40, 2))
