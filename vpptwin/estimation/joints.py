@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.series import Measurements, Series, common_span
+from vpptwin.estimation.clean import clean_series
+from vpptwin.estimation.gaps import tell_cut, tell_gaps
+from vpptwin.estimation.series import Measurements, Series
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.model import HINGE
 from vpptwin.twin.spec import TwinSpec
@@ -19,17 +23,26 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     assert spec.signals is not None
     positions: dict[int, Series] = {}
     velocities: dict[int, Series] = {}
-    for joint, topic in spec.signals.joints.items():
+    driven: dict[int, Series] = {}
+    spans: dict[str, tuple[float, float]] = {}
+    warnings: list[str] = []
+    for joint, topic in {**spec.signals.joints, **spec.signals.driven}.items():
         dof, position, velocity = read_joint(spec, flight, topic, joint)
-        positions[dof] = position
+        cleaned, found = clean_series(position, f"{topic} {joint}: position")
+        warnings += found
+        spans[f"{topic} {joint}"] = (float(position.time[0]), float(position.time[-1]))
+        if joint in spec.signals.driven:
+            driven[dof] = cleaned
+            continue
+        positions[dof] = cleaned
         if velocity is not None:
-            velocities[dof] = velocity
-    driven = {}
-    for joint, topic in spec.signals.driven.items():
-        dof, driven[dof], _ = read_joint(spec, flight, topic, joint)
+            velocities[dof], found = clean_series(velocity, f"{topic} {joint}: velocity")
+            warnings += found
     command = read_efforts(spec, flight, spec.signals.actuators)
-    start, end = common_span([*positions.values(), *driven.values(), command])
-    return Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
+    spans["commands"] = (float(command.time[0]), float(command.time[-1]))
+    start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
+    measurements = Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
+    return replace(measurements, warnings=(*warnings, *tell_cut(spans), *tell_gaps(measurements)))
 
 
 def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[int, Series, Series | None]:

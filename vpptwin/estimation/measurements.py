@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.estimation.clean import clean_imu, clean_poses, clean_rotors
+from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.joints import read_joints
+from vpptwin.estimation.lag import estimate_lag
 from vpptwin.estimation.policy import reconstruct_commands
-from vpptwin.estimation.series import Measurements, Series, common_span
+from vpptwin.estimation.series import Measurements, Series
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.vehicle import Vehicle
+from vpptwin.vehicle import Sensors, Vehicle
 
 __all__ = ["Measurements", "Series", "read_measurements"]
+
+MEASURED = ("/mocap/pose", "/imu/data", "/rotor/state")
+"""Topics of the drone's sensors."""
+MAX_OFFSET = 0.25
+"""No motion capture is later than this [s]; one that seems to be is stamped by another clock."""
 
 
 def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -35,32 +44,65 @@ def read_drone(spec: TwinSpec, flight: Flight) -> Measurements:
     assert spec.vehicle is not None
     flight.require("/mocap/pose")
     sensors, streams = spec.vehicle.sensors, flight.streams
-    pose, imu, rotor = streams["/mocap/pose"], streams.get("/imu/data"), streams.get("/rotor/state")
-    positions = {
-        0: Series("x", "m", pose.time, pose["x"], sensors.mocap.position_std),
-        1: Series("z", "m", pose.time, pose["z"], sensors.mocap.position_std),
-        2: Series("θ", "rad", pose.time, pose["theta"], sensors.mocap.angle_std),
-    }
-    velocities: dict[int, Series] = {}
-    specific_force = rotor_speed = current = throttle = None
+    warnings = tell_lost(spec, streams)
+    imu, rotor = streams.get("/imu/data"), streams.get("/rotor/state")
     if imu is not None:
-        velocities[2] = Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)
-        if {"accel_x", "accel_z"} <= imu.values.keys():
-            force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
-            specific_force = Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
+        imu, found = clean_imu(imu, sensors)
+        warnings += found
+    pose, found = clean_poses(streams["/mocap/pose"], imu, sensors)
+    warnings += found
     if rotor is not None:
-        rotor_speed = Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std)
-        if "current" in rotor.values:
-            current = Series("current", "A", rotor.time, rotor["current"], sensors.rotor.current_std)
-    if (command := streams.get("/rotor/command")) is not None:
-        throttle = Series("throttle", "1", command.time, command["throttle"], 0.0)
+        rotor, found = clean_rotors(rotor, sensors)
+        warnings += found
+    command = streams.get("/rotor/command")
     commands = read_commands(spec.vehicle, flight, command, imu)
-    used = [*positions.values(), *velocities.values(), commands, *([rotor_speed] if rotor_speed else [])]
-    start, end = common_span(used)
-    return Measurements(
-        flight.path.name, positions, velocities, specific_force, commands, rotor_speed, (0, 1, 2), start, end,
-        throttle=throttle, current=current, warnings=tuple(tell_lost(spec, streams)),
-    )  # fmt: skip
+    driving = "/cmd/rate_thrust" if command is None else "/rotor/command"
+    used = {topic: streams[topic].time for topic in (*MEASURED, driving) if topic in streams}
+    spans = {topic: (float(time[0]), float(time[-1])) for topic, time in used.items()}
+    start, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
+    measurements = Measurements(
+        flight.path.name,
+        sort_poses(pose, sensors),
+        sort_rate(imu, sensors),
+        sort_force(imu, sensors),
+        commands,
+        None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
+        (0, 1, 2),
+        max(start, float(commands.time[0])),
+        min(end, float(commands.time[-1])),
+        throttle=None if command is None else Series("throttle", "1", command.time, command["throttle"], 0.0),
+        current=sort_current(rotor, sensors),
+    )
+    check_offset(flight, measurements)
+    warnings += [*tell_cut(spans), *tell_gaps(measurements)]
+    return replace(measurements, warnings=tuple(warnings))
+
+
+def sort_poses(pose: Stream, sensors: Sensors) -> dict[int, Series]:
+    """Degree of freedom → position."""
+    place, turn = sensors.mocap.position_std, sensors.mocap.angle_std
+    columns = (("x", "x", "m", place), ("z", "z", "m", place), ("θ", "theta", "rad", turn))
+    return {dof: Series(name, unit, pose.time, pose[c], std) for dof, (name, c, unit, std) in enumerate(columns)}
+
+
+def sort_rate(imu: Stream | None, sensors: Sensors) -> dict[int, Series]:
+    """Degree of freedom → velocity: the gyro's, or none."""
+    return {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)}
+
+
+def sort_force(imu: Stream | None, sensors: Sensors) -> Series | None:
+    """Specific force in body axes x and z, where there is an accelerometer."""
+    if imu is None or not {"accel_x", "accel_z"} <= imu.values.keys():
+        return None
+    force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
+    return Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
+
+
+def sort_current(rotor: Stream | None, sensors: Sensors) -> Series | None:
+    """Motor currents, where they were measured."""
+    if rotor is None or "current" not in rotor.values:
+        return None
+    return Series("current", "A", rotor.time, rotor["current"], sensors.rotor.current_std)
 
 
 def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu: Stream | None) -> Series:
@@ -88,6 +130,24 @@ def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu:
             "record them together",
         )
     return Series("blade pitch", "rad", time, pitch, 0.0)
+
+
+def check_offset(flight: Flight, measurements: Measurements) -> None:
+    """Refuse poses stamped by a clock that was set to another time than the gyro's.
+
+    Raises:
+        InputError: if what turned in both lies further apart than any delay of a motion capture.
+    """
+    if 2 not in measurements.velocities:
+        return
+    lag = estimate_lag(measurements.positions[2], measurements.velocities[2])
+    if lag is not None and abs(lag.start) > MAX_OFFSET:
+        order = "after" if lag.start > 0.0 else "before"
+        raise InputError(
+            f"{flight.path}: /mocap/pose shows every turn {abs(lag.start):.2f} s {order} /imu/data does",
+            "both stamped by one clock",
+            "set the clocks by NTP or PTP, or give /mocap/pose `stamp: log_time` in a topic map",
+        )
 
 
 def tell_lost(spec: TwinSpec, topics: Collection[str]) -> list[str]:

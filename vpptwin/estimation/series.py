@@ -65,8 +65,3 @@ class Measurements:
     def duration(self) -> float:
         """Usable length of the flight [s]."""
         return self.end - self.start
-
-
-def common_span(series: list[Series]) -> tuple[float, float]:
-    """Span in which all series have samples [s]."""
-    return max(float(s.time[0]) for s in series), min(float(s.time[-1]) for s in series)

@@ -1,0 +1,102 @@
+"""How far one stream runs behind another: the motion capture's angle against the integral of the gyro."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.signal import correlate, correlation_lags
+
+from vpptwin.estimation.series import Series
+
+SPAN = 0.05
+"""Turning is compared over steps of this length [s]: long against the noise of the angle, short against a flip."""
+GRID = 0.01
+"""Resolution of the first search, over every lag [s]."""
+SEARCHES = ((0.3, 0.005), (0.005, 0.0005))
+"""Half width and resolution of the searches that follow, each about the last one's result [s]."""
+LIKENESS = 0.7
+"""Correlation from which on two streams are taken to show one motion."""
+BLOCK = 8.0
+"""The drift is read off blocks at least this long [s]."""
+MAX_BLOCKS = 8
+CLEAR = 5.0
+"""Turning must exceed its noise by this factor, or there is nothing to compare."""
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How far a stream runs behind another: `start` [s] at the first sample, and `drift` [s/s] more from there on."""
+
+    start: float
+    drift: float
+
+    def at(self, since: float) -> float:
+        """The lag [s] so long after the first sample [s]."""
+        return self.start + self.drift * since
+
+
+def estimate_lag(angle: Series, rate: Series) -> Lag | None:
+    """Lag of an angle behind the integral of its rate.
+
+    Args:
+        angle: (n,) rad, unwrapped.
+        rate: (m,) rad/s.
+
+    Returns:
+        None if there was too little turning, or the two show different motions.
+    """
+    turned = Series("turned", "rad", rate.time, cumulative_trapezoid(rate.value, rate.time, initial=0.0), rate.std)
+    coarse = search_all(angle, turned)
+    if coarse is None:
+        return None
+    begin = max(angle.time[0], rate.time[0] + coarse)
+    end = min(angle.time[-1], rate.time[-1] + coarse)
+    blocks = int(np.clip((end - begin) / BLOCK, 1, MAX_BLOCKS))
+    edges = np.linspace(begin, end, blocks + 1)
+    found = [(0.5 * (a + b), refine(angle, turned, coarse, a, b)) for a, b in pairwise(edges)]
+    known = [(middle, lag) for middle, lag in found if lag is not None]
+    if not known:
+        return None
+    middle, lags = np.array(known).T
+    if len(known) < 2:
+        return Lag(float(lags[0]), 0.0)
+    drift, start = np.polyfit(middle - angle.time[0], lags, 1)
+    return Lag(float(start), float(drift))
+
+
+def search_all(angle: Series, turned: Series) -> float | None:
+    """The lag at which turning is most alike, out of all at which half of the flight overlaps [s]."""
+    begin, end = min(angle.time[0], turned.time[0]), max(angle.time[-1], turned.time[-1])
+    grid = np.arange(begin, end, GRID)
+    late, early = (step_over(series, grid) for series in (angle, turned))
+    if np.std(late) < CLEAR * angle.std or not np.any(early):
+        return None
+    early = early - np.median(early)
+    likeness = correlate(late, early, mode="full", method="fft") / np.sqrt((late @ late) * (early @ early))
+    lags = correlation_lags(len(late), len(early))
+    likeness[np.abs(lags) > len(grid) // 2] = 0.0
+    best = int(np.argmax(likeness))
+    return float(lags[best] * GRID) if likeness[best] > LIKENESS else None
+
+
+def refine(angle: Series, turned: Series, coarse: float, begin: float, end: float) -> float | None:
+    """The lag near a coarse one at which the turning from `begin` to `end` [s] differs least [s]."""
+    stamps = angle.time[(angle.time >= begin) & (angle.time <= end - SPAN)]
+    seen = step_over(angle, stamps + 0.5 * SPAN)
+    if len(stamps) < 50 or np.std(seen) < CLEAR * angle.std:
+        return None
+    lag = coarse
+    for width, resolution in SEARCHES:
+        lags = lag + np.arange(-width, width + 0.5 * resolution, resolution)
+        misses = [float(np.var(seen - step_over(turned, stamps + 0.5 * SPAN - late))) for late in lags]
+        lag = float(lags[np.argmin(misses)])
+    return lag
+
+
+def step_over(series: Series, time: np.ndarray) -> np.ndarray:
+    """Change of a series over SPAN about each time, (k,)."""
+    ahead, behind = (np.interp(time + side * 0.5 * SPAN, series.time, series.value) for side in (1.0, -1.0))
+    return np.asarray(ahead - behind)
