@@ -8,10 +8,13 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from vpptwin import __version__
 from vpptwin.errors import InputError
+
+if TYPE_CHECKING:
+    from vpptwin.pilot.flight import Pilot
 
 
 class Parser(argparse.ArgumentParser):
@@ -76,11 +79,14 @@ def build_parser() -> argparse.ArgumentParser:
     diagnose = commands.add_parser("diagnose", help="find what a twin gets wrong, from flight logs")
     add_logs(diagnose)
     diagnose.add_argument("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
+    diagnose.add_argument(
+        "--json", type=Path, help="write the verdict here as well; - prints it instead of the summary"
+    )
     diagnose.set_defaults(run=run_diagnose)
 
     compare = commands.add_parser("compare", help="measure a twin's prediction error on flight logs")
     add_logs(compare)
-    compare.add_argument("--json", type=Path, help="write the figures here as well")
+    compare.add_argument("--json", type=Path, help="write the figures here as well; - prints them instead")
     compare.set_defaults(run=run_compare)
 
     play = commands.add_parser("play", help="watch a log in meshcat, the twin beside it")
@@ -94,6 +100,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_topic_map(play)
     play.set_defaults(run=run_play)
 
+    add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
+
     train = commands.add_parser("train", help="train a policy with PPO", add_help=False)
     train.set_defaults(run=lambda options: run_train([]))
 
@@ -106,6 +114,22 @@ def build_parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--json", type=Path)
     evaluate.set_defaults(run=run_evaluate)
     return parser
+
+
+def add_fly(fly: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin fly`."""
+    fly.add_argument("checkpoint", type=Path, nargs="?", help="a trained policy: a checkpoint or a run's folder")
+    fly.add_argument("--task", help="whose targets the policy flies (default: that of its training)")
+    fly.add_argument("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
+    fly.add_argument("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
+    fly.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
+    fly.add_argument("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
+    fly.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    fly.add_argument("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
+    fly.add_argument("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
+    fly.add_argument("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
+    fly.add_argument("--out", type=Path, help="log to write, MCAP")
+    fly.set_defaults(run=run_fly)
 
 
 def add_logs(parser: argparse.ArgumentParser) -> None:
@@ -147,7 +171,7 @@ def run_diagnose(options: argparse.Namespace) -> None:
         if log.resolve() in [other.resolve() for other in options.logs[:i]]:
             expected = "every flight once, as those that judge must not be those that are fitted"
             raise InputError(f"{log} is given twice", expected, "leave one out")
-    diagnose_logs(options.logs, options.twin, options.out, options.topic_map)
+    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json)
 
 
 def run_compare(options: argparse.Namespace) -> None:
@@ -163,6 +187,53 @@ def run_play(options: argparse.Namespace) -> None:
 
     restart = None if options.free else options.restart
     play_log(options.log, options.twin, options.html, restart, options.topic_map)
+
+
+def run_fly(options: argparse.Namespace) -> None:
+    """`vpptwin fly`."""
+    from vpptwin.pilot.command import Sortie, check_out, fly_log, print_library, require_drone
+    from vpptwin.twin.spec import load_twin
+
+    if options.list:
+        print_library()
+        return
+    scripted = check_pilot(options)
+    if options.seed < 0:
+        raise InputError(f"--seed {options.seed}", "a number from 0 on", "choose another")
+    spec = load_twin(options.twin)
+    vehicle, out = require_drone(spec), check_out(options.out)
+    pilot: Pilot
+    if scripted:
+        from vpptwin.pilot.library import LIBRARY
+        from vpptwin.pilot.manoeuvre import find_manoeuvre, parse_settings
+        from vpptwin.pilot.scripted import ScriptedPilot
+
+        manoeuvre, given = find_manoeuvre(LIBRARY, options.manoeuvre), parse_settings(options.set)
+        pilot = ScriptedPilot(vehicle, [manoeuvre.plan(vehicle, given, options.duration)])
+        chosen = " ".join(f"{name}={value:g}" for name, value in manoeuvre.choose(given).items())
+        about = {"manoeuvre": manoeuvre.name, "settings": chosen}
+    else:
+        from vpptwin.train.pilot import load_pilot
+
+        pilot = load_pilot(options.checkpoint, options.task, vehicle, options.duration, options.seed)
+        about = {"policy": str(options.checkpoint), "task": pilot.task}
+    fly_log(pilot, Sortie(spec, out, options.seed, options.gusts, about))
+
+
+def check_pilot(options: argparse.Namespace) -> bool:
+    """Whether the scripted pilot flies; refuse options that do not go together."""
+    scripted = options.pilot == "scripted" or (options.pilot is None and options.checkpoint is None)
+    wrong = {"a checkpoint": options.checkpoint, "--task": options.task}
+    if not scripted:
+        wrong = {"--manoeuvre": options.manoeuvre, "--set": options.set}
+    given = [name for name, value in wrong.items() if value]
+    who = "scripted pilot" if scripted else "policy"
+    if given:
+        raise InputError(f"{given[0]} for the {who}", "a checkpoint, or --manoeuvre NAME", "leave one out")
+    if (options.manoeuvre if scripted else options.checkpoint) is None:
+        missing = "--manoeuvre" if scripted else "checkpoint"
+        raise InputError(f"no {missing} for the {who}", "--manoeuvre NAME, or a checkpoint", "see `vpptwin fly --list`")
+    return scripted
 
 
 def run_train(overrides: Sequence[str]) -> None:

@@ -1,0 +1,128 @@
+"""`vpptwin fly`: a pilot flies a twin, and its log is written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from vpptwin import __version__
+from vpptwin.errors import InputError
+from vpptwin.logs.write import write_flight
+from vpptwin.pilot.flight import SETTLING, Pilot, Tracks, fly
+from vpptwin.pilot.gusts import CARRIERS, Gusts
+from vpptwin.pilot.library import LIBRARY
+from vpptwin.pilot.recording import record_streams
+from vpptwin.pilot.safety import find_danger
+from vpptwin.twin import Twin, TwinSpec
+from vpptwin.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Sortie:
+    """What a flight is to be.
+
+    Attributes:
+        spec: the twin.
+        out: log to write.
+        seed: of noise and gusts.
+        gusts: whether gusts of 1 % of the weight blow.
+        about: what is flown, stored in the log.
+    """
+
+    spec: TwinSpec
+    out: Path
+    seed: int
+    gusts: bool
+    about: Mapping[str, str]
+
+
+def require_drone(spec: TwinSpec) -> Vehicle:
+    """The vehicle of a twin.
+
+    Raises:
+        InputError: if it is another rig.
+    """
+    if spec.vehicle is None:
+        raise InputError(
+            f"twin {spec.name} is not the drone", "a twin that names a vehicle", "fly `nominal` or such a twin"
+        )
+    return spec.vehicle
+
+
+def check_out(out: Path | None) -> Path:
+    """Refuse a log that cannot be written, before the flight rather than after it.
+
+    Raises:
+        InputError: if there is no path, no folder to write to, or a folder in its place.
+    """
+    if out is None:
+        raise InputError("no --out", "the log to write, e.g. --out flight.mcap", "name it")
+    if out.is_dir():
+        raise InputError(f"{out} is a folder", "a log to write", f"name a file, e.g. --out {out / 'flight.mcap'}")
+    if not out.parent.is_dir():
+        raise InputError(f"no folder {out.parent}", "an existing folder for --out", "make it, or choose another")
+    return out
+
+
+def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
+    """Fly once, write the log and say what happened.
+
+    Raises:
+        InputError: if the twin diverges or the log cannot be written; nothing is left behind then.
+    """
+    spec, vehicle = sortie.spec, require_drone(sortie.spec)
+    period = 1.0 / vehicle.control.policy_rate
+    gusts = Gusts(spec, 1, pilot.ticks + round(SETTLING / period), sortie.seed) if sortie.gusts else None
+    twin = Twin(spec, 1, active=CARRIERS if gusts is not None else (), num_threads=1)
+    tracks = fly(twin, pilot, sortie.seed, gusts)
+    if np.isfinite(tracks.diverged[0]):
+        raise InputError(
+            f"twin {spec.name} diverges {max(float(tracks.diverged[0]), 0.0):.2f} s into the flight",
+            "a twin whose numbers stay finite",
+            "look at the values of its effects, or fly something tamer",
+        )
+    metadata = {
+        "vpptwin": __version__, "twin": spec.name, "effects": json.dumps(spec.effects), "seed": str(sortie.seed),
+        "gusts": str(sortie.gusts).lower(), **sortie.about,
+    }  # fmt: skip
+    write_flight(sortie.out, record_streams(tracks), metadata=metadata)
+    describe_flight(tracks, vehicle, sortie)
+    return tracks
+
+
+def describe_flight(tracks: Tracks, vehicle: Vehicle, sortie: Sortie) -> None:
+    """Print how the flight went and where its log lies."""
+    lead, lead_ticks = tracks.lead
+    pose = tracks.pose[0, lead:]
+    each = round(tracks.period / tracks.step)
+    off = np.hypot(*(tracks.target[0, lead_ticks:, :2] - pose[::each, :2]).T)
+    console = Console(highlight=False)
+    what = ", ".join(f"{key} {value}" for key, value in sortie.about.items())
+    console.print(f"{what}: {len(pose) * tracks.step:g} s in twin {sortie.spec.name}", markup=False, soft_wrap=True)
+    (low_x, low_z), (high_x, high_z) = pose[:, :2].min(axis=0), pose[:, :2].max(axis=0)
+    where = f"x {low_x:.2f} to {high_x:.2f} m, z {low_z:.2f} to {high_z:.2f} m"
+    console.print(f"{where}, {1000 * off.mean():.0f} mm off its target on average")
+    danger = find_danger(vehicle, pose, tracks.velocity[0, lead:])
+    if danger:
+        console.print(f"not to be flown on a real rig: {danger}", style="bold", markup=False)
+    console.print(f"log: {sortie.out}", markup=False, soft_wrap=True)
+
+
+def print_library() -> None:
+    """List every manoeuvre with its settings and what it reveals."""
+    console = Console(highlight=False)
+    for manoeuvre in LIBRARY:
+        console.print(f"{manoeuvre.name}: {manoeuvre.summary}", style="bold", markup=False)
+        console.print(f"    shows {', '.join(manoeuvre.reveals)}", markup=False, soft_wrap=True)
+        for s in manoeuvre.settings:
+            unit = f" {s.unit}" if s.unit else ""
+            console.print(
+                f"    --set {s.name}={s.default:g}  {s.low:g} to {s.high:g}{unit}, {s.meaning}",
+                markup=False,
+                soft_wrap=True,
+            )

@@ -1,0 +1,85 @@
+"""A trained policy as a pilot: one flight of its task, for `vpptwin fly`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from vpptwin.errors import InputError
+from vpptwin.pilot.manoeuvre import SHORTEST, check_duration
+from vpptwin.train.checkpoint import build_policy, read_checkpoint
+from vpptwin.train.config import TrainConfig
+from vpptwin.train.networks import Policy
+from vpptwin.train.observe import accumulate_error, observe
+from vpptwin.train.tasks import TASKS, Task
+from vpptwin.vehicle import Vehicle
+
+
+class PolicyPilot:
+    """Flies one craft by a policy, which sees what it was trained on.
+
+    Args:
+        policy: of a checkpoint.
+        trained: how it was trained.
+        task: whose targets are flown, drawn from `seed`.
+        vehicle: believed numbers, which scale its actions.
+        duration: s; None for an episode, or the shortest flight that can be diagnosed.
+        seed: of the targets.
+    """
+
+    def __init__(
+        self, policy: Policy, trained: TrainConfig, task: Task, vehicle: Vehicle, duration: float | None, seed: int
+    ) -> None:
+        self.task = task.name
+        self.count, period = 1, 1.0 / vehicle.control.policy_rate
+        self.ticks = round(check_duration(max(task.episode, SHORTEST) if duration is None else duration) / period)
+        self._policy, self._paper_inputs = policy, trained.paper_inputs
+        self._limit = np.array([vehicle.control.thrust_max, vehicle.control.rate_max])
+        rng = np.random.default_rng(seed)
+        target = task.target.draw(rng, 1)
+        switch = task.target.draw_dwell(rng, 1)
+        self._targets = np.empty((self.ticks, 1, 3))
+        for tick in range(self.ticks):
+            if tick * period >= switch[0]:
+                target = target.copy()
+                target[:, 2] = task.target.draw_other_angle(rng, target[:, 2])
+                switch = switch + task.target.draw_dwell(rng, 1)
+            self._targets[tick] = target
+
+    def target(self, tick: int) -> np.ndarray:
+        """Target x, z, θ of a tick, (1, 3) m, m, rad; before the first tick the first target."""
+        target: np.ndarray = self._targets[max(tick, 0)]
+        return target
+
+    @torch.no_grad()
+    def command(
+        self, tick: int, pose: np.ndarray, velocity: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Thrust [N] and rate [rad/s], (1, 2), from estimates (1, 3), and Γ, (1, 2) m, for the next tick."""
+        target = self.target(tick)
+        integral = accumulate_error(memory, (target - pose)[:, :2])
+        seen = observe(pose, velocity, target, integral, self._paper_inputs)
+        action = self._policy(torch.from_numpy(seen)).numpy().astype(np.float64)
+        return np.clip(action, -1.0, 1.0) * self._limit, integral
+
+
+def load_pilot(checkpoint: Path, task: str | None, vehicle: Vehicle, duration: float | None, seed: int) -> PolicyPilot:
+    """The pilot of a checkpoint.
+
+    Args:
+        checkpoint: file, or folder of a run.
+        task: whose targets to fly; None, or the same name, for that of training with its overrides.
+        vehicle: believed numbers.
+        duration: s; None for an episode.
+        seed: of the targets.
+
+    Raises:
+        InputError: if the file is no checkpoint of this version, there is no such task, or the duration is not allowed.
+    """
+    if task is not None and task not in TASKS:
+        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
+    policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
+    chosen = trained.task if task in (None, trained.task.name) else TASKS[str(task)]
+    return PolicyPilot(policy, trained, chosen, vehicle, duration, seed)
