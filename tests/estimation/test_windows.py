@@ -17,6 +17,8 @@ from vpptwin.estimation.windows import (
     average_held,
     average_sampled,
     cut_windows,
+    estimate_spin,
+    fly_windows,
     join_windows,
     simulate_windows,
 )
@@ -169,3 +171,53 @@ def test_joined_windows_remember_their_flights(own: OwnFlight, windows: Windows)
     assert len(joined.rotor_speed) == 10
     unmeasured = replace(second, rotor_speed=None)
     assert join_windows([windows, unmeasured]).rotor_speed is None
+
+
+def test_motors_start_at_the_measured_speed_and_follow_the_throttle(windows: Windows) -> None:
+    """Beside a craft that flies by measured speeds, motors run from 471 rad/s under the log's throttle of 0.4.
+
+    4.44 V are 0.21 V less than blades at 0.1 rad need (4.61 A): they lose speed, and the craft does not notice.
+    """
+    twin = Twin(SPEC, len(windows))
+    motion = fly_windows(twin, windows)
+    assert motion.rotor_speed is not None
+    assert motion.rotor_speed.shape == (8, 151, 2)
+    np.testing.assert_allclose(motion.rotor_speed[:, 0], 471.239, rtol=1e-9)
+    assert (motion.rotor_speed[:, -1] < 465.0).all()
+    without = fly_windows(twin, replace(windows, throttle=None, spin=None))
+    assert without.rotor_speed is None
+    np.testing.assert_array_equal(motion.pose, without.pose)
+    np.testing.assert_array_equal(motion.velocity, without.velocity)
+
+
+@pytest.mark.parametrize(("causal", "spread"), [(False, 1 / np.sqrt(21)), (True, 2 / np.sqrt(10))])
+def test_rotor_speed_at_the_start(causal: bool, spread: float) -> None:
+    """Speeds in the middle of 20 ms of noisy samples, or at the end of 10 ms, are those of a line fitted to them."""
+    rng, time = np.random.default_rng(3), np.arange(4000) / 1000.0
+    truth = np.stack([450.0 + 30.0 * time, 480.0 - 20.0 * time], axis=1)
+    starts = 0.02 + 0.04 * np.arange(90)
+    noisy = Series("rotor speed", "rad/s", time, truth + rng.normal(size=truth.shape), 1.0)
+    error = estimate_spin(noisy, starts, causal) - np.stack([450.0 + 30.0 * starts, 480.0 - 20.0 * starts], axis=1)
+    assert np.sqrt((error**2).mean()) == pytest.approx(spread, rel=0.2)  # 180 of them: 5 %
+
+
+def test_throttle_is_taken_and_joined_with_its_windows(windows: Windows) -> None:
+    """Throttles and speeds at the start go where their windows go, and are dropped unless all windows have them."""
+    assert windows.throttle is not None
+    assert windows.spin is not None
+    marked = replace(windows, throttle=windows.throttle + np.arange(8)[:, None, None], spin=np.arange(16).reshape(8, 2))
+    twice = join_windows([marked.take(np.array([5, 2])), marked])
+    assert twice.throttle is not None
+    np.testing.assert_allclose(twice.throttle[:3, 0, 0], [5.4, 2.4, 0.4])
+    assert twice.spin is not None
+    np.testing.assert_array_equal(twice.spin[:2, 1], [11, 5])
+    mixed = join_windows([marked, replace(windows, throttle=None, spin=None)])
+    assert mixed.throttle is None
+    assert mixed.spin is None
+
+
+def test_throttle_needs_measured_speeds() -> None:
+    """Without rotor telemetry nobody knows where the motors start, nor is there anything to compare them with."""
+    own = fly_own(SPEC, draw_commands(1000, seed=1), rotors=False)
+    cut = cut_windows(SPEC, read_measurements(SPEC, own.flight), np.array([0.4]), 0.1, causal=True)
+    assert (cut.throttle, cut.spin, cut.rotor_speed) == (None, None, None)
