@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from vpptwin.estimation.joints import read_joints
 from vpptwin.estimation.lag import estimate_lag
 from vpptwin.estimation.policy import reconstruct_commands
 from vpptwin.estimation.series import Measurements, Series
+from vpptwin.logs.check import check_accelerometer
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Sensors, Vehicle
@@ -64,7 +65,7 @@ def read_drone(spec: TwinSpec, flight: Flight) -> Measurements:
         flight.path.name,
         sort_poses(pose, sensors),
         sort_rate(imu, sensors),
-        sort_force(imu, sensors),
+        sort_force(flight, imu, sensors),
         commands,
         None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
         (0, 1, 2),
@@ -90,12 +91,22 @@ def sort_rate(imu: Stream | None, sensors: Sensors) -> dict[int, Series]:
     return {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)}
 
 
-def sort_force(imu: Stream | None, sensors: Sensors) -> Series | None:
-    """Specific force in body axes x and z, where there is an accelerometer."""
-    if imu is None or not {"accel_x", "accel_z"} <= imu.values.keys():
+def sort_force(flight: Flight, imu: Stream | None, sensors: Sensors) -> Series | None:
+    """Specific force in body axes x and z, where there is an accelerometer.
+
+    Raises:
+        InputError: if it is in another unit.
+    """
+    if imu is None or not measures_force(imu):
         return None
     force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
+    check_accelerometer(f"{flight.path}: /imu/data", np.hypot(force[:, 0], force[:, 1]))
     return Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
+
+
+def measures_force(imu: Stream) -> bool:
+    """Whether an IMU has an accelerometer: drivers of those without one leave zeros."""
+    return all(name in imu.values and bool(imu[name].any()) for name in ("accel_x", "accel_z"))
 
 
 def sort_current(rotor: Stream | None, sensors: Sensors) -> Series | None:
@@ -150,7 +161,7 @@ def check_offset(flight: Flight, measurements: Measurements) -> None:
         )
 
 
-def tell_lost(spec: TwinSpec, topics: Collection[str]) -> list[str]:
+def tell_lost(spec: TwinSpec, topics: Mapping[str, Stream]) -> list[str]:
     """What a drone's log cannot tell because topics are missing, one line each."""
     assert spec.vehicle is not None
     lines = []
@@ -159,6 +170,8 @@ def tell_lost(spec: TwinSpec, topics: Collection[str]) -> list[str]:
             f"no /imu/data: rates and forces come from /mocap/pose alone{list_unseen(spec, '/imu/data')}; short and "
             "small effects hide in its noise"
         )
+    elif not measures_force(topics["/imu/data"]):
+        lines.append("no accelerometer on /imu/data: forces come from /mocap/pose alone, small ones hide in its noise")
     if "/rotor/command" not in topics:
         lines.append(
             "no /rotor/command: blade pitch is reconstructed from /cmd/rate_thrust and the gyro through the believed "

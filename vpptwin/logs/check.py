@@ -14,7 +14,9 @@ MAX_NORM_ERROR = 0.01  # of a quaternion that was meant to be a rotation
 MAX_TILT = 0.15  # rad out of the plane; a well set up tracker stays within a few degrees
 MIN_TURN = 0.5  # rad of rotation below which a gyro cannot be judged
 GYRO_STEP = 0.1  # s over which it is compared, long against delays and against the noise of a tracker
-RARE = 0.01  # share of messages below which values beyond a limit look like outliers rather than a wrong unit
+RARE = 0.01  # share of messages up to which impossible values are outliers rather than a wrong unit
+MIN_LIKENESS = 0.8  # squared correlation from which on gyro and tracker show one motion
+MIN_FORCE, MAX_FORCE = 2.5, 50.0  # m/s^2, median of any flight; at rest and in hover it is 9.8
 
 
 def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) -> None:
@@ -39,8 +41,8 @@ def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) ->
         )
 
 
-def check_limits(label: str, time: np.ndarray, column: Column, values: np.ndarray) -> None:
-    """Refuse values that no rig of this kind reaches, which are mostly values in another unit.
+def find_wild(label: str, time: np.ndarray, column: Column, values: np.ndarray) -> np.ndarray:
+    """Rare messages whose values no rig of this kind reaches; if there are many, the values are in another unit.
 
     Args:
         label: file and topic.
@@ -48,29 +50,25 @@ def check_limits(label: str, time: np.ndarray, column: Column, values: np.ndarra
         column: with its limit.
         values: (n,) or (n, k).
 
+    Returns:
+        (n,) bool.
+
     Raises:
         InputError: naming the unit that they look like.
     """
-    beyond = _find_rows(np.abs(values) > column.limit)
-    if not len(beyond):
-        return
-    peak = float(np.abs(values).max())
-    if len(beyond) > RARE * len(values):
+    beyond = np.abs(values) > column.limit
+    rows = beyond if beyond.ndim == 1 else beyond.any(axis=1)
+    if np.count_nonzero(rows) > RARE * len(values):
         raise InputError(
-            f"{label}: {column.name} reaches {peak:.4g} and looks like {column.mistake}",
+            f"{label}: {column.name} reaches {float(np.abs(values).max()):.4g} and looks like {column.mistake}",
             f"{column.unit}, at most {column.limit:g}",
             "convert it, for instance with `scale` in a topic map",
         )
-    raise InputError(
-        f"{label}: {column.name} jumps to {peak:.4g} {column.unit} in {len(beyond)} of {len(values)} messages, "
-        f"first at {time[beyond[0]]:.3f} s",
-        f"at most {column.limit:g} {column.unit}",
-        "cut these outliers out of the log",
-    )
+    return np.asarray(rows)
 
 
-def check_rotation(label: str, time: np.ndarray, source: Source, fields: Mapping[str, np.ndarray]) -> None:
-    """Refuse quaternions that are no unit quaternions, or turn about another axis than the plane's.
+def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rare messages whose quaternion is none, as trackers send them that have lost their body.
 
     Args:
         label: file and topic.
@@ -78,14 +76,17 @@ def check_rotation(label: str, time: np.ndarray, source: Source, fields: Mapping
         source: of the angle column.
         fields: path -> (n,).
 
+    Returns:
+        (n,) bool.
+
     Raises:
-        InputError: with the norm or the tilt found.
+        InputError: with the norm if many are none, with the tilt if they turn about another axis than the plane's.
     """
     quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
     with np.errstate(over="ignore"):  # an infinite norm is refused like any other
         norm = np.linalg.norm(quaternion, axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > MAX_NORM_ERROR)
-    if len(bad):
+    if len(bad) > RARE * len(norm):
         raise InputError(
             f"{label}: the orientation of {len(bad)} of {len(norm)} messages is no unit quaternion, "
             f"norm {norm[bad[0]]:.3g} first at {time[bad[0]]:.3f} s",
@@ -94,7 +95,7 @@ def check_rotation(label: str, time: np.ndarray, source: Source, fields: Mapping
         )
     name = AXES[source.axis or "-y"][0]
     others = [index for index, component in enumerate("xyz") if component != name]
-    sine = np.linalg.norm(quaternion[:, others], axis=1) / norm
+    sine = np.linalg.norm(quaternion[:, others], axis=1) / np.maximum(norm, 0.5)
     tilt = 2.0 * np.arcsin(np.minimum(sine, 1.0))
     if np.median(tilt) > MAX_TILT:
         raise InputError(
@@ -102,6 +103,29 @@ def check_rotation(label: str, time: np.ndarray, source: Source, fields: Mapping
             "motion in the vertical plane of world x and z, turning about -y",
             "rotate the tracker's frame, or name the axis in a topic map (fields: {theta: {path: ..., axis: x}})",
         )
+    return np.asarray(np.abs(norm - 1.0) > MAX_NORM_ERROR)
+
+
+def check_accelerometer(label: str, force: np.ndarray) -> None:
+    """Refuse accelerations in another unit or without gravity: in flight and at rest the median is gravity's.
+
+    Args:
+        label: file and topic of the accelerometer.
+        force: magnitude of the specific force in the plane, (n,).
+
+    Raises:
+        InputError: naming what the values look like.
+    """
+    median = float(np.median(force))
+    if MIN_FORCE < median < MAX_FORCE:
+        return
+    if 0.5 < median < 1.5:
+        found, action = "looks like multiples of g", "convert it with `scale: 9.80665` in a topic map"
+    elif median <= MIN_FORCE:
+        found, action = "looks like acceleration without gravity", "record the raw specific force"
+    else:
+        found, action = "looks like milli-g or cm/s^2", "convert it with `scale` in a topic map"
+    raise InputError(f"{label}: the acceleration's median is {median:.3g} and {found}", "m/s^2, 9.8 at rest", action)
 
 
 def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.ndarray, np.ndarray]) -> None:
@@ -125,9 +149,11 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
     turned, measured = np.diff(theta[inside]), np.diff(np.interp(time[inside], gyro[0], integral))
     if len(turned) < 3 or np.ptp(theta[inside]) < MIN_TURN:
         return
-    factor = float(turned @ measured / (turned @ turned))
-    likeness = float(turned @ measured) ** 2 / (float(turned @ turned) * float(measured @ measured) + 1e-300)
-    if likeness < 0.8:
+    factor, likeness = _compare(turned, measured)
+    if likeness < MIN_LIKENESS:  # outliers, perhaps, which are dealt with later
+        calm = [np.abs(step) <= np.quantile(np.abs(step), 1.0 - 3.0 * RARE) for step in (turned, measured)]
+        factor, likeness = _compare(turned[calm[0] & calm[1]], measured[calm[0] & calm[1]])
+    if likeness < MIN_LIKENESS:
         return
     if abs(factor) > 20.0:
         raise InputError(
@@ -135,12 +161,24 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
             "rad/s",
             "convert it, for instance with `scale: 0.0174533` in a topic map",
         )
+    if abs(factor) < 1.0 / 20.0:
+        raise InputError(
+            f"{label}: rate is {factor:.3g} times the turning seen on /mocap/pose, which looks like degrees",
+            "rad on /mocap/pose",
+            "convert it, for instance with `scale: 0.0174533` for theta in a topic map",
+        )
     if factor < -0.5:
         raise InputError(
             f"{label}: rate runs against the turning seen on /mocap/pose",
             "angular_velocity.y = -q, with theta counter-clockwise seen with x right and z up",
             "turn the sign of one of them in a topic map",
         )
+
+
+def _compare(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Factor from one to the other by least squares, and how much of the other it explains, 0 to 1."""
+    product, own, others = float(one @ other), float(one @ one), float(other @ other)
+    return product / (own + 1e-300), product**2 / (own * others + 1e-300)
 
 
 def _find_rows(bad: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.logs.clocks import Clock
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Flight:
         joints: JointState topic -> joint or actuator name -> stream of position, velocity, effort as far as recorded.
         warnings: what was mended or looks odd, one line each.
         sources: canonical topic -> the topic it was recorded as, where a topic map renamed it.
+        clocks: topic -> the clock that stamped it, where log times tell of it.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class Flight:
     joints: dict[str, dict[str, Stream]]
     warnings: tuple[str, ...] = ()
     sources: Mapping[str, str] = field(default_factory=dict)
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, is_joint_state
 from vpptwin.logs.check import check_gyro
+from vpptwin.logs.clocks import check_offsets, read_clock
 from vpptwin.logs.container import RawChannel
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, open_recording
@@ -92,6 +93,8 @@ def _assemble_flight(
     if not every:
         raise _refuse_foreign(recording)
     check_clocks({item.label: (int(item.stamp[0]), int(item.stamp[-1])) for item in every}, path)
+    clocks = {item.label: clock for item in every if (clock := read_clock(item)) is not None}
+    check_offsets(clocks, path)
     start = min(int(item.stamp[0]) for item in every)
     streams = {topic: build_stream(item, start, path, warnings) for topic, item in samples.items()}
     streams = {topic: stream for topic, stream in streams.items() if stream.values}
@@ -104,7 +107,7 @@ def _assemble_flight(
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
     _add_new(warnings, _list_gaps(streams, built))
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
-    return Flight(recording.path, start, streams, built, tuple(warnings), sources)
+    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks)
 
 
 def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, Stream]]) -> list[str]:

@@ -20,19 +20,21 @@ class Samples:
     Attributes:
         label: canonical topic, and name of the joint.
         stamp: (n,) ns.
+        log_time: when each was recorded, (n,) ns.
         fields: message field -> (n,) or (n, k).
         columns: what to make of the fields, for topics of the channel table.
     """
 
     label: str
     stamp: np.ndarray
+    log_time: np.ndarray
     fields: dict[str, np.ndarray]
     columns: tuple[Column, ...] = ()
 
     def take(self, rows: np.ndarray) -> Samples:
         """Samples of these rows, in this order."""
         fields = {path: values[rows] for path, values in self.fields.items()}
-        return Samples(self.label, self.stamp[rows], fields, self.columns)
+        return Samples(self.label, self.stamp[rows], self.log_time[rows], fields, self.columns)
 
 
 def read_samples(recording: Recording, route: Route) -> Samples:
@@ -53,11 +55,11 @@ def read_samples(recording: Recording, route: Route) -> Samples:
     stamp_paths = _list_stamp_fields(route.stamp)
     batches = recording.decode(route.topic, [*stamp_paths, *paths])
     if not batches:
-        return Samples(route.channel.topic, np.zeros(0, np.int64), {}, columns)
+        return Samples(route.channel.topic, np.zeros(0, np.int64), np.zeros(0, np.int64), {}, columns)
     order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
     fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
-    log_time = np.concatenate([batch.log_time for batch in batches])[order]
-    return Samples(route.channel.topic, _read_stamps(route.stamp, fields, log_time), fields, columns)
+    log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
+    return Samples(route.channel.topic, _read_stamps(route.stamp, fields, log_time), log_time, fields, columns)
 
 
 def _list_stamp_fields(stamp: Stamp) -> list[str]:
@@ -69,7 +71,7 @@ def _list_stamp_fields(stamp: Stamp) -> list[str]:
 def _read_stamps(stamp: Stamp, fields: dict[str, np.ndarray], log_time: np.ndarray) -> np.ndarray:
     """Stamps in ns, (n,)."""
     if stamp.path == LOG_TIME:
-        return log_time.astype(np.int64)
+        return log_time
     parts = [fields[path] for path in _list_stamp_fields(stamp)]
     if stamp.unit is None:
         return parts[0].astype(np.int64) * 10**9 + parts[1].astype(np.int64)
@@ -86,6 +88,7 @@ class _Part:
 
     number: np.ndarray
     stamp: np.ndarray
+    log_time: np.ndarray
     values: dict[str, np.ndarray]
 
 
@@ -119,7 +122,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
                 )
         for index, name in enumerate(names):
             values = {column: batch.values[column][:, index].astype(float) for column, width in widths.items() if width}
-            parts.setdefault(name, []).append(_Part(batch.number, stamp, values))
+            parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.astype(np.int64), values))
     warnings: list[str] = []
     joined = {name: _join_parts(f"{canonical} {name}", items, warnings) for name, items in parts.items()}
     return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
@@ -134,9 +137,10 @@ def _join_parts(label: str, parts: list[_Part], warnings: list[str]) -> Samples:
         lost = total - sum(len(part.stamp) for part in usable)
         warnings.append(f"{lost} of {total} messages on {label} lack {' or '.join(kept) or 'values'}, left out")
     if not usable:
-        return Samples(label, np.zeros(0, np.int64), {})
+        return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
     order = np.argsort(np.concatenate([part.number for part in usable]), kind="stable")
     values = {column: np.concatenate([part.values[column] for part in usable])[order] for column in kept}
     values = {column: data for column, data in values.items() if not np.isnan(data).all()}
-    stamp = np.concatenate([part.stamp for part in usable])[order]
-    return Samples(label, stamp if values else stamp[:0], values)
+    stamp, log_time = (np.concatenate([getattr(p, name) for p in usable])[order] for name in ("stamp", "log_time"))
+    count = len(stamp) if values else 0
+    return Samples(label, stamp[:count], log_time[:count], values)

@@ -6,7 +6,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import Column
-from vpptwin.logs.check import check_finite, check_limits, check_rotation
+from vpptwin.logs.check import check_finite, find_broken, find_wild
 from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.samples import Samples
@@ -27,12 +27,23 @@ def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]
     label = f"{path}: {samples.label}"
     time = measure_time(samples, start_ns)
     values: dict[str, np.ndarray] = {}
+    wild = np.zeros(len(time), dtype=bool)
     for column in samples.columns:
         fields = {field: samples.fields[field] for field in list_fields(column.source)}
         if column.optional and all(np.isnan(data).all() for data in fields.values()):
             warnings.append(f"{column.name} on {samples.label} is NaN throughout, left out")
             continue
-        values[column.name] = _build_column(label, time, column, fields)
+        values[column.name], bad = _build_column(label, time, column, fields)
+        wild |= bad
+    if wild.any():
+        first = time[np.argmax(wild)]
+        warnings.append(
+            f"{np.count_nonzero(wild)} of {len(wild)} messages on {samples.label} hold impossible values, left out, "
+            f"first at {first:.3f} s"
+        )
+        time, values = time[~wild], {name: data[~wild] for name, data in values.items()}
+    if "theta" in values:
+        values["theta"] = np.unwrap(values["theta"])
     return Stream(time, values)
 
 
@@ -58,11 +69,15 @@ def measure_time(samples: Samples, start_ns: int) -> np.ndarray:
     return np.asarray((samples.stamp - start_ns) / 1e9)  # a division rounds correctly: 1000000 ns is exactly 0.001
 
 
-def _build_column(label: str, time: np.ndarray, column: Column, fields: dict[str, np.ndarray]) -> np.ndarray:
+def _build_column(
+    label: str, time: np.ndarray, column: Column, fields: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A column's values, and which of its messages are outliers, (n,) bool."""
     for field, data in fields.items():
         check_finite(label, time, field, data)
+    bad = np.zeros(len(time), dtype=bool)
     if column.source.axis is not None:
-        check_rotation(label, time, column.source, fields)
+        bad = find_broken(label, time, column.source, fields)
     values = convert_column(column.source, fields)
     expected = (len(time),) if column.width == 1 else (len(time), column.width)
     if values.shape != expected:
@@ -71,5 +86,4 @@ def _build_column(label: str, time: np.ndarray, column: Column, fields: dict[str
             f"{column.width} for {column.name}",
             "name single fields or array elements in the topic map",
         )
-    check_limits(label, time, column, values)
-    return np.unwrap(values) if column.name == "theta" else values
+    return values, bad | find_wild(label, time, column, values)

@@ -1,0 +1,74 @@
+"""The clocks that stamped a recording, each read against the recorder's: what they are off by, and how they drift."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.logs.samples import Samples
+
+MAX_OFFSET = 0.5
+"""Messages of two topics that were recorded together may be stamped so far apart [s]: no transport takes longer."""
+BLOCKS = 20
+"""The drift is a line through the quickest message of each of so many blocks: transport only ever adds."""
+ALIKE = 0.1
+"""Log times tell of a clock if they span what its stamps span, within this share: some tools write whatever."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What one topic's stamps are against the time of recording.
+
+    Attributes:
+        latency: median time from stamp to record [s].
+        jitter: spread of that time, 1 sigma [s].
+        drift: by which the stamps' clock runs fast against the recorder's [s/s].
+    """
+
+    latency: float
+    jitter: float
+    drift: float
+
+
+def read_clock(samples: Samples) -> Clock | None:
+    """The clock of one topic; None where log times tell nothing of it.
+
+    Args:
+        samples: in order of stamps.
+    """
+    if len(samples.stamp) < 2 * BLOCKS:
+        return None
+    since, logged = ((times - times[0]) * 1e-9 for times in (samples.stamp, samples.log_time))
+    if abs(logged[-1] - since[-1]) > ALIKE * since[-1] + MAX_OFFSET:
+        return None
+    late = (samples.log_time - samples.stamp) * 1e-9
+    latency = float(np.median(late))
+    blocks = np.array_split(np.arange(len(late)), BLOCKS)
+    quickest = [rows[np.argmin(late[rows])] for rows in blocks]
+    drift = -float(np.polyfit(since[quickest], late[quickest], 1)[0])
+    return Clock(latency, float(np.median(np.abs(late - latency)) / 0.6745), drift)
+
+
+def check_offsets(clocks: Mapping[str, Clock], path: str) -> None:
+    """Refuse topics that were recorded together but stamped by clocks set to different times.
+
+    Args:
+        clocks: topic -> clock.
+        path: of the log, for the message.
+
+    Raises:
+        InputError: naming the two topics that are furthest apart.
+    """
+    if len(clocks) < 2:
+        return
+    quick, slow = (chosen(clocks, key=lambda topic: clocks[topic].latency) for chosen in (min, max))
+    offset = clocks[slow].latency - clocks[quick].latency
+    if offset > MAX_OFFSET:
+        raise InputError(
+            f"{path}: {slow} is stamped {offset:.2f} s earlier than messages on {quick} that were recorded with it",
+            "all topics stamped by one clock",
+            f"set the clocks by NTP or PTP, or give {slow} `stamp: log_time` in a topic map",
+        )
