@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import correlate, correlation_lags
 
-from vpptwin.estimation.series import Series
+from vpptwin.estimation.series import Lag, Series
 
 SPAN = 0.05
 """Turning is compared over steps of this length [s]: long against the noise of the angle, short against a flip."""
@@ -22,20 +21,10 @@ LIKENESS = 0.7
 BLOCK = 8.0
 """The drift is read off blocks at least this long [s]."""
 MAX_BLOCKS = 8
+ENOUGH = 2000
+"""Steps compared in a block."""
 CLEAR = 5.0
 """Turning must exceed its noise by this factor, or there is nothing to compare."""
-
-
-@dataclass(frozen=True)
-class Lag:
-    """How far a stream runs behind another: `start` [s] at the first sample, and `drift` [s/s] more from there on."""
-
-    start: float
-    drift: float
-
-    def at(self, since: float) -> float:
-        """The lag [s] so long after the first sample [s]."""
-        return self.start + self.drift * since
 
 
 def estimate_lag(angle: Series, rate: Series) -> Lag | None:
@@ -85,6 +74,7 @@ def search_all(angle: Series, turned: Series) -> float | None:
 def refine(angle: Series, turned: Series, coarse: float, begin: float, end: float) -> float | None:
     """The lag near a coarse one at which the turning from `begin` to `end` [s] differs least [s]."""
     stamps = angle.time[(angle.time >= begin) & (angle.time <= end - SPAN)]
+    stamps = stamps[:: -(-len(stamps) // ENOUGH)] if len(stamps) else stamps
     seen = step_over(angle, stamps + 0.5 * SPAN)
     if len(stamps) < 50 or np.std(seen) < CLEAR * angle.std:
         return None

@@ -13,7 +13,7 @@ from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.joints import read_joints
 from vpptwin.estimation.lag import estimate_lag
 from vpptwin.estimation.policy import reconstruct_commands
-from vpptwin.estimation.series import Measurements, Series
+from vpptwin.estimation.series import Lag, Measurements, Series
 from vpptwin.logs.check import check_accelerometer
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec
@@ -74,9 +74,9 @@ def read_drone(spec: TwinSpec, flight: Flight) -> Measurements:
         throttle=None if command is None else Series("throttle", "1", command.time, command["throttle"], 0.0),
         current=sort_current(rotor, sensors),
     )
-    check_offset(flight, measurements)
+    lag = measure_offset(flight, measurements)
     warnings += [*tell_cut(spans), *tell_gaps(measurements)]
-    return replace(measurements, warnings=tuple(warnings))
+    return replace(measurements, lag=lag, clocks=flight.clocks, warnings=tuple(warnings))
 
 
 def sort_poses(pose: Stream, sensors: Sensors) -> dict[int, Series]:
@@ -143,14 +143,14 @@ def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu:
     return Series("blade pitch", "rad", time, pitch, 0.0)
 
 
-def check_offset(flight: Flight, measurements: Measurements) -> None:
-    """Refuse poses stamped by a clock that was set to another time than the gyro's.
+def measure_offset(flight: Flight, measurements: Measurements) -> Lag | None:
+    """Lag of the poses behind the gyro; None where nothing tells.
 
     Raises:
         InputError: if what turned in both lies further apart than any delay of a motion capture.
     """
     if 2 not in measurements.velocities:
-        return
+        return None
     lag = estimate_lag(measurements.positions[2], measurements.velocities[2])
     if lag is not None and abs(lag.start) > MAX_OFFSET:
         order = "after" if lag.start > 0.0 else "before"
@@ -159,6 +159,7 @@ def check_offset(flight: Flight, measurements: Measurements) -> None:
             "both stamped by one clock",
             "set the clocks by NTP or PTP, or give /mocap/pose `stamp: log_time` in a topic map",
         )
+    return lag
 
 
 def tell_lost(spec: TwinSpec, topics: Mapping[str, Stream]) -> list[str]:

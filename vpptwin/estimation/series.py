@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from vpptwin.logs.clocks import Clock
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,14 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Lag:
+    """How far a stream runs behind another: `start` [s] at the first sample, and `drift` [s/s] more from there on."""
+
+    start: float
+    drift: float
+
+
+@dataclass(frozen=True)
 class Measurements:
     """What was measured and commanded on one flight.
 
@@ -44,6 +55,8 @@ class Measurements:
         driven: degree of freedom → position of a joint that is not simulated but follows its log.
         throttle: commanded share of the battery's voltage (n, 2); None where it was not logged.
         current: measured motor currents (n, 2) A; None where they were not measured.
+        lag: of the motion capture's angle behind the gyro's integral; None where nothing tells.
+        clocks: topic → the clock that stamped it.
         warnings: what was left out, filled in or is lost, one line each.
     """
 
@@ -59,6 +72,8 @@ class Measurements:
     driven: dict[int, Series] = field(default_factory=dict)
     throttle: Series | None = None
     current: Series | None = None
+    lag: Lag | None = None
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
