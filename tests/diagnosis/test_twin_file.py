@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from tests.diagnosis.rigs import CARTS, Case, write_rig
 from tests.diagnosis.test_verdict import CAUSE, VERDICT
 from vpptwin.cli import main
 from vpptwin.diagnosis.bench import Key
-from vpptwin.diagnosis.command import write_twin
-from vpptwin.diagnosis.diagnose import Diagnosis
+from vpptwin.diagnosis.provenance import trace_origin
+from vpptwin.diagnosis.twin_file import compose_twin, extend_effects
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "demo/flights"
@@ -25,9 +26,9 @@ def save(spec: TwinSpec, values: dict[Key, float], folder: Path) -> dict:
     folder.mkdir(parents=True)
     log = folder.parent / "log.mcap"
     log.write_bytes(b"abc")
-    # Of a diagnosis the file needs values and causes; the windows stay out.
-    diagnosis = Diagnosis(VERDICT, values, [], None, None, None)  # type: ignore[arg-type]
-    (folder / "twin.yaml").write_text(write_twin(spec, diagnosis, [log], folder))
+    effects = extend_effects(spec, values)
+    origin = trace_origin(["diagnose", str(log)], spec.name, [log])
+    (folder / "twin.yaml").write_text(compose_twin(spec, effects, VERDICT, origin, folder))
     return yaml.safe_load((folder / "twin.yaml").read_text())
 
 
@@ -79,6 +80,9 @@ def test_a_value_at_its_bound_is_still_a_twin(tmp_path: Path, mass: str) -> None
 def test_the_file_says_where_it_comes_from(tmp_path: Path) -> None:
     """Logs with their SHA-256 (that of "abc" is in every textbook), and 90 % intervals: 1.645 standard deviations."""
     provenance = save(load_twin(), {("rail_x.coulomb", "force"): 0.3081}, tmp_path / "out")["provenance"]
+    assert set(provenance["versions"]) == {"vpptwin", "python", "mujoco", "numpy"}
+    assert provenance["command"] == f"vpptwin diagnose {tmp_path / 'log.mcap'}"
+    assert datetime.fromisoformat(provenance["date"]).tzinfo is not None
     assert provenance["diagnosed_twin"] == "nominal"
     (checksum,) = provenance["logs"].values()
     assert checksum == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

@@ -1,4 +1,4 @@
-"""verdict.json as SPEC 7 lays it out, written whole or not at all, and the sentences made of it."""
+"""verdict.json as SPEC 7 lays it out, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -8,15 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from vpptwin.diagnosis.holdout import HORIZONS_S, Score
-from vpptwin.diagnosis.summary import (
-    describe_cause,
-    describe_leftover,
-    describe_rivals,
-    format_value,
-    headline,
-    tabulate_errors,
-)
+from vpptwin.diagnosis.holdout import Score
 from vpptwin.diagnosis.verdict import Cause, Estimate, Rival, Unexplained, Verdict, write_json, write_text
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
@@ -97,72 +89,3 @@ def test_a_verdict_that_fails_leaves_the_old_one(tmp_path: Path) -> None:
         write_text("half of it, then \ud800", path)
     assert json.loads(path.read_text()) == {"old": True}
     assert [file.name for file in tmp_path.iterdir()] == ["verdict.json"]
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "text"),
-    [
-        (0.3081, 0.0123, "0.308 ± 0.012 N"),  # a leading 1 keeps two digits of the deviation
-        (0.3081, 0.0423, "0.31 ± 0.04 N"),
-        (-0.3081, 0.0073, "-0.308 ± 0.007 N"),
-        (12.34, 3.2, "12 ± 3 N"),
-        (1234.5, 250.0, "1234 ± 250 N"),
-        (0.0123, 0.00096, "0.0123 ± 0.0010 N"),  # 0.00096 rounds to 0.001
-        (0.123456, 0.0, "0.1235 N"),
-        (0.123456, float("nan"), "0.1235 N"),
-        (0.123456, float("inf"), "0.1235 N"),
-    ],
-)
-def test_values_have_the_digits_that_mean_something(value: float, std: float, text: str) -> None:
-    """Rounded to the deviation's first digit; without a deviation four digits."""
-    assert format_value(Estimate(value, "N", std, 0.0)) == text
-
-
-def test_values_without_unit() -> None:
-    """A factor has none."""
-    assert format_value(Estimate(0.95, "", 0.02, 1.0)) == "0.95 ± 0.02"
-
-
-def test_the_sentence_names_cause_size_and_share() -> None:
-    """In words, with the id and the size; a parameter whose off value is not zero says what the twin had."""
-    sentence = describe_cause(CAUSE)
-    assert sentence.startswith("Dry friction on the horizontal rail ")
-    for part in ("rail_x.coulomb", "force 0.308 ± 0.012 N", "explains 62 % of the error."):
-        assert part in sentence
-    gain = Cause("rotor.thrust_gain", 0.9, {"gain": Estimate(0.95, "", 0.02, 1.0)}, 0.3, [], "thrust off by a factor")
-    assert "gain 0.95 ± 0.02" in describe_cause(gain)
-    assert "the twin has 1," in describe_cause(gain)
-    assert headline(VERDICT) == sentence
-
-
-def test_without_a_cause_the_headline_tells_two_cases_apart() -> None:
-    """Nothing wrong, or wrong in a way that no effect explains."""
-    fine = replace(VERDICT, causes=[], gap=False)
-    odd = replace(VERDICT, causes=[], unexplained=Unexplained(True, 1.0, "x", ["rail_x position"]))
-    assert "nothing is accused" in headline(fine)
-    assert "no known effect explains" in headline(odd)
-    assert "nothing is accused" not in headline(odd)
-
-
-def test_rivals_and_leftover_in_words() -> None:
-    """Rivals with their probabilities, what is left with its channel and what it follows."""
-    assert describe_rivals(CAUSE).startswith("rail_x.coulomb: 90.0 % sure; ")
-    assert describe_rivals(CAUSE).endswith("rail_x.viscous (6 %), air.drag (4 %)")
-    assert "no other effect" in describe_rivals(replace(CAUSE, also_explained_by=[]))
-    assert describe_leftover(VERDICT).startswith("Nothing")
-    left = describe_leftover(replace(VERDICT, unexplained=Unexplained(True, 0.24, "x", ["rail_x position"])))
-    for part in ("24 %", " x", "follows rail_x position"):
-        assert part in left
-
-
-def test_tables_are_in_millimetres_and_milliradians() -> None:
-    """Three digits; no second column without a second score; no table of positions on a rig without slides."""
-    position, angle, rate = tabulate_errors(BEFORE, AFTER)
-    assert position.title == "position error [mm]"
-    assert position.rows[-1] == ("1 s", "20", "4.9")
-    assert angle.rows[0] == ("0.05 s", "10", "10")
-    assert rate.rows[2] == ("0.25 s", "3", "1")
-    assert len(position.rows) == len(HORIZONS_S)
-    (only, *_) = tabulate_errors(replace(BEFORE, position_rmse_m=None), None)
-    assert only.title == "angle error [mrad]"
-    assert only.rows[4] == ("1 s", "50", "")

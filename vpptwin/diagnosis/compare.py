@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from errno import EISDIR
 from pathlib import Path
 
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from vpptwin.diagnosis.diagnose import check_moving, open_held_out
+from vpptwin.diagnosis.error_table import tabulate_errors
 from vpptwin.diagnosis.flights import list_starts, window_length
 from vpptwin.diagnosis.holdout import HORIZONS_S, Score
-from vpptwin.diagnosis.summary import tabulate_errors
-from vpptwin.diagnosis.verdict import write_json
-from vpptwin.errors import InputError
+from vpptwin.diagnosis.noise import find_noise_floor
+from vpptwin.diagnosis.output import STDOUT, check_target, give_json
+from vpptwin.diagnosis.terminal import print_errors
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import load_twin
@@ -40,7 +37,11 @@ def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: 
     with threadpool_limits(limits=1, user_api="blas"), tqdm(unit=" steps", unit_scale=True, desc="compare") as bar:
         held_out = open_held_out(spec, measurements, starts, bar.update)
         score = held_out.score({})
-    print_score(score, twin)
+    if json != STDOUT:
+        console = Console(highlight=False)
+        tables = tabulate_errors(score, None, find_noise_floor(measurements))
+        print_errors(console, f"prediction error of twin {twin}", tables)
+        console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")
     if json is not None:
         content = {
             "logs": [str(log) for log in logs],
@@ -49,34 +50,5 @@ def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: 
             "horizons_s": list(HORIZONS_S),
             "error": score.as_dict(),
         }
-        write_json(content, json)
+        give_json(content, json)
     return score
-
-
-def check_target(path: Path) -> None:
-    """Refuse a --json that cannot be written, before the work rather than after it."""
-    probe = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"cannot write --json {path} ({reason})", "a file in an existing folder", "choose another"
-        ) from error
-
-
-def print_score(score: Score, twin: str) -> None:
-    """Print errors over the horizon."""
-    console = Console(highlight=False)
-    tables = tabulate_errors(score, None)
-    table = Table(title=f"prediction error of twin {twin}", title_justify="left", show_edge=False)
-    table.add_column("horizon")
-    for entry in tables:
-        table.add_column(escape(entry.title), justify="right")
-    for i, (horizon, _, _) in enumerate(tables[0].rows):
-        table.add_row(horizon, *[entry.rows[i][1] for entry in tables])
-    console.print(table)
-    console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,43 +10,49 @@ from matplotlib.axes import Axes
 from vpptwin.viz.figure import AFTER, BEFORE, INK, name_axes, open_figure, thin, write_svg
 from vpptwin.viz.palette import GREY
 
-ERROR_PANELS = {"position_rmse_m": "position rmse [m]", "angle_rmse_rad": "angle rmse [rad]"}
+SIZE = (3.6, 2.7)  # inch: two stand side by side on a desk, one fills a phone held upright
 MOST_POINTS = 1000  # of a scatter plot
 BINS = 16  # of the running median
 FEWEST_IN_BIN = 8  # samples, below which a bin's quantiles say nothing
 BAND = (0.1, 0.9)  # quantiles
-MOST_SAMPLES = 2000  # of a line
+MOST_SAMPLES = 800  # of a line
 
 
 def error_by_horizon(
     horizons_s: Sequence[float],
-    before: Mapping[str, Sequence[float]],
-    after: Mapping[str, Sequence[float]] | None = None,
-    noise_floor: Mapping[str, float] | None = None,
+    before: Sequence[float],
+    after: Sequence[float] | None = None,
+    noise: float | None = None,
+    interval: Sequence[tuple[float, float]] | None = None,
+    label: str = "error",
 ) -> str:
     """Prediction error against horizon, before and after, on logarithmic axes.
 
     Args:
         horizons_s: (h,) time since the estimated state [s].
-        before: position_rmse_m (h,) [m] and angle_rmse_rad (h,) [rad] of the twin as it was; panels for the keys there.
-        after: likewise with the named causes; None when none was named.
-        noise_floor: rmse of a perfect twin by the same keys.
+        before: (h,) error of the twin as it was.
+        after: (h,) with the named causes; None when none was named.
+        noise: error of a perfect twin.
+        interval: 90 % interval of the change per horizon, as a share of the error before.
+        label: what the error is of, with its unit.
     """
-    keys = [key for key in ERROR_PANELS if key in before]
-    with open_figure(3.6 * max(len(keys), 1), 2.9) as figure:
-        for axes, key in zip(figure.subplots(1, len(keys), squeeze=False)[0], keys):
-            axes.loglog(horizons_s, before[key], "o--", color=BEFORE, label="before")
-            if after is not None:
-                axes.loglog(horizons_s, after[key], "s-", color=AFTER, label="after")
-            if noise_floor is not None and key in noise_floor:
-                axes.axhline(noise_floor[key], color=GREY, linestyle=":", label="sensor noise")
-            axes.set_xticks(list(horizons_s), [f"{h:g}" for h in horizons_s])
-            axes.minorticks_off()
-            axes.yaxis.set_major_formatter("{x:g}")
-            widen_to_decades(axes)
-            name_axes(axes, "horizon [s]", ERROR_PANELS[key])
-            axes.legend()
-        return write_svg(figure, "Prediction error against horizon")
+    with open_figure(*SIZE) as figure:
+        axes = figure.subplots()
+        axes.loglog(horizons_s, before, "o--", color=BEFORE, label="before")
+        if after is not None:
+            axes.loglog(horizons_s, after, "s-", color=AFTER, label="after")
+            if interval is not None:
+                low, high = np.asarray(before)[:, None].T * (1.0 + np.asarray(interval).T)
+                axes.fill_between(horizons_s, low, high, color=AFTER, alpha=0.2, linewidth=0.0)
+        if noise is not None:
+            axes.axhline(noise, color=INK, linewidth=1.0, linestyle=":", label="sensor noise")
+        axes.set_xticks(list(horizons_s), [f"{h:g}" for h in horizons_s])
+        axes.minorticks_off()
+        axes.yaxis.set_major_formatter("{x:g}")
+        widen_to_decades(axes)
+        name_axes(axes, "horizon [s]", label)
+        axes.legend()
+        return write_svg(figure, f"{label} against horizon")
 
 
 def widen_to_decades(axes: Axes) -> None:
@@ -61,7 +67,7 @@ def residual_against(
     residual_after: np.ndarray | None,
     x_label: str,
     y_label: str,
-) -> str:
+) -> list[str]:
     """What the twin leaves unexplained against a quantity: samples, running median and the band of 80 % of them.
 
     Args:
@@ -70,19 +76,24 @@ def residual_against(
         residual_after: (n,) residual with the named causes; None when none was named.
         x_label: the quantity with its unit, e.g. "rail velocity [m/s]".
         y_label: the residual with its unit.
+
+    Returns:
+        One figure before and, where there is a twin with causes, one after, on the same axes.
     """
     panels = [("before", residual_before, BEFORE)]
     if residual_after is not None:
         panels.append(("after", residual_after, AFTER))
-    with open_figure(3.6 * len(panels), 3.0) as figure:
-        row = figure.subplots(1, len(panels), squeeze=False, sharex=True, sharey=True)[0]
-        for axes, (title, residual, colour) in zip(row, panels):
-            known = np.isfinite(x) & np.isfinite(residual)
+    limits = cover_bulk(np.concatenate([residual for _, residual, _ in panels]))
+    figures = []
+    for title, residual, colour in panels:
+        known = np.isfinite(x) & np.isfinite(residual)
+        with open_figure(*SIZE) as figure:
+            axes = figure.subplots()
             draw_residual(axes, np.asarray(x)[known], np.asarray(residual)[known], colour)
-            name_axes(axes, x_label, y_label if axes is row[0] else "", title)
-        if all(len(residual) for _, residual, _ in panels):
-            limit_to_bulk(row[0], np.concatenate([residual for _, residual, _ in panels]))
-        return write_svg(figure, f"{y_label} against {x_label}")
+            axes.set_ylim(limits)
+            name_axes(axes, x_label, y_label, title)
+            figures.append(write_svg(figure, f"{y_label} against {x_label}, {title}"))
+    return figures
 
 
 def draw_residual(axes: Axes, x: np.ndarray, residual: np.ndarray, colour: str) -> None:
@@ -126,36 +137,14 @@ def bin_quantiles(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     return centre, low, median, high
 
 
-def limit_to_bulk(axes: Axes, values: np.ndarray) -> None:
-    """Leave outliers out of the y axis: it covers 99 % of the values and a margin."""
+def cover_bulk(values: np.ndarray) -> tuple[float, float]:
+    """Limits of an axis that covers zero, 99 % of the values and a margin, so that outliers do not flatten the rest."""
     finite = values[np.isfinite(values)]
-    if len(finite):
-        low, high = np.quantile(finite, [0.005, 0.995])
-        margin = 0.15 * max(high - low, 1e-12)
-        axes.set_ylim(min(low, 0.0) - margin, max(high, 0.0) + margin)
-
-
-def suspects_ranking(names: Sequence[str], gains: Sequence[float], accused: Sequence[str] | str = ()) -> str:
-    """Which suspects would explain how much, strongest on top, the accused in colour.
-
-    Args:
-        names: effect ids.
-        gains: drop in misfit, twice the log-likelihood, that each brings alone.
-        accused: the named causes.
-    """
-    named = {accused} if isinstance(accused, str) else set(accused)
-    order = np.argsort(np.asarray(gains, dtype=float), kind="stable")
-    labels = [names[i] for i in order]
-    values = [float(gains[i]) for i in order]
-    with open_figure(6.4, 0.9 + 0.27 * len(labels)) as figure:
-        axes = figure.subplots()
-        bars = axes.barh(labels, values, color=[AFTER if label in named else GREY for label in labels], height=0.7)
-        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3)
-        axes.axvline(0.0, color=INK, linewidth=0.8)
-        axes.grid(visible=False, axis="y")
-        axes.margins(x=0.12)
-        name_axes(axes, "drop in misfit (twice the log-likelihood)", "")
-        return write_svg(figure, "Suspects by what they explain")
+    if not len(finite):
+        return -1.0, 1.0
+    low, high = np.quantile(finite, [0.005, 0.995])
+    margin = 0.15 * max(high - low, 1e-12)
+    return min(low, 0.0) - margin, max(high, 0.0) + margin
 
 
 def prediction_overlay(
@@ -163,60 +152,61 @@ def prediction_overlay(
     measured: np.ndarray,
     before: np.ndarray,
     after: np.ndarray | None,
-    labels: Sequence[str],
+    label: str,
     restarts: Sequence[float] = (),
 ) -> str:
-    """A stretch of flight: the log and the twin before and after, one panel for each channel.
+    """A stretch of flight: the log, and the twin before and after.
 
     Args:
         time: (n,) [s].
-        measured: (n, k) the log.
-        before: (n, k) the twin as it was.
-        after: (n, k) the twin with the named causes; None when none was named.
-        labels: k channel names with units, e.g. "x [m]".
+        measured: (n,) the log.
+        before: (n,) the twin as it was.
+        after: (n,) the twin with the named causes; None when none was named.
+        label: what is shown, with its unit.
         restarts: times at which the twin was set back to the log [s]; its lines are broken there.
     """
     shown = thin(len(time), MOST_SAMPLES)
-    at = np.asarray(time)[shown]
-    breaks = np.searchsorted(at, np.asarray(restarts, dtype=float), side="left")
-    breaks = breaks[(breaks > 0) & (breaks < len(at))]
-    with open_figure(7.2, 0.5 + 1.5 * len(labels)) as figure:
-        column = figure.subplots(len(labels), 1, squeeze=False, sharex=True)[:, 0]
-        for k, (axes, label) in enumerate(zip(column, labels)):
-            axes.plot(at, np.asarray(measured)[shown, k], color=INK, linewidth=4.5, alpha=0.35, label="log")
-            for name, predicted, colour, dash in (("before", before, BEFORE, "--"), ("after", after, AFTER, "-")):
-                if predicted is not None:
-                    broken = np.insert(np.asarray(predicted, dtype=float)[shown, k], breaks, np.nan)
-                    axes.plot(np.insert(at, breaks, at[breaks]), broken, dash, color=colour, label=f"twin {name}")
-            name_axes(axes, "time [s]" if axes is column[-1] else "", label)
-        column[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-        return write_svg(figure, "Log and twin over time")
+    with open_figure(*SIZE) as figure:
+        axes = figure.subplots()
+        axes.plot(time[shown], measured[shown], color=INK, linewidth=4.5, alpha=0.35)
+        draw_twins(axes, time[shown], [line if line is None else line[shown] for line in (before, after)], restarts)
+        name_axes(axes, "time [s]", label)
+        return write_svg(figure, f"Log and twin, {label}")
 
 
-def parameter_intervals(
-    names: Sequence[str],
-    values: Sequence[float],
-    stds: Sequence[float],
-    nominals: Sequence[float],
-    units: Sequence[str],
+def residual_over_time(
+    time: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray | None,
+    noise: float,
+    label: str,
+    restarts: Sequence[float] = (),
 ) -> str:
-    """Fitted parameters with intervals of two standard deviations beside their nominal values, one scale for each.
+    """Measured minus predicted over a stretch of flight, and the band of two sigma of sensor noise.
 
     Args:
-        names: parameters, e.g. "rail_x.coulomb force".
-        values: fitted values in their units.
-        stds: their standard deviations.
-        nominals: what the twin had.
-        units: units, written in brackets.
+        time: (n,) [s].
+        before: (n,) residual of the twin as it was.
+        after: (n,) residual with the named causes; None when none was named.
+        noise: 1 sigma of a sample.
+        label: what is shown, with its unit.
+        restarts: times at which the twin was set back to the log [s]; lines are broken there.
     """
-    with open_figure(6.4, 0.2 + 0.85 * len(names)) as figure:
-        for i, axes in enumerate(figure.subplots(len(names), 1, squeeze=False)[:, 0]):
-            axes.errorbar(values[i], 0.0, xerr=2.0 * stds[i], fmt="o", color=AFTER, capsize=4, label="fitted ± 2 std")
-            axes.plot(nominals[i], 0.0, "D", color=BEFORE, markerfacecolor="none", label="nominal")
-            axes.set_yticks([])
-            axes.spines["left"].set_visible(False)
-            axes.margins(x=0.1)
-            name_axes(axes, f"{names[i]} [{units[i]}]", "")
-            if i == 0:
-                axes.legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 0.95))
-        return write_svg(figure, "Fitted parameters")
+    shown = thin(len(time), MOST_SAMPLES)
+    with open_figure(*SIZE) as figure:
+        axes = figure.subplots()
+        axes.axhspan(-2.0 * noise, 2.0 * noise, color=GREY, alpha=0.3, linewidth=0.0)
+        draw_twins(axes, time[shown], [line if line is None else line[shown] for line in (before, after)], restarts)
+        axes.set_ylim(cover_bulk(np.concatenate([before, before if after is None else after])))
+        name_axes(axes, "time [s]", label)
+        return write_svg(figure, f"Residual over time, {label}")
+
+
+def draw_twins(axes: Axes, time: np.ndarray, lines: Sequence[np.ndarray | None], restarts: Sequence[float]) -> None:
+    """Lines (n,) of the twin before and after, broken where it was restarted."""
+    breaks = np.searchsorted(time, np.asarray(restarts, dtype=float), side="left")
+    breaks = breaks[(breaks > 0) & (breaks < len(time))]
+    for line, colour, dash in zip(lines, (BEFORE, AFTER), ("--", "-")):
+        if line is not None:
+            broken = np.insert(np.asarray(line, dtype=float), breaks, np.nan)
+            axes.plot(np.insert(time, breaks, time[breaks]), broken, dash, color=colour)
