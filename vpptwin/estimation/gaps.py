@@ -16,8 +16,8 @@ MAX_POSE_GAP, MAX_INERTIAL_GAP, MAX_SPEED_GAP = 0.12, 0.02, 0.1
 """Gaps that estimates of pose, of inertial displacement and of rotor speed bridge [s]."""
 PERIODS = 4.0
 """No gap is shorter than this many median periods of its stream."""
-STEADY = 0.8
-"""Share of a stream's periods within half of their median, from which on it is a clock's; others speak on change."""
+UNSTEADY = 5.0
+"""Ratio of a stream's long to its short periods (90th to 10th percentile) beyond which it speaks on change only."""
 MAX_CUT = 0.1
 """Share of the flight that may fall outside the common span unmentioned."""
 PROBE = 0.3
@@ -93,8 +93,8 @@ def find_gaps(time: np.ndarray, longest: float) -> np.ndarray:
     steps = np.diff(time)
     if len(steps) < 3:
         return np.zeros((0, 2))
-    period = float(np.median(steps))
-    if np.mean(np.abs(steps - period) <= 0.5 * period) < STEADY:
+    short, period, long = np.percentile(steps, [10.0, 50.0, 90.0])
+    if long > UNSTEADY * short:
         return np.zeros((0, 2))
     rows = np.flatnonzero(steps > max(longest, PERIODS * period))
     return np.stack([time[rows], time[rows + 1]], axis=1)

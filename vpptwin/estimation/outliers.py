@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 PAIRS = ((-1, 1), (-2, -1), (1, 2), (-2, 1), (-1, 2), (-2, 2), (-3, -1), (1, 3))
 """Neighbours, by distance in samples, whose lines predict a sample."""
 SPREADS = 10.0
 """Standard deviations by which a wild sample misses every such prediction. Flips at 15 rad/s stay below three."""
-LONELY = 3.0
-"""Where nothing is known of the motion, a wild sample must miss by this many times what its neighbours miss by."""
+AROUND, COMPANY = 8, 3
+"""Where nothing is known of the motion, a wild sample must lie outside what so many samples on either side span, but
+for the most extreme few, ..."""
+OUTSIDE = 0.5
+"""... by this share of that span."""
 ROUNDS = 4
 """Wild samples side by side hide each other: those found are taken out and the rest looked at again."""
 MAX_RUN = 0.3
@@ -40,13 +44,24 @@ def find_spikes(time: np.ndarray, value: np.ndarray, std: float, curvature: floa
         ratio = measure_miss(time[left], value[left], std, curvature or 0.0)
         found = ratio > 1.0
         if curvature is None:
-            padded = np.pad(ratio, 2)
-            beside = np.max([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-            found &= ratio > LONELY * beside
+            found &= find_outside(value[left])
         if not found.any():
             break
         wild[left[found]] = True
     return wild
+
+
+def find_outside(value: np.ndarray) -> np.ndarray:
+    """Samples (n, k) that lie well outside the span of those around them, (n,) bool; ends are left alone."""
+    found = np.zeros(len(value), dtype=bool)
+    if len(value) <= 2 * AROUND:
+        return found
+    for column in value.T:
+        around = np.sort(sliding_window_view(column, 2 * AROUND + 1), axis=1)
+        low, high = around[:, COMPANY], around[:, -1 - COMPANY]
+        middle = column[AROUND:-AROUND]
+        found[AROUND:-AROUND] |= np.maximum(middle - high, low - middle) > OUTSIDE * (high - low)
+    return found
 
 
 def measure_miss(time: np.ndarray, value: np.ndarray, std: float, curvature: float) -> np.ndarray:

@@ -1,0 +1,254 @@
+"""Logs as spoilt as real ones: they give the same measurements, or say in one line what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.logs import corrupt
+from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
+from tests.reality.recording import Recording, write_mcap
+from vpptwin.errors import InputError
+from vpptwin.estimation.gaps import usable_starts
+from vpptwin.estimation.measurements import Measurements, read_measurements
+from vpptwin.logs import read_flight
+from vpptwin.twin import load_twin
+
+SPEC = load_twin()
+Spoil = Callable[[Recording, np.random.Generator], Recording]
+
+
+@pytest.fixture(scope="module")
+def measure(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Recording], tuple[Measurements, list[str]]]:
+    """A function that writes a recording, reads it back, and gives measurements and all warnings."""
+
+    def run(recording: Recording) -> tuple[Measurements, list[str]]:
+        path: Path = write_mcap(recording, tmp_path_factory.mktemp("spoilt") / "flight.mcap")
+        flight = read_flight(path)
+        measurements = read_measurements(SPEC, flight)
+        return measurements, [*flight.warnings, *measurements.warnings]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def clean(recording: Recording, measure: Callable[[Recording], tuple[Measurements, list[str]]]) -> Measurements:
+    """The flight as it was recorded."""
+    measurements, warnings = measure(recording)
+    assert all("gap" in warning for warning in warnings)  # of the tracker, as long as the simulation makes them
+    return measurements
+
+
+def differ(clean: Measurements, spoilt: Measurements) -> dict[str, float]:
+    """Greatest distance of the spoilt tracks from the clean ones, in standard deviations of a sample."""
+    pairs = [(clean.positions[i], spoilt.positions[i]) for i in range(3)]
+    pairs += [(clean.velocities[2], spoilt.velocities[2])] if 2 in spoilt.velocities else []
+    result = {}
+    for before, after in pairs:
+        inside = (before.time >= after.time[0]) & (before.time <= after.time[-1])
+        nearest = np.clip(np.searchsorted(after.time, before.time[inside]), 1, len(after.time) - 1)
+        close = np.diff(after.time)[nearest - 1] < 0.025  # a line through a longer gap proves nothing
+        value = np.interp(before.time[inside], after.time, after.value)
+        result[before.name] = float(np.abs(value - before.value[inside])[close].max() / before.std)
+    return result
+
+
+SPIKES = {
+    POSE: {"x": 0.8, "z": 0.8, "qy": 0.0},
+    IMU: {"wy": 12.0, "ax": 60.0, "az": 60.0},
+    STATE: {"speed_1": 120.0, "speed_2": 120.0},
+}
+
+
+@pytest.mark.parametrize("topic", [POSE, IMU, STATE])
+def test_outliers_are_left_out_and_counted(
+    recording: Recording, clean: Measurements, measure: Callable, topic: str
+) -> None:
+    """Of 0.5 % wild samples nearly all go, no other does, and a warning says how many: flips at 12 rad/s stay."""
+    columns = {name: size for name, size in SPIKES[topic].items() if size}
+    spoilt, bad = corrupt.spike(recording, topic, columns, 0.005, np.random.default_rng(5))
+    measured, warnings = measure(spoilt)
+    (line,) = (text for text in warnings if "are outliers" in text)
+    count = int(line.split(": ")[1].split()[0])
+    assert line == f"{topic}: {count} of {len(bad)} samples are outliers, left out"
+    assert 0.97 * bad.sum() <= count <= bad.sum()
+    series = {POSE: measured.positions[0], IMU: measured.velocities[2], STATE: measured.rotor_speed}[topic]
+    assert len(series.time) == len(bad) - count
+    assert max(differ(clean, measured).values()) < 8.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.5, np.pi])
+def test_frames_of_another_body_are_left_out(
+    recording: Recording, clean: Measurements, measure: Callable, angle: float
+) -> None:
+    """A tracker that follows another body for a fifth of a second, in mid flip, turns nobody round for good."""
+    spoilt = corrupt.swap(recording, 1.5, 1.7, 0.4, -0.3, angle)
+    measured, warnings = measure(spoilt)
+    assert any("samples are outliers" in text for text in warnings)
+    time = measured.positions[2].time
+    assert not ((time >= 1.5) & (time < 1.7)).any()
+    assert max(differ(clean, measured).values()) < 8.0
+
+
+def test_a_turn_during_a_gap_is_followed_by_the_gyro(recording: Recording, measure: Callable) -> None:
+    """The angle after a gap in which the craft turned over is right to the turn."""
+    measured, _ = measure(corrupt.cut(recording, POSE, 1.0, 2.6))
+    angle = measured.positions[2]
+    truth = np.interp(angle.time, recording.truth["time"], recording.truth["position"][:, 2])
+    np.testing.assert_allclose(angle.value - truth, 0.0, atol=0.1)
+
+
+def test_a_frozen_tracker_is_noticed(recording: Recording, clean: Measurements, measure: Callable) -> None:
+    """Repeats of one pose count as missing when the craft moved on."""
+    measured, warnings = measure(corrupt.freeze(recording, 1.4, 1.8))
+    assert any("repeat a frozen pose, left out" in text for text in warnings)
+    time = measured.positions[0].time
+    assert np.count_nonzero((time >= 1.4) & (time < 1.8)) <= 1
+    assert max(differ(clean, measured).values()) < 8.0
+    assert not usable_starts(measured, np.array([1.75]), 0.3).any()
+
+
+BLEMISHES: dict[str, tuple[Spoil, str, float]] = {
+    "dropouts": (lambda r, g: corrupt.drop(r, POSE, 0.2, g), "", 8.0),
+    "imu dropouts": (lambda r, g: corrupt.drop(r, IMU, 0.05, g), "", 8.0),
+    "jitter": (lambda r, g: corrupt.jitter(r, POSE, 0.0005, g), "", 12.0),  # 12 rad/s in 3 sigma: 6 noises
+    "imu jitter": (lambda r, g: corrupt.jitter(r, IMU, 0.0003, g), "out of order", 25.0),
+    "late records": (lambda r, g: corrupt.shuffle(r, POSE, 0.2, g), "out of order", 1e-9),
+    "late imu": (lambda r, g: corrupt.shuffle(r, IMU, 0.05, g), "out of order", 1e-9),
+    "doubled": (lambda r, g: corrupt.repeat(r, POSE, 0.1, g), "repeat a stamp, dropped", 1e-9),
+    "late start": (lambda r, g: corrupt.cut(r, IMU, -1.0, 1.5), "/imu/data starts 1.5 s late", 1e-9),
+    "early end": (lambda r, g: corrupt.cut(r, STATE, 5.0, 9.0), "/rotor/state ends 3.0 s early", 1e-9),
+    "no telemetry": (lambda r, g: corrupt.remove(r, STATE), "no /rotor/state: rotors are taken to turn at", 1e-9),
+    "no imu": (lambda r, g: corrupt.remove(r, IMU), "no /imu/data: rates and forces come from /mocap/pose", 1e-9),
+    "no accelerometer": (
+        lambda r, g: corrupt.scale(r, IMU, 0.0, "ax", "az"),
+        "no accelerometer on /imu/data",
+        1e-9,
+    ),
+    "wild quaternions": (
+        lambda r, g: corrupt.change(r, POSE, zero_quaternion(r.topics[POSE])),
+        "1 of 799 messages on /mocap/pose hold impossible values, left out, first at 2.",
+        8.0,
+    ),
+}
+
+
+def zero_quaternion(topic: corrupt.Topic) -> corrupt.Topic:
+    """The tracker loses its body once and sends zeros, far away."""
+    columns = {name: np.array(values, dtype=float) for name, values in topic.columns.items()}
+    for name, value in (("qy", 0.0), ("qw", 0.0), ("x", 1e4)):
+        columns[name][200] = value
+    return corrupt.Topic(topic.kind, topic.frame, topic.time, topic.latency, columns)
+
+
+@pytest.mark.parametrize("name", BLEMISHES)
+def test_blemishes_change_little(recording: Recording, clean: Measurements, measure: Callable, name: str) -> None:
+    """What a log lacks or shows twice moves the tracks by no more than noise, and warnings tell of it."""
+    spoil, warning, bound = BLEMISHES[name]
+    measured, warnings = measure(spoil(recording, np.random.default_rng(1)))
+    assert any(warning in text for text in warnings) or not warning
+    assert not any("\n" in text for text in warnings)
+    assert max(differ(clean, measured).values()) <= bound
+
+
+@pytest.mark.parametrize(
+    ("topic", "lost"),
+    [(COMMAND, (3.0, 3.7)), (POSE, (3.2, 4.0)), (IMU, (2.9, 4.0)), (STATE, (2.8, 3.9))],
+)
+def test_windows_in_gaps_are_left_out(
+    recording: Recording, clean: Measurements, measure: Callable, topic: str, lost: tuple[float, float]
+) -> None:
+    """Of a gap from 3 to 3.9 s the windows around it are left out, the others stay, and the share is told."""
+    measured, warnings = measure(corrupt.cut(recording, topic, 3.0, 3.9))
+    starts = np.arange(0.2, 7.5, 0.1)
+    before, after = usable_starts(clean, starts, 0.3), usable_starts(measured, starts, 0.3)
+    assert before.all()
+    assert not after[(starts > lost[0]) & (starts < lost[1])].any()
+    assert after[(starts < 2.6) | (starts > 4.3)].all()
+    assert any("leave out" in text and "of the flight" in text for text in warnings)
+
+
+def test_policy_commands_replace_rotor_commands(recording: Recording, clean: Measurements, measure: Callable) -> None:
+    """Without rotor telemetry blade pitch comes from policy and gyro, to the firmware's rounding, and it is told."""
+    measured, warnings = measure(corrupt.remove(recording, COMMAND, STATE))
+    settled = slice(20, None)
+    np.testing.assert_array_equal(measured.command.time, clean.command.time)
+    difference = (measured.command.value - clean.command.value)[settled]
+    assert np.abs(difference).max() < 0.51 * 2.0**-14  # rad, half a step of the servo command
+    assert measured.rotor_speed is None
+    assert any("no /rotor/command" in text and "rotor.drag and battery.sag can't be seen" in text for text in warnings)
+    assert any("no /rotor/state" in text for text in warnings)
+
+
+def test_policy_commands_survive_a_worse_log(recording: Recording, clean: Measurements, measure: Callable) -> None:
+    """With gyro spikes, and policy and gyro interrupted in turn, blade pitch stays right where it is given at all."""
+    spoilt, _ = corrupt.spike(corrupt.remove(recording, COMMAND), IMU, {"wy": 12.0}, 0.005, np.random.default_rng(2))
+    spoilt = corrupt.cut(corrupt.cut(spoilt, POLICY, 2.0, 2.5), IMU, 5.0, 5.5)
+    measured, _ = measure(spoilt)
+    time, pitch = measured.command.time, measured.command.value
+    assert not (((time > 2.05) & (time < 2.5)) | ((time > 5.0) & (time < 5.499))).any()
+    logged = np.stack([np.interp(time, clean.command.time, clean.command.value[:, i]) for i in range(2)], axis=1)
+    settled = (time > 0.02) & (np.abs(time - 2.0) > 0.1) & (np.abs(time - 5.5) > 0.02)
+    assert np.sqrt(np.mean((pitch - logged)[settled] ** 2)) < 2e-4  # rad; hover noise is 1.5e-3
+    assert not usable_starts(measured, np.array([1.9, 2.3, 4.9, 5.3]), 0.3).any()
+
+
+def not_a_number(recording: Recording) -> Recording:
+    """One pose with an unknown x."""
+    topic = recording.topics[POSE]
+    x = np.array(topic.columns["x"])
+    x[300] = np.nan
+    return corrupt.change(
+        recording, POSE, corrupt.Topic(topic.kind, topic.frame, topic.time, topic.latency, {**topic.columns, "x": x})
+    )
+
+
+def shift_all(recording: Recording) -> Recording:
+    """Poses stamped and recorded 0.8 s late."""
+    topic = recording.topics[POSE]
+    return corrupt.change(
+        recording, POSE, corrupt.Topic(topic.kind, topic.frame, topic.time + 0.8, topic.latency, topic.columns)
+    )
+
+
+REFUSED: dict[str, tuple[Callable[[Recording], Recording], str]] = {
+    "NaN": (not_a_number, "pose.position.x is NaN in 1 of 799 messages"),
+    "millimetres": (lambda r: corrupt.scale(r, POSE, 1e3, "x", "z"), "x reaches [0-9.]+ and looks like millimetres"),
+    "g": (lambda r: corrupt.scale(r, IMU, 1 / 9.81, "ax", "az"), "median is [01].* and looks like multiples of g"),
+    "milli-g": (lambda r: corrupt.scale(r, IMU, 1e3 / 9.81, "ax", "az"), "looks like milli-g"),
+    "no gravity": (lambda r: corrupt.scale(r, IMU, 0.03, "ax", "az"), "looks like acceleration without gravity"),
+    "degrees per second": (lambda r: corrupt.scale(r, IMU, 57.3, "wy"), "degrees per second"),
+    "wrong sign": (lambda r: corrupt.scale(r, IMU, -1.0, "wy"), "rate runs against the turning"),
+    "blade pitch in degrees": (lambda r: corrupt.scale(r, COMMAND, 57.3, "blade_pitch_1"), "looks like degrees"),
+    "rpm": (lambda r: corrupt.scale(r, STATE, 9.55, "speed_1", "speed_2"), "looks like rpm"),
+    "another epoch": (lambda r: corrupt.offset(r, POSE, -2.0), "/mocap/pose is stamped 2.01 s earlier than"),
+    "a shifted stamp": (shift_all, "/mocap/pose shows every turn 0.80 s after /imu/data does"),
+    "no poses": (lambda r: corrupt.remove(r, POSE), "no messages on /mocap/pose"),
+    "no commands": (lambda r: corrupt.remove(r, COMMAND, POLICY), "no messages on /rotor/command"),
+    "no gyro, no commands": (lambda r: corrupt.remove(r, COMMAND, IMU), "/imu/data to reconstruct it from"),
+}
+"""Logs from which nothing right could be read, and the line that says so."""
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_mended_is_refused(recording: Recording, measure: Callable, name: str) -> None:
+    """Units, clocks and topics that are wrong throughout are named in one line, with what to do."""
+    spoil, found = REFUSED[name]
+    with pytest.raises(InputError, match=found) as caught:
+        measure(spoil(recording))
+    assert "\n" not in str(caught.value)
+    assert caught.value.action
+
+
+def test_a_drift_between_clocks_is_measured_not_corrected(recording: Recording, measure: Callable) -> None:
+    """A tracker clock that gains 1 ms/s is a suspect of the diagnosis: it shows in lag and clocks alone."""
+    measured, warnings = measure(corrupt.offset(recording, POSE, 0.0, drift=1e-3))
+    assert not any("clock" in text for text in warnings)
+    pose = recording.topics[POSE]
+    np.testing.assert_allclose(measured.positions[0].time, pose.time * 1.001, atol=1e-8)
+    clocks = measured.clocks
+    assert clocks[POSE].drift - clocks[IMU].drift == pytest.approx(1e-3, abs=1e-4)  # transport jitters by 0.4 ms
+    assert clocks[POSE].latency == pytest.approx(0.008 - 0.004, abs=5e-4)
