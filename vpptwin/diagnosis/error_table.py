@@ -81,4 +81,5 @@ def format_error(value: float) -> str:
 
 def format_change(low: float, high: float) -> str:
     """An interval of a change in percent."""
-    return f"{100.0 * low:+.0f} to {100.0 * high:+.0f} %".replace("-", "−")
+    first, last = round(100.0 * low), round(100.0 * high)
+    return "0 %" if first == last == 0 else f"{first:+d} to {last:+d} %".replace("-", "−").replace("+0", "0")

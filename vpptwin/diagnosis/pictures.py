@@ -48,7 +48,7 @@ def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction],
         forces={cause.effect: draw_force(diagnosis, cause.effect) for cause in verdict.causes},
         flight=draw_flight(predictions[-1]),
         flight_name=predictions[-1].flight.path.name,
-        leftover=draw_wrench(diagnosis.leftover_plot) if diagnosis.leftover_plot is not None else [],
+        leftover=draw_wrench(diagnosis.leftover_plot, "left") if diagnosis.leftover_plot is not None else [],
     )
 
 
@@ -70,12 +70,12 @@ def draw_force(diagnosis: Diagnosis, effect_id: str) -> list[str]:
     effect = find_effect(diagnosis.held_out.short.spec.catalogue, effect_id)
     if effect.writes and set(effect.writes) <= set(PERFECT):
         return []
-    return draw_wrench(plot_wrench(diagnosis.held_out, diagnosis.values, effect))
+    return draw_wrench(plot_wrench(diagnosis.held_out, diagnosis.values, effect), effect_id)
 
 
-def draw_wrench(plot: WrenchPlot) -> list[str]:
+def draw_wrench(plot: WrenchPlot, subject: str) -> list[str]:
     """A missing force before and after."""
-    return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label)
+    return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label, subject)
 
 
 def draw_flight(prediction: FlightPrediction) -> list[str]:

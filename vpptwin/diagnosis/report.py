@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -45,6 +46,7 @@ def render_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["tie"] = tie_units
     return environment.get_template("report.html.j2").render(
         verdict=verdict,
         summary=summary,
@@ -58,3 +60,8 @@ def render_report(
         format_value=format_value,
         format_plain=format_plain,
     )
+
+
+def tie_units(text: str) -> str:
+    """The text with its numbers tied to their deviations and units, so that no line breaks between them."""
+    return re.sub(r"(?<=\d) (?=%|± |\S*[A-Za-z]\b)|(?<=±) ", "\N{NO-BREAK SPACE}", text)

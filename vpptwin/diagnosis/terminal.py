@@ -26,6 +26,8 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
         console.print(sentence, style="bold", markup=False)
     console.print()
     console.print(list_findings(verdict, summary))
+    if verdict.experiment is not None:  # not in the grid, whose breaks would not survive copying
+        console.print(f"  {verdict.experiment.command}", markup=False, soft_wrap=True)
     console.print()
     title = f"error on {verdict.held_out_windows} held-out windows{', before → after' if verdict.causes else ''}"
     print_errors(console, title, summary.tables)
@@ -39,9 +41,6 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
     """Findings beside their headings."""
     grid = Table.grid(padding=(0, 2))
     cleared = [suspect for lines in summary.cleared.values() for suspect in lines]
-    next_flight = [summary.experiment] if summary.experiment else []
-    if verdict.experiment is not None:
-        next_flight.append(verdict.experiment.command)
     warnings = verdict.warnings[:MOST_WARNINGS]
     if len(verdict.warnings) > MOST_WARNINGS:
         warnings = [*warnings, f"and {len(verdict.warnings) - MOST_WARNINGS} more in the report"]
@@ -51,8 +50,8 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
         ("left over", [summary.unexplained]),
         ("cleared", [f"{len(cleared)} suspects that these flights would have shown"] if cleared else []),
         ("not seen", ["; ".join(summary.unseen)] if summary.unseen else []),
-        ("fly next", next_flight),
         ("warnings", warnings),
+        ("fly next", [summary.experiment] if summary.experiment else []),
     ):
         if lines:
             grid.add_row(Text(heading, style="dim"), Text("\n".join(lines)))

@@ -67,6 +67,7 @@ def residual_against(
     residual_after: np.ndarray | None,
     x_label: str,
     y_label: str,
+    subject: str = "residual",
 ) -> list[str]:
     """What the twin leaves unexplained against a quantity: samples, running median and the band of 80 % of them.
 
@@ -76,6 +77,7 @@ def residual_against(
         residual_after: (n,) residual with the named causes; None when none was named.
         x_label: the quantity with its unit, e.g. "rail velocity [m/s]".
         y_label: the residual with its unit.
+        subject: what it is about, which keeps figures of the same quantities on one page apart.
 
     Returns:
         One figure before and, where there is a twin with causes, one after, on the same axes.
@@ -92,7 +94,7 @@ def residual_against(
             draw_residual(axes, np.asarray(x)[known], np.asarray(residual)[known], colour)
             axes.set_ylim(limits)
             name_axes(axes, x_label, y_label, title)
-            figures.append(write_svg(figure, f"{y_label} against {x_label}, {title}"))
+            figures.append(write_svg(figure, f"{subject}: {y_label} against {x_label}, {title}"))
     return figures
 
 
