@@ -1,175 +1,125 @@
 """How often the diagnosis is right: sessions of the independent simulation with effects hidden in them, diagnosed.
 
-    python benchmarks/hidden_effects.py --cases 40 --seed 1 [--effects rail_x.stiction,servo.lag] [--json out.json]
+    python benchmarks/hidden_effects.py --cases 200 --seed 1 --json hidden.json --pictures docs/pictures
+    python benchmarks/hidden_effects.py --cases 200 --seed 1 --shard 1/2 --json first.json    (on one machine)
+    python benchmarks/hidden_effects.py --report first.json second.json                       (of both)
+    python benchmarks/hidden_effects.py --seed 1 --numbers 17,31 --keep logs                  (these again)
+    python benchmarks/hidden_effects.py --seed 1 --time                                       (where time goes)
 
-Each session is three 16 s flights of one rig, closed loop: gusts, noise, dropouts, stamp jitter, the rig off nominal
-within its tolerance (tests/reality, which shares no physics with vpptwin). A tenth of the sessions hide nothing, a
-fifth two effects, a tenth one that the catalogue lacks, the rest one of the catalogue. About 40 s of a core each.
+Each session is three 16 s flights of one rig, closed loop: gusts, noise, dropouts, stamp jitter, small distractors, in
+a quarter of them outliers, the rig off nominal within its tolerance (tests/reality, which shares no physics with
+vpptwin). Of twenty sessions nine hide one effect, four two, one three, two one that the catalogue lacks, four none.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import platform
+import os
 import sys
 import tempfile
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
-
-import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.reality import ALIEN, CORE, EXTENDED, draw_effect, fly_many, write_mcap  # noqa: E402
-from vpptwin.diagnosis.diagnose import diagnose  # noqa: E402
-from vpptwin.logs.read import read_flight  # noqa: E402
-from vpptwin.twin import load_twin  # noqa: E402
-
-MANOEUVRES = ("x_steps", "aggressive", "mixed")
-DURATION = 16.0
-CONFIDENT = 0.9
-"""A wrong cause named with more than this is confidently wrong."""
-SHARES = {"none": 0.1, "two": 0.2, "alien": 0.1, "single": 0.6}
-
-
-@dataclass(frozen=True)
-class Case:
-    """One session and what became of it.
-
-    Attributes:
-        kind: `none`, `single`, `two` or `alien`.
-        hidden: effect → parameter → value.
-        rig: seed of the rig's tolerances.
-        named: causes, strongest first, with their confidence.
-        groups: for each cause, the effects that the verdict says it cannot be told from.
-        unexplained: whether something is said to be left.
-        seconds: time of the diagnosis.
-    """
-
-    kind: str
-    hidden: dict[str, dict[str, float]]
-    rig: int
-    named: dict[str, float]
-    groups: dict[str, list[str]]
-    unexplained: bool
-    seconds: float
-
-    @property
-    def first(self) -> str:
-        """The strongest cause, "" for none."""
-        return next(iter(self.named), "")
-
-    @property
-    def top(self) -> bool:
-        """Every hidden effect of the catalogue is named, the strongest cause among them."""
-        known = set(self.hidden) - set(ALIEN)
-        return bool(known) and self.first in known and known <= set(self.named)
-
-    @property
-    def grouped(self) -> bool:
-        """Every hidden effect is named or in the group of a cause."""
-        return set(self.hidden) - set(ALIEN) <= set(self.named).union(*self.groups.values(), ())
-
-    @property
-    def wrong(self) -> list[str]:
-        """Effects named with confidence that are not there."""
-        return [
-            cause
-            for cause, confidence in self.named.items()
-            if confidence > CONFIDENT and not {cause, *self.groups[cause]} & set(self.hidden)
-        ]
+from hidden.campaign import read_results, run_campaign, write_results  # noqa: E402
+from hidden.case import Case  # noqa: E402
+from hidden.costs import format_costs, profile_diagnosis  # noqa: E402
+from hidden.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
+from hidden.pictures import draw_pictures  # noqa: E402
+from hidden.rates import compare_baselines, format_table, list_failures, summarise  # noqa: E402
+from hidden.session import fly_sessions  # noqa: E402
+from same_rig.report import describe_machine  # noqa: E402
+from tqdm import tqdm  # noqa: E402
 
 
-def draw_case(rng: np.random.Generator, effects: Sequence[str]) -> tuple[str, dict[str, dict[str, float]]]:
-    """What is hidden in a session."""
-    kind = str(rng.choice(list(SHARES), p=list(SHARES.values())))
-    match kind:
-        case "none":
-            return kind, {}
-        case "alien":
-            return kind, draw_effect(rng, tuple(ALIEN))
-        case "two":
-            first, second = rng.choice(len(effects), 2, replace=False)
-            return kind, draw_effect(rng, (effects[first],)) | draw_effect(rng, (effects[second],))
-        case _:
-            return kind, draw_effect(rng, tuple(effects))
-
-
-def run_case(kind: str, hidden: Mapping[str, Mapping[str, float]], rig: int) -> Case:
-    """Fly a session and diagnose it."""
-    plans = [
-        {"effects": hidden, "manoeuvre": name, "duration": DURATION, "seed": rig + 1 + i, "session": rig}
-        for i, name in enumerate(MANOEUVRES)
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        logs = [write_mcap(flight, Path(folder) / f"{flight.manoeuvre}.mcap") for flight in fly_many(plans)]
-        flights = [read_flight(log) for log in logs]
-        began = time.perf_counter()
-        verdict = diagnose(load_twin(), flights).verdict
-        seconds = time.perf_counter() - began
-    named = {cause.effect: round(cause.confidence, 3) for cause in verdict.causes}
-    groups = {cause.effect: [rival.effect for rival in cause.also_explained_by] for cause in verdict.causes}
-    copied = {effect: dict(values) for effect, values in hidden.items()}
-    return Case(kind, copied, rig, named, groups, verdict.unexplained.significant, round(seconds, 1))
-
-
-def summarise(cases: Sequence[Case]) -> dict[str, str]:
-    """The rates that count, as `n of m`."""
-
-    def rate(kind: str, good: Sequence[bool]) -> str:
-        return f"{sum(good)} of {len(good)}"
-
-    single, two = ([c for c in cases if c.kind == kind] for kind in ("single", "two"))
-    none, alien = ([c for c in cases if c.kind == kind] for kind in ("none", "alien"))
-    return {
-        "one effect: named first": rate("single", [c.top for c in single]),
-        "one effect: named or in a group": rate("single", [c.grouped for c in single]),
-        "two effects: both named": rate("two", [c.top for c in two]),
-        "two effects: both named or in a group": rate("two", [c.grouped for c in two]),
-        "no effect: something named": rate("none", [bool(c.named) for c in none]),
-        "effect outside the catalogue: flagged unexplained": rate("alien", [c.unexplained for c in alien]),
-        "effect outside the catalogue: misnamed with confidence": rate("alien", [bool(c.wrong) for c in alien]),
-        "confidently wrong, all sessions": rate("", [bool(c.wrong) for c in cases]),
-        "time of a diagnosis": f"{np.median([c.seconds for c in cases]):.0f} s (median)",
-    }
-
-
-def main() -> None:
-    """Run the sessions, print each and the rates."""
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--effects", help="ids to draw from, separated by commas; by default all that fly")
-    parser.add_argument("--kind", choices=list(SHARES), help="only sessions of this kind")
-    parser.add_argument("--json", type=Path, help="write every session and the rates")
-    options = parser.parse_args()
-    effects = options.effects.split(",") if options.effects else [*CORE, *EXTENDED]
-    rng = np.random.default_rng(options.seed)
-    cases: list[Case] = []
-    while len(cases) < options.cases:
-        kind, hidden = draw_case(rng, effects)
-        rig = int(rng.integers(2**31))
-        if options.kind and kind != options.kind:
-            continue
-        cases.append(run_case(kind, hidden, rig))
-        last = cases[-1]
-        mark = "ok" if (last.grouped and not last.wrong) or (not last.hidden and not last.named) else "MISS"
-        print(f"{len(cases):4d} {mark:4s} {kind:6s} {hidden} -> {last.named} {last.groups}", flush=True)
-    rates = summarise(cases)
-    for name, value in rates.items():
-        print(f"{name}: {value}")
-    if options.json:
-        content = {
-            "seed": options.seed,
-            "machine": platform.processor() or platform.machine(),
-            "rates": rates,
-            "cases": [asdict(case) for case in cases],
-        }
-        options.json.write_text(json.dumps(content, indent=1))
+    parser.add_argument("--cases", type=int, default=40, help="sessions; 40 by default")
+    parser.add_argument("--seed", type=int, default=1, help="of what is drawn; session i is the same for any --cases")
+    parser.add_argument("--json", type=Path, help="results, written after every session; a rerun goes on from them")
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count(), help="worker processes, a core each; all by default"
+    )
+    parser.add_argument("--shard", default="1/1", metavar="I/N", help="only every Nth session, from the Ith on")
+    parser.add_argument("--numbers", help="only these sessions, by number, separated by commas")
+    parser.add_argument(
+        "--kinds", nargs="*", default=[], choices=sorted(set(DECK)), help="only sessions of these kinds"
+    )
+    parser.add_argument("--effects", help="ids to hide, separated by commas; by default all that fly")
+    parser.add_argument("--no-oracle", dest="oracle", action="store_false", help="do not fit the true structure too")
+    parser.add_argument("--baselines", type=int, default=0, metavar="N", help="try the others on the first N sessions")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the logs here")
+    parser.add_argument("--report", type=Path, nargs="+", metavar="FILE", help="run nothing, report these results")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
+    parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
+    return parser.parse_args(argv)
+
+
+def choose_plans(options: argparse.Namespace) -> list[Plan]:
+    """The sessions that the command line asks for."""
+    effects = options.effects.split(",") if options.effects else FLYING
+    if options.numbers:
+        return [draw_plan(options.seed, int(number), effects) for number in options.numbers.split(",")]
+    first, shards = map(int, options.shard.split("/"))
+    plans = islice(draw_plans(options.seed, effects, options.kinds), options.cases)
+    return list(plans)[first - 1 :: shards]
+
+
+def load_cases(paths: Sequence[Path]) -> list[Case]:
+    """Sessions of results files."""
+    return [Case.from_dict(content) for path in paths for content in read_results(path)["cases"]]
+
+
+def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
+    """Run what is not there yet; returns all sessions asked for."""
+    done: dict[int, Case] = {}
+    if options.json and options.json.exists():
+        if (seed := read_results(options.json)["seed"]) != options.seed:
+            sys.exit(f"{options.json} holds sessions of seed {seed}, not {options.seed}: name another file")
+        done = {case.plan.number: case for case in load_cases([options.json]) if not case.error}
+    head = {"seed": options.seed, "date": datetime.now(UTC).isoformat(timespec="seconds"), **describe_machine()}
+    left = [plan for plan in plans if plan.number not in done]
+    with tempfile.TemporaryDirectory() as folder:
+        home = options.keep or Path(folder)
+        cases = run_campaign(left, home, options.jobs, options.oracle, options.baselines, options.keep is not None)
+        for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
+            done[case.plan.number] = case
+            for line in list_failures([case]):
+                tqdm.write(line)
+            if options.json:
+                write_results(options.json, head, list(done.values()))
+    return list(done.values())
+
+
+def report(cases: Sequence[Case], pictures: Path | None) -> None:
+    """Print what came out."""
+    print("\n".join(["", "not named as hidden:", *list_failures(cases), ""]))
+    print(format_table(summarise(cases)))
+    if any(case.baselines for case in cases):
+        print(f"\n{format_table(compare_baselines(cases))}")
+    for path in draw_pictures(cases, pictures) if pictures else []:
+        print(path)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the sessions, print each that went wrong and the rates."""
+    options = parse(argv)
+    if options.report:
+        report(load_cases(options.report), options.pictures)
+        return
+    plans = choose_plans(options)
+    if options.time:
+        with tempfile.TemporaryDirectory() as folder:
+            logs = fly_sessions(plans[:1], Path(folder))[0]
+            profile_diagnosis(logs[:1])  # compiles
+            print(f"{plans[0].hidden}\n\n{format_costs(profile_diagnosis(logs))}")
+        return
+    report(run(options, plans), options.pictures)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,156 @@
+"""What became of a session, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from hidden.draw import Plan
+
+CONFIDENT = 0.9
+"""A cause named with more than this is claimed, not suggested."""
+SEEN, APART = 4.0, 3.0
+"""Sigma from nothing and from the nearest rival beyond which flights show an effect and separate it from all others:
+about a family-wise 1 % over the catalogue, and DIAGNOSIS.md's bound for a group."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """A cause of a verdict.
+
+    Attributes:
+        effect: its id.
+        confidence: 0..1.
+        gain: share of the held-out excess that it removes.
+        parameters: name → value, std, nominal.
+        rivals: effect that it cannot be told from → sigma between them.
+    """
+
+    effect: str
+    confidence: float
+    gain: float
+    parameters: dict[str, dict[str, float]]
+    rivals: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a verdict says, as far as it is counted.
+
+    Attributes:
+        causes: strongest first.
+        unexplained: whether something is said to be left.
+        channel: where it is left, "" for nowhere.
+        chi2: held out, before and after.
+        unseen: effects that the flights are said not to show.
+        experiment: the manoeuvre suggested, "" for none.
+        seconds: time it took.
+    """
+
+    causes: list[Named]
+    unexplained: bool
+    channel: str
+    chi2: tuple[float, float]
+    unseen: list[str]
+    experiment: str
+    seconds: float
+
+    @property
+    def named(self) -> list[str]:
+        """Ids of the causes, strongest first."""
+        return [cause.effect for cause in self.causes]
+
+    @property
+    def suspected(self) -> set[str]:
+        """Causes and all that they are said not to be told from."""
+        return {*self.named}.union(*(cause.rivals for cause in self.causes))
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Finding:
+        """Read what `asdict` made."""
+        return cls(**{**content, "causes": [Named(**c) for c in content["causes"]], "chi2": tuple(content["chi2"])})
+
+
+@dataclass(frozen=True)
+class Case:
+    """One session and what became of it.
+
+    Attributes:
+        plan: what was hidden.
+        found: the diagnosis; None if it failed.
+        oracle: the same judgement with the true structure fitted; None where that was not done.
+        baselines: method → effect that it names ("" for none), on the sessions it was tried on.
+        error: why the diagnosis failed, "" otherwise.
+    """
+
+    plan: Plan
+    found: Finding | None
+    oracle: Finding | None = None
+    baselines: dict[str, str] = field(default_factory=dict)
+    error: str = ""
+
+    @property
+    def first(self) -> str:
+        """The strongest cause, "" for none."""
+        return self.found.named[0] if self.found and self.found.causes else ""
+
+    @property
+    def all_named(self) -> bool:
+        """Every hidden effect of the catalogue is named, one of them first."""
+        known = self.plan.known
+        return self.found is not None and self.first in known and known <= set(self.found.named)
+
+    @property
+    def all_suspected(self) -> bool:
+        """Every hidden effect of the catalogue is named or in the group of a cause."""
+        return self.found is not None and self.plan.known <= self.found.suspected
+
+    @property
+    def wrong(self) -> list[str]:
+        """Causes claimed of which neither they nor their group are there."""
+        causes = self.found.causes if self.found else []
+        return [c.effect for c in causes if c.confidence > CONFIDENT and not {c.effect, *c.rivals} & self.plan.known]
+
+    @property
+    def separable(self) -> bool | None:
+        """Whether these flights show what is hidden and tell it from all else, by the fit of the true structure.
+
+        The search has no part in this: the truth is fitted and compared with every rival in its place. None without
+        that fit.
+        """
+        if self.oracle is None:
+            return None
+        fitted = {cause.effect: cause for cause in self.oracle.causes}
+        return all(effect in fitted and self._stands_out(fitted[effect]) for effect in self.plan.known)
+
+    @staticmethod
+    def _stands_out(cause: Named) -> bool:
+        strength = next(iter(cause.parameters.values()))
+        seen = abs(strength["value"] - strength["nominal"]) > SEEN * strength["std"]
+        return seen and all(sigma >= APART for sigma in cause.rivals.values())
+
+    @property
+    def relative_gain(self) -> float | None:
+        """Drop in held-out chi2 over the oracle's; None where the truth explains less than a tenth of the excess."""
+        if self.found is None or self.oracle is None:
+            return None
+        before, best = self.oracle.chi2
+        if before - best < 0.1 * max(before - 1.0, 0.5):
+            return None
+        return (before - self.found.chi2[1]) / (before - best)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; `strength` and the marks are there for whoever reads the file."""
+        strength = self.plan.strength if self.plan.hidden else None
+        marks = {"strength": strength, "named": self.found.named if self.found else None, "wrong": self.wrong}
+        return asdict(self) | {"marks": marks}
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Case:
+        """Read what `as_dict` made."""
+        given = {f.name: content[f.name] for f in fields(cls)}
+        given["plan"] = Plan(**given["plan"])
+        for name in ("found", "oracle"):
+            given[name] = given[name] and Finding.from_dict(given[name])
+        return cls(**given)

@@ -1,0 +1,94 @@
+"""One session: flown in a batch with others, diagnosed alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from hidden.case import Case, Finding, Named
+from hidden.draw import Plan
+from tests.reality import fly_many, write_mcap
+from tests.reality.flight import FlightPlan
+from vpptwin.diagnosis import diagnose as method
+from vpptwin.diagnosis.verdict import Verdict
+from vpptwin.logs.flight import Flight
+from vpptwin.logs.read import read_flight
+from vpptwin.twin import load_twin
+
+MANOEUVRES = ("x_steps", "aggressive", "mixed")
+"""One flight each. The last is held out to judge, so it has a bit of everything."""
+DURATION = 16.0
+"""Of each flight [s]."""
+FIT_CAUSES = getattr(method, "fit_causes", None)
+
+
+def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
+    """Fly sessions in one batch, all realism on; write and return the logs of each."""
+    flights: list[FlightPlan] = [
+        {
+            "effects": plan.hidden, "manoeuvre": name, "duration": DURATION, "seed": plan.rig + 1 + i,
+            "session": plan.rig, "distractors": True, "outliers": plan.outliers,
+        }
+        for plan in plans
+        for i, name in enumerate(MANOEUVRES)
+    ]  # fmt: skip
+    logs: list[list[Path]] = [[] for _ in plans]
+    for i, recording in enumerate(fly_many(flights)):
+        session, flight = divmod(i, len(MANOEUVRES))
+        home = folder / f"case_{plans[session].number:04d}"
+        home.mkdir(parents=True, exist_ok=True)
+        logs[session].append(write_mcap(recording, home / f"{flight}_{recording.manoeuvre}.mcap"))
+    return logs
+
+
+def run_session(plan: Plan, logs: Sequence[Path], oracle: bool, baselines: bool) -> Case:
+    """Diagnose a session's logs; a diagnosis that fails is a result too."""
+    try:
+        flights = [read_flight(log) for log in logs]
+        found = find(flights)
+        best = find(flights, plan.known) if oracle and plan.known and FIT_CAUSES else None
+    except Exception as error:
+        return Case(plan, None, error=f"{type(error).__name__}: {error}")
+    return Case(plan, found, best, name_by_baselines(flights) if baselines else {})
+
+
+def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
+    """What the methods of others name."""
+    from hidden.baselines import BASELINES  # only here: they bring packages of their own
+
+    return {name: method(flights) for name, method in BASELINES.items()}
+
+
+def find(flights: Sequence[Flight], truth: frozenset[str] | None = None) -> Finding:
+    """Diagnose flights with the nominal twin, or judge the true structure where that is given."""
+    began = time.perf_counter()
+    twin = load_twin()
+    if truth is None or FIT_CAUSES is None:
+        diagnosis = method.diagnose(twin, flights)
+    else:
+        diagnosis = FIT_CAUSES(twin, flights, truth)
+    return read_verdict(diagnosis.verdict, time.perf_counter() - began)
+
+
+def read_verdict(verdict: Verdict, seconds: float) -> Finding:
+    """What is counted of a verdict."""
+    causes = [
+        Named(
+            cause.effect,
+            round(cause.confidence, 4),
+            round(cause.gain, 4),
+            {name: {"value": e.value, "std": e.std, "nominal": e.nominal} for name, e in cause.parameters.items()},
+            {rival.effect: round(rival.sigma, 2) for rival in cause.also_explained_by},
+        )
+        for cause in verdict.causes
+    ]
+    return Finding(
+        causes,
+        verdict.unexplained.significant,
+        verdict.unexplained.channel or "",
+        (verdict.before.chi2, verdict.after.chi2),
+        [suspect.effect for suspect in verdict.unseen],
+        verdict.experiment.manoeuvre if verdict.experiment else "",
+        round(seconds, 1),
+    )
