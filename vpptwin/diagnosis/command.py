@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from json import loads
 from pathlib import Path
 
@@ -56,8 +57,8 @@ def diagnose_logs(
         stage_results(out, files, list_stale(out)) as folder,
         tqdm(unit=" steps", unit_scale=True, desc="diagnose", dynamic_ncols=True, delay=1e-6) as bar,
     ):
-        diagnosis = diagnose(spec, flights, bar.set_postfix_str, bar.update)
-        bar.set_postfix_str("writing the report")
+        diagnosis = diagnose(spec, flights, partial(tell_stage, bar), bar.update)
+        tell_stage(bar, "writing the report")
         origin = trace_origin(arguments, spec.name, logs)
         summary = write_results(folder, out, spec, flights, diagnosis, origin)
     if json is not None:
@@ -65,6 +66,11 @@ def diagnose_logs(
     if json != STDOUT:
         print_summary(diagnosis.verdict, summary, out, files)
     return diagnosis.verdict
+
+
+def tell_stage(bar: tqdm, text: str) -> None:
+    """Put what is being done beside the bar, once there is one."""
+    bar.set_postfix_str(text, refresh=bar.n > 0)
 
 
 def write_results(
