@@ -209,11 +209,13 @@ def check_verdict(verdict: dict) -> None:
 
 
 def test_diagnose_writes_a_verdict_of_the_agreed_form(diagnosed: Run) -> None:
-    """verdict.json conforms to SPEC 7; the folder holds the three files and nothing else."""
+    """verdict.json conforms to SPEC 7; the folder holds the results and nothing else."""
     check_verdict(diagnosed.verdict)
     assert diagnosed.verdict["logs"] == DIAGNOSED
     assert diagnosed.verdict["twin"] == "nominal"
-    assert sorted(file.name for file in diagnosed.out.iterdir()) == ["report.html", "twin.yaml", "verdict.json"]
+    predictions = sorted(f"prediction_{Path(log).stem}.mcap" for log in DIAGNOSED)
+    results = [*predictions, "report.html", "twin.yaml", "verdict.json"]
+    assert sorted(file.name for file in diagnosed.out.iterdir()) == results
 
 
 def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
@@ -228,11 +230,11 @@ def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
 
 
 def test_diagnose_prints_what_a_reader_needs(diagnosed: Run) -> None:
-    """The sentence with the cause first, errors before and after, and where the three files lie; progress aside."""
+    """The sentence with the cause first, errors before and after, and where the files lie; progress aside."""
     lines = diagnosed.said.strip().splitlines()
-    assert "rail_x.coulomb" in lines[0]
-    assert re.search(r"force 0\.\d+ ± 0\.\d+ N", lines[0])
-    assert "chi²" in diagnosed.said
+    assert re.match(r"Dry friction of 0\.\d+ ± 0\.\d+ N on the horizontal rail, which the twin lacks, ", lines[0])
+    for words in ("rail_x.coulomb: ", "% sure", "chi²", "noise", "before → after"):
+        assert words in diagnosed.said
     for name in ("report.html", "verdict.json", "twin.yaml"):
         assert str(diagnosed.out / name) in diagnosed.said
     assert "diagnose" in diagnosed.progress

@@ -131,13 +131,14 @@ def test_rivals_in_words() -> None:
     verdict = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=rivals, confidence=0.55)])
     assert headline(verdict).endswith("of the error; so might air.drag or rail_x.viscous.")
     sure, drag, viscous = read(verdict)
-    assert sure == "55 % sure."
+    assert sure == "rail_x.coulomb: 55 % sure."
     assert drag == (
         "Can't tell air.drag (aerodynamic drag on the craft) from dry friction on the horizontal rail here: "
         "0.4 sigma, 43 % probable."
     )
     assert "2.9 sigma, 2 % probable" in viscous
-    assert read(replace(VERDICT, causes=[SURE])) == ["99.9 % sure; no other effect of the catalogue comes close."]
+    alone = "rail_x.coulomb: 99.9 % sure; no other effect of the catalogue comes close."
+    assert read(replace(VERDICT, causes=[SURE])) == [alone]
 
 
 def test_two_causes_are_told_apart() -> None:

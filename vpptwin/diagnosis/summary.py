@@ -67,9 +67,7 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
     return Summary(
         headline=headline(verdict),
         others=[describe_cause(cause) for cause in verdict.causes[1:]],
-        certainty=[
-            line for cause in verdict.causes for line in describe_certainty(cause, meanings, len(verdict.causes) > 1)
-        ],
+        certainty=[line for cause in verdict.causes for line in describe_certainty(cause, meanings)],
         error=describe_error(verdict, tables),
         tables=tables,
         unexplained=describe_unexplained(verdict),
@@ -111,19 +109,12 @@ def describe_cause(cause: Cause) -> str:
     return f"{what[0].upper()}{what[1:]} {verb} {share:.0f} % of the error{also}."
 
 
-def describe_certainty(cause: Cause, meanings: Mapping[str, str], named: bool) -> list[str]:
-    """How sure the naming is, and a sentence for everything else that it could be.
-
-    Args:
-        cause: the cause.
-        meanings: effect id → summary of the catalogue.
-        named: there are several causes, so say which is meant.
-    """
-    subject = f"{cause.effect}: " if named else ""
-    text = f"{subject}{100.0 * cause.confidence:.3g} % sure"
+def describe_certainty(cause: Cause, meanings: Mapping[str, str]) -> list[str]:
+    """How sure the naming is, and a sentence for everything else that it could be; meanings: effect id → summary."""
+    sure = f"{cause.effect}: {100.0 * cause.confidence:.3g} % sure"
     if not cause.also_explained_by:
-        return [f"{text}; no other effect of the catalogue comes close."]
-    return [f"{text}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
+        return [f"{sure}; no other effect of the catalogue comes close."]
+    return [f"{sure}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
 
 
 def describe_rival(rival: Rival, cause: Cause, meanings: Mapping[str, str]) -> str:
