@@ -119,10 +119,12 @@ def measure_parameters(cases: Sequence[Case]) -> list[Rate | Figure]:
     """Error of the named effects' strengths against what the rig has, tolerance included, and their intervals."""
     estimates = [e for c in cases for e in list_estimates(c)]
     errors = [abs(value - truth) / abs(truth - nominal) for truth, value, _, nominal in estimates]
-    text = f"{100 * float(np.median(errors)):.1f} % (90 % of them below {100 * np.quantile(errors, 0.9):.0f} %)"
+    text = "-"
+    if errors:
+        text = f"{100 * np.median(errors):.1f} % (90 % of them below {100 * np.quantile(errors, 0.9):.0f} %)"
     inside = (abs(value - truth) <= Z_90 * std for truth, value, std, _ in estimates)
     return [
-        Figure("strength of named effects: median error", text if errors else "-", "<= 0.05"),
+        Figure("strength of named effects: median error", text, "<= 0.05"),
         count("strength of named effects: inside the 90 % interval", inside, "0.86-0.94"),
     ]
 
@@ -170,11 +172,12 @@ def list_failures(cases: Sequence[Case]) -> list[str]:
             continue
         said = [f"{c.effect} {c.confidence:.2f}{f' or {list(c.rivals)}' * bool(c.rivals)}" for c in
                 (case.found.causes if case.found else [])]  # fmt: skip
-        apart = {True: "separable", False: "not separable", None: ""}[case.separable]
+        about = f"strength {case.plan.strength:.2g}" if case.plan.hidden else ""
+        about += {True: ", separable", False: ", not separable", None: ""}[case.separable] if case.plan.known else ""
         left = " + unexplained" if leaves_something(case) else ""
         claim = " CONFIDENTLY WRONG" if case.wrong else ""
         lines.append(
-            f"{case.plan.number:4d} {case.plan.kind} {case.plan.hidden} (strength {case.plan.strength:.2g}) {apart}"
+            f"{case.plan.number:4d} {case.plan.kind} {case.plan.hidden} ({about})"
             f" -> {case.error or ', '.join(said) or 'nothing'}{left}{claim}"
         )
     return lines

@@ -1,0 +1,263 @@
+"""The benchmark of hidden effects counts right: sequences, rates worked by hand, results that are taken up again."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.reality import EFFECTS, true_size
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.fixture(autouse=True)
+def hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The benchmark's modules can be imported."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+
+
+def load(name: str) -> ModuleType:
+    """A module of the benchmark."""
+    return importlib.import_module(f"hidden.{name}")
+
+
+def strength(effect: str) -> str:
+    """Name of an effect's first parameter."""
+    return next(iter(EFFECTS[effect]))
+
+
+def fitted(value: float, std: float) -> dict[str, float]:
+    """A made-up estimate."""
+    return {"value": value, "std": std, "nominal": 0.0}
+
+
+def finding(*causes: Any, left: bool = False, chi2: tuple[float, float] = (9.0, 1.0)) -> Any:  # noqa: ANN401
+    """A made-up verdict: causes as (effect, confidence, rivals, value, std)."""
+    case = load("case")
+    named = [
+        case.Named(effect, confidence, 0.9, {strength(effect): fitted(value, std)}, dict(rivals))
+        for effect, confidence, rivals, value, std in causes
+    ]
+    return case.Finding(named, left, "", chi2, [], "", 30.0)
+
+
+def cause(effect: str, confidence: float = 0.99, rivals: Any = (), value: float = 1.0, std: float = 0.1) -> tuple:  # noqa: ANN401
+    """A made-up cause."""
+    return effect, confidence, rivals, value, std
+
+
+def session(number: int, kind: str, hidden: dict, found: Any, oracle: Any = None, rig: int = 3) -> Any:  # noqa: ANN401
+    """A made-up session."""
+    return load("case").Case(load("draw").Plan(number, kind, hidden, rig), found, oracle)
+
+
+def table(cases: list) -> dict[str, str]:
+    """Measure → result."""
+    return {row.name: row.text for row in load("rates").summarise(cases)}
+
+
+def test_of_twenty_sessions_the_kinds_are_as_stated() -> None:
+    """Nine hide one effect, four two, one three, two an alien, four none, whatever the seed."""
+    draw = load("draw")
+    seed = int(np.random.default_rng().integers(1000))
+    kinds = Counter(draw.draw_plan(seed, n).kind for n in range(20, 40))
+    assert kinds == {"single": 9, "two": 4, "three": 1, "alien": 2, "none": 4}
+
+
+def test_single_effects_take_turns() -> None:
+    """The first 42 sessions with one effect hide each effect of the catalogue once."""
+    draw = load("draw")
+    plans = (plan for plan in draw.draw_plans(7, kinds=("single",)))
+    effects = [next(iter(next(plans).hidden)) for _ in draw.FLYING]
+    assert sorted(effects) == sorted(draw.FLYING)
+
+
+def test_a_session_depends_on_seed_and_number_only() -> None:
+    """Session 12 is the same alone, in a long run and in a run of its kind only; another seed has another."""
+    draw = load("draw")
+    alone = draw.draw_plan(5, 12)
+    among: Iterator = draw.draw_plans(5)
+    assert [next(among) for _ in range(13)][12] == alone
+    assert next(p for p in draw.draw_plans(5, kinds=(alone.kind,)) if p.number == 12) == alone
+    assert draw.draw_plan(6, 12) != alone
+
+
+def test_rates_of_single_effects() -> None:
+    """Four sessions: nothing found; right as a rival; wrong with confidence; wrong without."""
+    coulomb, alike = {"rail_x.coulomb": {"force": 0.3}}, cause("rail_x.bias", rivals=[("rail.tilt", 0.4)])
+    cases = [
+        session(0, "single", {"command.delay": {"delay": 0.008}}, finding()),
+        session(1, "single", {"rail.tilt": {"angle": 0.03}}, finding(alike)),
+        session(2, "single", coulomb, finding(cause("air.drag", 0.95))),
+        session(3, "single", coulomb, finding(cause("air.drag", 0.8))),
+    ]  # fmt: skip
+    rates = table(cases)
+    assert rates["one effect: named first"] == "0.0 % (0 of 4)"
+    assert rates["one effect: named or in the reported group"] == "25.0 % (1 of 4)"
+    # Session 1's group holds the truth, session 3's claim is below 0.9: only session 2 is confidently wrong.
+    assert rates["confidently wrong"] == "25.0 % (1 of 4)"
+
+
+def test_rates_of_other_kinds() -> None:
+    """Pairs need both, no-effect sessions must name nothing, aliens must be flagged and not misnamed."""
+    two = {"rail_x.viscous": {"damping": 0.4}, "command.delay": {"delay": 0.01}}
+    alien = {"alien.cogging": {"force": 0.5, "period": 0.2}}
+    cases = [
+        session(0, "two", two, finding(cause("command.delay"), cause("rail_x.viscous"))),
+        session(1, "two", two, finding(cause("command.delay"))),
+        session(2, "two", two, finding(cause("servo.lag"), cause("command.delay"), cause("rail_x.viscous"))),
+        session(3, "none", {}, finding()),
+        session(4, "none", {}, finding(cause("air.drag", 0.7))),
+        session(5, "alien", alien, finding(left=True)),
+        session(6, "alien", alien, finding(cause("rail_x.tight_spot", 0.95), left=True)),
+        session(7, "alien", alien, None),
+    ]
+    rates = table(cases)
+    assert rates["two effects: both named"] == "33.3 % (1 of 3)"  # in session 2 the first named is not there
+    assert rates["two effects: both named or in a group"] == "66.7 % (2 of 3)"
+    assert rates["no effect: something named"] == "50.0 % (1 of 2)"
+    assert rates["outside the catalogue: flagged unexplained"] == "66.7 % (2 of 3)"
+    assert rates["outside the catalogue: misnamed with confidence"] == "33.3 % (1 of 3)"
+    assert rates["confidently wrong"] == "20.0 % (1 of 5)"  # aliens have a row of their own
+    assert rates["diagnosis failed"] == "12.5 % (1 of 8)"
+
+
+def test_a_flight_separates_what_the_true_fit_shows_and_tells_apart() -> None:
+    """The oracle decides: 4 sigma from nothing, 3 from the nearest rival."""
+    truth, right = {"rail_x.spring": {"stiffness": 0.6, "rest": 0.0}}, finding(cause("rail_x.spring"))
+    seen = finding(cause("rail_x.spring", value=0.6, std=0.1, rivals=[("carriage.mass", 3.5)]))
+    alike = finding(cause("rail_x.spring", value=0.6, std=0.1, rivals=[("carriage.mass", 2.0)]))
+    faint = finding(cause("rail_x.spring", value=0.6, std=0.2))
+    cases = [session(i, "single", truth, right, oracle) for i, oracle in enumerate((seen, alike, faint))]
+    assert [case.separable for case in cases] == [True, False, False]
+    assert session(3, "single", truth, right).separable is None
+    assert table(cases)["one effect, a separating flight exists: named first"] == "100.0 % (1 of 1)"
+
+
+def test_strengths_are_held_against_what_the_rig_has() -> None:
+    """The rig's own friction counts as part of the truth; the interval is 1.645 std."""
+    truth = true_size("rail_x.coulomb", "force", 0.3, 3)
+    case = load("case")
+    cases = []
+    for number, (off, std) in enumerate([(0.02, 0.02), (-0.02, 0.01), (0.04, 0.03)]):
+        named = case.Named("rail_x.coulomb", 0.99, 1.0, {"force": fitted(truth + off, std)}, {})
+        found = case.Finding([named], False, "", (9.0, 1.0), [], "", 30.0)
+        cases.append(session(number, "single", {"rail_x.coulomb": {"force": 0.3}}, found))
+    error, inside = load("rates").measure_parameters(cases)
+    # Errors are 0.02, 0.02 and 0.04 N: the median over the truth. 0.02 > 1.645 * 0.01, the others lie inside.
+    assert error.text.startswith(f"{100 * 0.02 / truth:.1f} %")
+    assert (inside.hits, inside.of) == (2, 3)
+
+
+def test_gain_is_held_against_the_true_structure() -> None:
+    """Held-out chi2 9 -> 2 where the truth reaches 1: 7 of 8. Nothing is said where the truth gains nothing either."""
+    truth = {"rail_x.coulomb": {"force": 0.3}}
+    good = session(0, "single", truth, finding(cause("rail_x.coulomb"), chi2=(9.0, 2.0)), finding(chi2=(9.0, 1.0)))
+    idle = session(1, "single", truth, finding(), finding(chi2=(1.02, 1.01)))
+    assert good.relative_gain == pytest.approx(7 / 8)
+    assert idle.relative_gain is None
+    assert table([good, idle])["held-out gain over the oracle's: median"].startswith("0.875")
+
+
+def test_wilsons_interval() -> None:
+    """8 of 10: 49 to 94 % (Brown, Cai and DasGupta 2001); none of 20: below 16.1 %."""
+    rates = load("rates")
+    assert rates.Rate("", 8, 10).interval == pytest.approx((0.490, 0.943), abs=1e-3)
+    assert rates.Rate("", 0, 20).interval == pytest.approx((0.0, 0.161), abs=1e-3)
+
+
+def test_failures_are_listed_and_successes_are_not() -> None:
+    """A line names what was hidden, what was said, and a claim that is wrong."""
+    truth = {"rail_x.coulomb": {"force": 0.3}}
+    cases = [
+        session(0, "single", truth, finding(cause("rail_x.coulomb"))),
+        session(1, "single", truth, finding(cause("air.drag"))),
+        session(2, "none", {}, finding()),
+    ]
+    (line,) = load("rates").list_failures(cases)
+    assert "rail_x.coulomb" in line
+    assert "air.drag 0.99" in line
+    assert line.endswith("CONFIDENTLY WRONG")
+
+
+def test_results_are_read_back_as_they_were(tmp_path: Path) -> None:
+    """Cases survive the file, which is valid JSON even where numbers are missing."""
+    case, campaign = load("case"), load("campaign")
+    cases = [
+        session(1, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")), finding()),
+        session(0, "none", {}, None),
+    ]
+    campaign.write_results(tmp_path / "out.json", {"seed": 1}, cases)
+    content = json.loads((tmp_path / "out.json").read_text(), parse_constant=lambda name: pytest.fail(name))
+    assert [case.Case.from_dict(c) for c in content["cases"]] == cases[::-1]
+
+
+def test_a_rerun_goes_on_from_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sessions in the file are not run again, failed ones are; a file of another seed is refused."""
+    main, draw = importlib.import_module("hidden_effects"), load("draw")
+    ran: list[int] = []
+
+    def run_campaign(plans: list, *_: object) -> Iterator:
+        for plan in plans:
+            ran.append(plan.number)
+            error = "broken" if plan.number == 2 and ran.count(2) == 1 else ""
+            yield load("case").Case(plan, None if error else finding(), error=error)
+
+    monkeypatch.setattr(main, "run_campaign", run_campaign)
+    out = ["--json", str(tmp_path / "out.json")]
+    main.main(["--cases", "4", "--seed", "3", *out])
+    main.main(["--cases", "5", "--seed", "3", *out])
+    assert ran == [0, 1, 2, 3, 2, 4]
+    assert [c["plan"]["number"] for c in json.loads((tmp_path / "out.json").read_text())["cases"]] == [0, 1, 2, 3, 4]
+    with pytest.raises(SystemExit, match="seed 3"):
+        main.main(["--cases", "5", "--seed", "4", *out])
+    assert main.choose_plans(main.parse(["--cases", "5", "--seed", "3", "--shard", "2/2"])) == [
+        draw.draw_plan(3, number) for number in (1, 3)
+    ]
+
+
+def test_confusion_counts_families() -> None:
+    """A delay blamed for friction is one count at (horizontal rail, servo and timing)."""
+    pictures = load("pictures")
+    cases = [
+        session(0, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("command.delay"))),
+        session(1, "alien", {"alien.crosswind": {"gain": 0.2}}, finding(left=True)),
+        session(2, "none", {}, finding()),
+    ]
+    labels, counts = pictures.confuse(cases)
+    assert counts[labels.index("horizontal rail"), labels.index("servo and timing")] == 1
+    assert counts[labels.index("unexplained"), labels.index("unexplained")] == 1
+    assert counts[labels.index("nothing"), labels.index("nothing")] == 1
+    assert counts.sum() == 3
+    assert {pictures.family(effect) for effect in load("draw").FLYING} == set(pictures.FAMILIES)
+
+
+def test_pictures_are_drawn(tmp_path: Path) -> None:
+    """Two files, not empty, the same for the same data."""
+    pictures = load("pictures")
+    cases = [session(0, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")))]
+    first = [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)]
+    assert [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)] == first
+    assert all(b"<svg" in content for content in first)
+
+
+def test_costs_go_to_whoever_called() -> None:
+    """The 2 s of numpy count where it was called from: 1.5 s in the likelihood, 0.5 s in the reader of logs."""
+    costs = load("costs")
+    algebra = (str(costs.PACKAGE / "diagnosis/likelihood.py"), 1, "whiten")
+    reading = (str(costs.PACKAGE / "logs/read.py"), 1, "read")
+    numpy = ("~", 0, "<built-in method numpy>")
+    stats = {
+        algebra: (1, 1, 1.0, 2.5, {}),
+        reading: (1, 1, 0.25, 0.75, {}),
+        numpy: (4, 4, 2.0, 2.0, {algebra: (3, 3, 1.5, 1.5), reading: (1, 1, 0.5, 0.5)}),
+    }
+    assert costs.share_out(stats) == pytest.approx({"linear algebra": 2.5, "reading logs": 0.75})
