@@ -197,6 +197,12 @@ def test_cleared_without_unit_names_its_parameter() -> None:
     )
 
 
+def test_cleared_limits_have_no_upper_bound() -> None:
+    """What a servo could have done beyond what was asked of it, nobody knows."""
+    limit = Cleared("servo.rate_limit", "rate", 8.4, 1000.0, "rad/s")
+    assert describe_cleared(limit) == "servo.rate_limit: above 8.4 rad/s"
+
+
 def test_tables_are_in_thousandths() -> None:
     """Three digits; no second column without a second score; no table of positions on a rig without slides."""
     position, angle, rate = tabulate_errors(BEFORE, AFTER, NOISE)

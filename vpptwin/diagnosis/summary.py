@@ -17,6 +17,8 @@ SHOWN_HORIZON = 2
 """Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
 UNLIMITED = 1e5
 """Off value of limits: a twin with that much has none."""
+OPEN = 30.0
+"""Ratio of bounds from which the upper one says nothing: of a limit that these flights never ran into."""
 SIZE_FITS = re.compile(
     r"^(?!.*\b(?:wrong|of|that|whose)\b.* (?:on|in|from|between|along) )(.+?)( (?:on|in|from|between) .*)$"
 )
@@ -161,6 +163,8 @@ def describe_cleared(suspect: Cleared) -> str:
     unit, factor = choose_unit(suspect.unit, max(abs(suspect.low), abs(suspect.high)))
     parameter = "" if unit else f"{suspect.parameter} "
     low, high = factor * suspect.low, factor * suspect.high
+    if low > 0.0 and high > OPEN * low:
+        return f"{suspect.effect}: {parameter}above {low:.2g} {unit}".rstrip()
     digits = 1 - floor(log10(high - low)) if high > low else 3
     bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
     return f"{suspect.effect}: {parameter}{bounds} {unit}".rstrip()
