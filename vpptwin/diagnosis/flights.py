@@ -10,7 +10,9 @@ import numpy as np
 from vpptwin.diagnosis.bench import Bench
 from vpptwin.diagnosis.channels import LEAD, join_channels, observe_windows
 from vpptwin.diagnosis.holdout import HORIZONS_S
+from vpptwin.diagnosis.motor import observe_motor
 from vpptwin.errors import InputError
+from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
@@ -70,7 +72,15 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
                     f"at least {MIN_RATE:g} Hz",
                     "look for what interrupts the tracker or the recorder",
                 )
-        starts.append(np.arange(flight.start + SETTLE, flight.end - window, window))
+        found = np.arange(flight.start + SETTLE, flight.end - window, window)
+        kept = found[usable_starts(flight, found, window)]
+        if len(kept) < MIN_JUDGES:
+            raise InputError(
+                f"{flight.name}: gaps leave {len(kept)} usable windows of {window:g} s",
+                f"at least {MIN_JUDGES}",
+                "look for what interrupts the tracker or the recorder",
+            )
+        starts.append(kept)
     return starts
 
 
@@ -111,12 +121,16 @@ def build_bench(
 ) -> Bench:
     """Windows and channels of several flights on one bench."""
     windows, channels = [], []
+    motors = all(None not in (flight.throttle, flight.rotor_speed, flight.current) for flight in measurements)
     for i, (flight, times) in enumerate(zip(measurements, starts)):
         times = times[times <= flight.end - length]
         if len(times):
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
-            channels.append(observe_windows(cut, flight, 0.0 if causal and length > window_length(spec) else LEAD))
+            seen = observe_windows(cut, flight, 0.0 if causal and length > window_length(spec) else LEAD)
+            if spec.vehicle is not None and motors:
+                seen += observe_motor(cut, flight, spec.vehicle.motor)
+            channels.append(seen)
     names = [[c.name for c in part] for part in channels]
     if any(n != names[0] for n in names):
         raise InputError(
@@ -124,7 +138,8 @@ def build_bench(
             "the same topics in every log",
             "diagnose logs of one kind together",
         )
-    return Bench(spec, join_windows(windows), join_channels(channels), max(round(length / SEGMENT), 1), progress)
+    segments = max(round(length / SEGMENT), 1)
+    return Bench(spec, join_windows(windows), join_channels(channels), segments, measurements, causal, progress)
 
 
 def long_starts(starts: Sequence[np.ndarray], window: float) -> list[np.ndarray]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from vpptwin.diagnosis.bench import Bench, Key, Variation
+from vpptwin.diagnosis.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.channels import BIN
-from vpptwin.diagnosis.likelihood import Likelihood, build_likelihood, rotary_dofs, whiten_with
+from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, rotary_dofs, whiten_with
 
+BLOCK = 1.5
+"""Windows within this time [s] count as one when errors are resampled."""
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
 
 
@@ -45,74 +47,153 @@ class HeldOut:
 
     def __init__(self, short: Bench, long: Bench) -> None:
         self.short, self.long = short, long
-        self.likelihood: Likelihood = build_likelihood(short, {})
-        pose = [c.kind == "position" for c in short.channels]
-        self._pose = np.repeat(pose, short.channels[0].value.shape[1])
+        self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
+        self._pose = np.concatenate([np.full(c.value.shape[1], c.kind == "position") for c in short.channels])
 
-    def relinearise(self, values: Mapping[Key, float]) -> None:
-        """Let gusts and starting states act through a twin with `values` from now on."""
-        self.likelihood = build_likelihood(self.short, dict(values))
+    def response(self, values: Mapping[Key, float]) -> Response:
+        """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
+        key = frozenset(values.items())
+        if key not in self._responses:
+            self._responses[key] = measure_response(self.short, values)
+        return self._responses[key]
 
-    def cost(self, values: Mapping[Key, float]) -> np.ndarray:
-        """Misfit of every short window under gusts and sensor noise, (K,): minus twice the log-likelihood."""
-        return (self.whitened(values) ** 2).sum(axis=1)
+    def likelihood(self, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
+        """How improbable residuals of a twin with `values` are, gusts `gust` times as strong as assumed, (nv,)."""
+        strength = np.ones(self.short.spec.model.nv) if gust is None else gust
+        return couple_gusts(self.short, self.response(values), strength)
 
-    def whitened(self, values: Mapping[Key, float]) -> np.ndarray:
-        """Whitened residual of the short windows, (K, M)."""
-        return self.likelihood.whiten(self._residual(values))
+    def surprise(self, values: Mapping[Key, float], gust: np.ndarray, scale: float = 1.0) -> np.ndarray:
+        """Twice the negative log of the density that a twin with `values` predicts for every short window, (K,).
+
+        Args:
+            values: parameters of effects that are switched on.
+            gust: strength of the gusts as a multiple of what is assumed, (nv,).
+            scale: variance of the whitened residual.
+        """
+        likelihood = self.likelihood(values, gust)
+        return (likelihood.whiten(self.residual(values)) ** 2).sum(axis=1) / scale + likelihood.logdet
+
+    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
+        """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""
+        predicted = self.short.predict([Variation(dict(values))], values)[0]
+        return np.where(self.short.valid, self.short.measured - predicted, 0.0)
 
     def chi2(self, values: Mapping[Key, float]) -> float:
         """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""
+        squares, count = self.chi2_by_window(values)
+        return float(squares.sum() / max(count.sum(), 1))
+
+    def chi2_by_window(self, values: Mapping[Key, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Squared pose residual over sensor variance and its degrees of freedom in every short window, (K,) each."""
         pose, free = self._pose, self.short.windows.free_dofs
         valid = self.short.valid[:, pose]
         noise = self.short.std[:, pose]
-        state = self.likelihood.state[:, pose] * self.likelihood.state_std
+        response = self.response(values)
+        state = response.state[:, pose] * response.state_std
         covariance = np.einsum("kmi,kni->kmn", state, state)
         diagonal = np.arange(covariance.shape[1])
         covariance[:, diagonal, diagonal] += noise**2
-        white = whiten_with(np.linalg.cholesky(covariance), self._residual(values)[:, pose])
-        return float((white**2).sum() / max(valid.sum() - 2 * free * len(valid), 1))
+        white = whiten_with(np.linalg.cholesky(covariance), self.residual(values)[:, pose])
+        return (white**2).sum(axis=1), valid.sum(axis=1) - 2 * free
 
     def score(self, values: Mapping[Key, float]) -> Score:
         """Errors over the horizon from causally estimated states, and chi2."""
-        pose, velocity = self.long.simulate([Variation(dict(values))])
+        found = {name: mean_over(parts) for name, parts in self.squares(values).items()}
+        rates = {name: found[name] for name in found if name not in ("m", "rad")}
+        return Score(found.get("m"), found.get("rad"), rates, self.chi2(values))
+
+    def squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Squared errors of every long window near every horizon, (K, H): of slides "m", hinges "rad", and rates."""
+        motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
         rotary = rotary_dofs(self.long.spec)
         sensors = self.long.sensors(values)
-        squares: dict[str, list[np.ndarray]] = {"m": [], "rad": []}
-        rates: dict[str, list[float]] = {}
+        squares: dict[str, np.ndarray] = {}
         for channel in self.long.channels:
-            if channel.kind == "specific force":
+            if channel.kind not in ("position", "velocity"):
                 continue
-            predicted = self.long.observe_channel(channel, pose[0], velocity[0], sensors)
+            predicted = self.long.observe_channel(channel, pick(motion, 0), sensors)
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
-            per_horizon = np.array([self._near(square, h) for h in HORIZONS_S])
-            if channel.kind == "position":
-                squares["rad" if rotary[channel.axis] else "m"].append(per_horizon)
+            near = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
+            if channel.kind == "velocity":
+                squares[channel.name] = near
             else:
-                rates[channel.name] = [float(v) for v in np.sqrt(per_horizon)]
-        position, angle = (self._root(squares[unit]) for unit in ("m", "rad"))
-        return Score(position, angle, rates, self.chi2(values))
+                unit = "rad" if rotary[channel.axis] else "m"
+                squares[unit] = squares[unit] + near if unit in squares else near
+        return squares
 
-    def _near(self, square: np.ndarray, horizon: float) -> float:
-        """Mean of the last bins up to a horizon over all windows."""
-        end = round(horizon / BIN)
-        found = square[:, max(end - 2, 0) : end]
-        return float(np.nanmean(found)) if np.isfinite(found).any() else float("nan")
+    def blocks(self, bench: Bench) -> np.ndarray:
+        """Which block of flight every window of a bench belongs to, (K,): errors of neighbours are alike."""
+        block = np.floor(bench.windows.start / BLOCK).astype(int) + 10**6 * bench.windows.flight
+        return np.unique(block, return_inverse=True)[1]
 
-    def _root(self, squares: Sequence[np.ndarray]) -> list[float] | None:
-        return [float(v) for v in np.sqrt(np.sum(squares, axis=0))] if squares else None
+    def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
+        """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
+        first, second = self.squares(before), self.squares(after)
+        blocks = self.blocks(self.long)
+        named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
+        result = {}
+        for name, old in first.items():
+            sums = np.stack([sum_blocks(np.nan_to_num(part), blocks) for part in (old, second[name])])
+            drawn = resample(sums)  # both are divided by the same number of windows
+            share = np.sqrt(drawn[:, 1] / np.maximum(drawn[:, 0], 1e-30)) - 1.0
+            low, high = np.quantile(share, [0.05, 0.95], axis=0)
+            result[named.get(name, name)] = [(float(a), float(b)) for a, b in zip(low, high)]
+        return result
 
-    def _residual(self, values: Mapping[Key, float]) -> np.ndarray:
-        predicted = self.short.predict([Variation(dict(values))])[0]
-        return np.where(self.short.valid, self.short.measured - predicted, 0.0)
+    def share_removed(
+        self, without: Mapping[Key, float], after: Mapping[Key, float], before: Mapping[Key, float]
+    ) -> tuple[float, tuple[float, float]]:
+        """Share of the excess chi2 of `before` by which `after` is better than `without`, with its 90 % interval."""
+        found = [self.chi2_by_window(values) for values in (without, after, before)]
+        squares = np.stack([squares for squares, _ in found])
+        number = found[0][1]
+        blocks = self.blocks(self.short)
+        sums = np.stack([sum_blocks(row[:, None], blocks) for row in (*squares, number)])
+        drawn = resample(sums)[..., 0]
+        drawn = np.concatenate([sums.sum(axis=1).T, drawn])
+        excess = np.maximum(drawn[:, 2] - drawn[:, 3], 1e-9 * drawn[:, 3])
+        share = (drawn[:, 0] - drawn[:, 1]) / excess
+        low, high = np.quantile(share[1:], [0.05, 0.95])
+        return float(share[0]), (float(low), float(high))
+
+
+def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:
+    """Mean of the last two bins up to a horizon [s] in every window, (K,); NaN where nothing was measured."""
+    end = round(horizon / BIN)
+    part = square[:, max(end - 2, 0) : end]
+    number = np.isfinite(part).sum(axis=1)
+    return np.where(number > 0, np.nansum(part, axis=1) / np.maximum(number, 1), np.nan)
+
+
+def mean_over(squares: np.ndarray) -> list[float]:
+    """Root of the mean over windows that were measured, per horizon."""
+    number = np.isfinite(squares).sum(axis=0)
+    mean = np.where(number > 0, np.nansum(squares, axis=0) / np.maximum(number, 1), np.nan)
+    return [float(v) for v in np.sqrt(mean)]
+
+
+def sum_blocks(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Sums of rows (K, H) over blocks, (B, H)."""
+    sums = np.zeros((blocks.max() + 1, rows.shape[1]))
+    np.add.at(sums, blocks, rows)
+    return sums
+
+
+def resample(sums: np.ndarray, times: int = 500) -> np.ndarray:
+    """Totals of sums (V, B, H) over blocks drawn with replacement, the same for all V, (times, V, H)."""
+    blocks = sums.shape[1]
+    draws = np.random.default_rng(0).integers(blocks, size=(times, blocks))
+    counts = np.stack([np.bincount(draw, minlength=blocks) for draw in draws])
+    return np.einsum("tb,vbh->tvh", counts, sums)
 
 
 def improvement(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Mean drop in cost per window and its standard error, from windows paired before and after, (K,) each.
+    """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
 
-    Costs count logarithmically, so that one window which goes astray does not decide for all.
+    Drops beyond four times their root mean square count as that much: a window which goes astray does not decide.
     """
-    usual = max(float(np.median(after)), 1e-12)
-    drop = usual * (np.log1p(before / usual) - np.log1p(after / usual))
-    return float(drop.mean()), float(drop.std(ddof=1) / np.sqrt(len(drop))) if len(drop) > 1 else float("inf")
+    drop = before - after
+    most = 4.0 * float(np.sqrt(np.mean(drop**2)))
+    drop = np.clip(drop, -most, most)
+    return float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop))) if len(drop) > 1 else float("inf")

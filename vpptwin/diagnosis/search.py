@@ -8,17 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
-from vpptwin.diagnosis.likelihood import Likelihood, build_likelihood
-from vpptwin.diagnosis.suspects import Linearisation, Solution, Unknown, scatter_by_window, solve_hypothesis
+from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, tune_gust
+from vpptwin.diagnosis.suspects import (
+    Linearisation,
+    Solution,
+    Unknown,
+    list_trials,
+    price_of_freedom,
+    scatter_by_stretch,
+    solve_hypothesis,
+)
+from vpptwin.effects import Stage
 
-ITERATIONS = 5
-SHORTLIST = 4
+ITERATIONS = 6
+SHORTLIST = 5
 """Suspects that are refitted in the twin at every step of the search."""
-MAX_CAUSES = 6
-BAR = 16.0
-"""Drop in cost (twice the log-likelihood) that a cause must bring, beyond what build tolerances explain: 4 sigma."""
-WORTH_A_REFIT = 2.0
-"""Drop in cost by linearisation from which a suspect is refitted; the first one always is."""
+STARTS = 2
+"""Places of a shape or a limit from which a refit starts."""
+MAX_CAUSES = 5
+BAR = 10.0
+"""Drop in cost (twice the log of the evidence) that a cause must bring, beyond what build tolerances explain."""
+WORTH_A_REFIT = 8.0
+"""Drop in cost by linearisation from which a suspect is refitted."""
+HOPE = 0.4
+"""Share of a cause's drop in cost, by linearisation, from which a rival is refitted."""
+POLISH = 2
+"""Steps of Gauss-Newton once a hypothesis has its own likelihood."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
 
@@ -31,8 +46,9 @@ class Fit:
         effects: ids that were freed.
         values: their parameters.
         std: standard deviation of each, the other effects uncertain within their tolerance.
-        cost: penalised misfit on the fitted windows.
+        cost: twice the negative log of the evidence on the fitted windows, up to a constant of the search.
         about: linearisation near `values`.
+        likelihood: what gusts and starting states do to a twin with `values`, or with values close to them.
         tolerated: what the effects that were not freed moved within their tolerance, parameter → value.
     """
 
@@ -41,6 +57,7 @@ class Fit:
     std: dict[Key, float]
     cost: float
     about: Linearisation
+    likelihood: Likelihood
     tolerated: dict[Key, float]
 
 
@@ -56,9 +73,18 @@ class Step:
         return self.before.cost - self.tried[effect].cost
 
     @property
-    def best(self) -> str:
-        """The effect whose addition brought most."""
-        return max(self.tried, key=self.drop)
+    def ordered(self) -> list[str]:
+        """The suspects, the one whose addition brought most first."""
+        return sorted(self.tried, key=self.drop, reverse=True)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a refit starts: a suspect, its parameters, and the drop in cost that linearisation promises."""
+
+    effect: str
+    values: Mapping[Key, float]
+    drop: float
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -83,131 +109,268 @@ class Search:
 
     def __init__(self, bench: Bench, unknowns: Sequence[Unknown]) -> None:
         self.bench, self.unknowns = bench, tuple(unknowns)
+        self.trials = list_trials(self.unknowns, bench)
         self.scale = 1.0
-        self.likelihood: Likelihood = build_likelihood(bench, {})
         self.weight = np.ones(bench.valid.size)
+        self._library: dict[frozenset[str], tuple[Linearisation, Response]] = {}
         self.start = self.adopt(frozenset(), {})
 
     def linearise(
-        self, values: Mapping[Key, float], effects: frozenset[str] | None = None, known: Linearisation | None = None
+        self,
+        values: Mapping[Key, float],
+        likelihood: Likelihood,
+        effects: frozenset[str] = frozenset(),
+        known: Linearisation | None = None,
     ) -> Linearisation:
         """Whitened residual and derivatives about a twin with `values`.
 
         Args:
             values: parameters of effects that are switched on.
-            effects: ids whose derivatives are wanted anew; None for all.
-            known: an earlier linearisation whose other derivatives are kept.
+            likelihood: what whitens.
+            effects: ids whose derivatives are wanted anew, if not all are.
+            known: an earlier linearisation, whitened by the same likelihood, whose other derivatives are kept; None
+                computes all, trials too.
         """
         at = np.array([values.get(u.key, u.nominal) for u in self.unknowns])
-        wanted = [i for i, u in enumerate(self.unknowns) if known is None or effects is None or u.effect.id in effects]
+        wanted = [i for i, u in enumerate(self.unknowns) if known is None or u.effect.id in effects]
+        trials = self.trials if known is None else ()
         steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
             moved = self.unknowns[i].parameter.clip(at[i] + step)  # rounding may lead past a bound
             variations.append(Variation({**values, self.unknowns[i].key: float(moved)}))
-        predicted = self.bench.predict(variations)
-        residual = np.where(self.bench.valid, self.bench.measured - predicted[0], 0.0)
-        slopes = np.where(self.bench.valid, predicted[1:] - predicted[0], 0.0) / steps[:, None, None]
-        columns = np.empty((len(at), residual.size)) if known is None else known.columns.copy()
-        if wanted:
-            columns[wanted] = self.likelihood.whiten(slopes).reshape(len(steps), -1) * self.weight
-        return Linearisation(at, columns, self.likelihood.whiten(residual).ravel() * self.weight)
+        # A trial of what is switched on already would replace it.
+        on = {key[0] for key in values}
+        variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
+        predicted = self.bench.predict(variations, values)
+        valid = self.bench.valid
+        missed = np.where(valid, self.bench.measured - predicted[0], 0.0)
+        changed = np.where(valid, predicted[1:] - predicted[0], 0.0)
+        fresh = changed[: len(wanted)] / steps[:, None, None]
+        if known is None:
+            return self.whiten(at, fresh, missed, changed[len(wanted) :], likelihood)
+        slopes, columns = known.slopes.copy(), known.columns.copy()
+        slopes[wanted], columns[wanted] = fresh, self._whiten(fresh, likelihood)
+        residual = self._whiten(missed[None], likelihood)[0]
+        return Linearisation(at, slopes, missed, known.trials, columns, residual, known.tried)
 
-    def fit(self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation | None) -> Fit:
+    def whiten(
+        self, at: np.ndarray, slopes: np.ndarray, missed: np.ndarray, trials: np.ndarray, likelihood: Likelihood
+    ) -> Linearisation:
+        """A linearisation whitened by a likelihood, and by the present weights."""
+        columns, residual, tried = (self._whiten(rows, likelihood) for rows in (slopes, missed[None], trials))
+        return Linearisation(at, slopes, missed, trials, columns, residual[0], tried)
+
+    def _whiten(self, raw: np.ndarray, likelihood: Likelihood) -> np.ndarray:
+        """Rows (V, K, M) whitened and weighted, (V, K M)."""
+        if not len(raw):
+            return np.empty((0, self.weight.size))
+        return likelihood.whiten(raw).reshape(len(raw), -1) * self.weight
+
+    def fit(
+        self,
+        effects: frozenset[str],
+        values: Mapping[Key, float],
+        known: Linearisation,
+        likelihood: Likelihood,
+        iterations: int = ITERATIONS,
+    ) -> Fit:
         """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
 
         Args:
             effects: ids to free.
             values: where to start.
-            known: linearisation whose derivatives serve for the effects that are not freed; None computes all.
+            known: linearisation whose derivatives serve for the effects that are not freed.
+            likelihood: what whitens, `known` too.
+            iterations: at most.
         """
         point = {key: value for key, value in values.items() if key[0] in effects}
-        about = self.linearise(point, effects, known)
-        solution = solve_hypothesis(about, self.unknowns, effects, self.scale)
-        best, stride = (about, solution, point), 1.0
-        for _ in range(ITERATIONS if effects else 0):
-            about, solution, point = best
+        about = self.linearise(point, likelihood, effects, known)
+        best, stride = (about, point, self._cost_at(about, effects)), 1.0
+        for _ in range(iterations if effects else 0):
+            about, point, cost = best
+            solution = solve_hypothesis(about, self.unknowns, effects, self.scale)
             ahead = self._advance(point, effects, solution, stride)
-            there = self.linearise(ahead, effects, about)
-            found = solve_hypothesis(there, self.unknowns, effects, self.scale)
+            there = self.linearise(ahead, likelihood, effects, about)
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
-            gain = self._cost_here(about, effects) - self._cost_here(there, effects)
-            if gain < 0.0:
-                stride *= 0.5
-                if stride < 0.2:
+            cost_there = self._cost_at(there, effects)
+            if cost_there > cost:
+                stride *= 0.4
+                if stride < 0.1:
                     break
                 continue
-            best, stride = (there, found, ahead), 1.0
-            if gain < SETTLED:
+            best, stride = (there, ahead, cost_there), min(1.0, 2.0 * stride)
+            if cost - cost_there < SETTLED:
                 break
-        about, solution, point = best
+        about, point, cost = best
+        return self._sum_up(effects, point, about, likelihood, cost)
+
+    def own(self, fit: Fit) -> Fit:
+        """The same hypothesis judged by its own likelihood: gusts as strong as it needs, acting through its own twin.
+
+        A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
+        nearly as it is. The fit is polished under it; derivatives by effects that are not freed are kept.
+        """
+        response = fit.likelihood.response
+        if self._rubbing(fit.effects):
+            response = measure_response(self.bench, fit.values)
+        likelihood = self._tune(fit.about, fit.effects, response)
+        about = fit.about
+        known = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
+        return self.fit(fit.effects, fit.values, known, likelihood, POLISH)
+
+    def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:
+        """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
+        deviation = self._tolerate(about, effects).deviation
+        left = about.missed - np.einsum("p,pkm->km", deviation, about.slopes)
+        return couple_gusts(self.bench, response, tune_gust(self.bench, response, left, self.scale))
+
+    def _sum_up(
+        self,
+        effects: frozenset[str],
+        point: dict[Key, float],
+        about: Linearisation,
+        likelihood: Likelihood,
+        cost: float,
+    ) -> Fit:
+        solution = solve_hypothesis(about, self.unknowns, effects, self.scale)
         std, tolerated = {}, {}
-        scatter = scatter_by_window(about, solution, len(self.bench.windows), self.scale)
+        scatter = scatter_by_stretch(about, solution, self.bench, self.scale)
         for i, unknown in enumerate(self.unknowns):
             if unknown.effect.id in effects:
                 std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
             else:
                 tolerated[unknown.key] = float(about.at[i] + solution.deviation[i])
-        return Fit(effects, point, std, self._cost_here(about, effects), about, tolerated)
+        cost += float(likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
+        return Fit(effects, point, std, cost, about, likelihood, tolerated)
 
     def adopt(self, effects: frozenset[str], values: Mapping[Key, float]) -> Fit:
-        """Take effects as the new state of knowledge: gusts and starting states act through them, and they are refit.
+        """Take effects as the new state of knowledge and refit them.
 
-        A slider that sticks hardly feels its starting velocity or a gust, so the covariance changes with the effects.
-        What is left of the misfit then sets the scale: noise stronger than assumed makes every finding less certain.
+        What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
-        if effects:
-            self.likelihood = build_likelihood(self.bench, dict(values))
-        self.weight = np.ones(self.bench.valid.size)
-        about = self.linearise(values)
+        self.weight, self.scale = np.ones(self.bench.valid.size), 1.0
+        about, response = self._known(effects, values)
+        about = self._at(values, about, effects)
+        likelihood = self._tune(about, effects, response)
+        about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
         residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
         self.weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
-        misfit = float(((residual * self.weight) ** 2).sum()) / self.likelihood.freedom
-        self.scale = max(1.0, misfit)
-        weighted = Linearisation(about.at, about.columns * self.weight, about.residual * self.weight)
-        return self.fit(effects, values, weighted)
+        self.scale = max(1.0, float(((residual * self.weight) ** 2).sum()) / response.freedom)
+        weighted = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
+        return self.fit(effects, values, weighted, likelihood)
 
     def complete(self, fit: Fit) -> Fit:
-        """The same fit with all derivatives taken at its own parameters, and its cost under them."""
-        about = self.linearise(fit.values)
-        return Fit(fit.effects, fit.values, fit.std, self._cost_here(about, fit.effects), about, fit.tolerated)
+        """The same fit under its own likelihood, with derivatives that belong to it."""
+        about, response = self._known(fit.effects, fit.values)
+        about = self._at(fit.values, about, fit.effects)
+        likelihood = self._tune(about, fit.effects, response)
+        about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
+        return self._sum_up(fit.effects, fit.values, about, likelihood, self._cost_at(about, fit.effects))
 
-    def rank(self, fit: Fit) -> list[tuple[str, float]]:
-        """Every other effect with the drop in cost that freeing it too would bring, by linearisation, best first."""
-        base = solve_hypothesis(fit.about, self.unknowns, fit.effects, self.scale).cost
-        others = {u.effect.id for u in self.unknowns} - fit.effects
-        drops = [
-            (e, base - solve_hypothesis(fit.about, self.unknowns, fit.effects | {e}, self.scale).cost) for e in others
-        ]
-        return sorted(drops, key=lambda item: (-item[1], item[0]))
+    def _known(self, effects: frozenset[str], values: Mapping[Key, float]) -> tuple[Linearisation, Response]:
+        """Derivatives about a twin with these effects, and its response.
 
-    def extend(self, fit: Fit, count: int = SHORTLIST, barred: frozenset[str] = frozenset()) -> Step:
-        """Refit with each of the `count` best-ranked further suspects added in turn."""
-        ranked = [item for item in self.rank(fit) if item[0] not in barred][:count]
-        names = [name for i, (name, drop) in enumerate(ranked) if i == 0 or drop > WORTH_A_REFIT]
-        return Step(fit, {name: self.fit(fit.effects | {name}, fit.values, fit.about) for name in names})
+        Only what sticks changes the derivatives by everything else much, so that they are taken once for every set of
+        effects that make dry friction.
+        """
+        rubbing = self._rubbing(effects)
+        if rubbing not in self._library:
+            response = measure_response(self.bench, values)
+            plain = couple_gusts(self.bench, response, np.ones(self.bench.spec.model.nv))
+            self._library[rubbing] = self.linearise(values, plain), response
+        return self._library[rubbing]
+
+    def _at(self, values: Mapping[Key, float], about: Linearisation, effects: frozenset[str]) -> Linearisation:
+        """A linearisation moved to other values, derivatives by these effects taken anew."""
+        likelihood = couple_gusts(self.bench, self._library[frozenset()][1], np.ones(self.bench.spec.model.nv))
+        return self.linearise(values, likelihood, effects, about)
+
+    def _rubbing(self, effects: frozenset[str]) -> frozenset[str]:
+        """Those of the effects that make dry friction."""
+        return frozenset(u.effect.id for u in self.unknowns if u.effect.stage is Stage.FRICTION) & effects
+
+    def rank(self, fit: Fit, barred: frozenset[str] = frozenset()) -> list[Start]:
+        """Where to start refitting every other effect beside those of a fit, by linearisation, most promising first."""
+        base = solve_hypothesis(fit.about, self.unknowns, fit.effects, self.scale)
+        starts = []
+        for effect in {u.effect.id for u in self.unknowns} - fit.effects - barred:
+            if any(u.is_limit for u in self.unknowns if u.effect.id == effect):
+                continue
+            freed = fit.effects | {effect}
+            solution = solve_hypothesis(fit.about, self.unknowns, freed, self.scale)
+            moved = self._advance(fit.values, freed, solution, 1.0)
+            starts.append(Start(effect, moved, base.cost - solution.cost))
+        if len(fit.about.tried):
+            starts += self._rank_trials(fit, base, fit.effects | barred)
+        return sorted(starts, key=lambda start: (-start.drop, start.effect))
+
+    def _rank_trials(self, fit: Fit, base: Solution, barred: frozenset[str]) -> list[Start]:
+        """The same for trials: the drop in cost along each, everything else at its best beside it."""
+        about, trials = fit.about, fit.about.tried
+        left = about.residual - base.deviation @ about.columns
+        cross = trials @ about.columns.T
+        across = (trials**2).sum(axis=1) / self.scale
+        across -= np.einsum("ti,ij,tj->t", cross, base.covariance, cross) / self.scale**2
+        along = trials @ left / self.scale
+        starts = []
+        for trial, curvature, gradient in zip(self.trials, across, along):
+            if trial.effect in barred or curvature <= 1e-6:
+                continue
+            times = 1.0 if trial.limit else float(np.clip(gradient / curvature, 0.0, 10.0))
+            values = {**fit.values, **trial.values}
+            if not trial.limit:
+                key = next(iter(trial.values))
+                unknown = next(u for u in self.unknowns if u.key == key)
+                moved = unknown.nominal + times * (trial.values[key] - unknown.nominal)
+                values[key] = float(unknown.parameter.clip(np.array(moved)))
+            starts.append(Start(trial.effect, values, float(2.0 * times * gradient - times**2 * curvature)))
+        return starts
+
+    def extend(self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "") -> Step:
+        """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
+
+        Args:
+            fit: what they are added to.
+            barred: suspects that are not tried.
+            against: a suspect for whose place the others stand; those that fall far behind it are not tried.
+        """
+        starts: dict[str, list[Start]] = {}
+        for start in self.rank(fit, barred):
+            starts.setdefault(start.effect, []).append(start)
+        least = WORTH_A_REFIT
+        if against in starts:
+            least = max(least, HOPE * starts.pop(against)[0].drop)
+        names = [name for name in starts if starts[name][0].drop > least][:SHORTLIST]
+        tried = {}
+        for name in names:
+            freed = fit.effects | {name}
+            found = [self.fit(freed, s.values, fit.about, fit.likelihood) for s in starts[name][:STARTS]]
+            tried[name] = self.own(min(found, key=lambda f: f.cost))
+        return Step(fit, tried)
+
+    def without(self, fit: Fit, effect: str) -> Fit:
+        """The fit without one of its effects, under its own likelihood."""
+        return self.own(self.fit(fit.effects - {effect}, fit.values, fit.about, fit.likelihood))
 
     def drop_superfluous(self, fit: Fit) -> Fit:
         """Leave out every effect without which the rest explains the data as well."""
         while len(fit.effects) > 1:
-            without = {e: self.fit(fit.effects - {e}, fit.values, fit.about) for e in sorted(fit.effects)}
+            without = {e: self.without(fit, e) for e in sorted(fit.effects)}
             weakest = min(without, key=lambda e: without[e].cost)
             if without[weakest].cost - fit.cost > BAR:
                 return fit
             fit = self.adopt(without[weakest].effects, without[weakest].values)
         return fit
 
-    def _cost_here(self, about: Linearisation, effects: frozenset[str]) -> float:
+    def _cost_at(self, about: Linearisation, effects: frozenset[str]) -> float:
         """Cost at the point itself: freed parameters as they are, the others at their best within tolerance."""
         return self._tolerate(about, effects).cost
 
     def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
         """Freed parameters held where they are, the others moved within their tolerance."""
-        frozen = np.array([u.effect.id in effects for u in self.unknowns])
-        columns = np.where(frozen[:, None], 0.0, about.columns)
-        held = Linearisation(about.at, columns, about.residual)
-        return solve_hypothesis(held, self.unknowns, effects, self.scale)
+        return solve_hypothesis(about, self.unknowns, effects, self.scale, frozen=True)
 
     def _advance(
         self, values: Mapping[Key, float], effects: frozenset[str], solution: Solution, stride: float

@@ -38,11 +38,10 @@ class WrenchPlot:
 
 def missing_wrench(held_out: HeldOut, values: Mapping[Key, float]) -> np.ndarray:
     """Force pulses that explain the held-out windows' residuals, (K, segments, nv) N, N m."""
-    bench, likelihood = held_out.short, held_out.likelihood
-    predicted = bench.predict([Variation(dict(values))])[0]
-    residual = np.where(bench.valid, bench.measured - predicted, 0.0)
-    white = whiten_with(likelihood.sensor_factor, residual)
-    columns = whiten_with(likelihood.sensor_factor, np.moveaxis(likelihood.push, 2, 0))
+    bench, response = held_out.short, held_out.response(values)
+    residual = held_out.residual(values)
+    white = whiten_with(response.sensor_factor, residual)
+    columns = whiten_with(response.sensor_factor, np.moveaxis(response.push, 2, 0))
     gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / WIDE**2
     share = np.linalg.solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
     return share.reshape(len(residual), bench.segments, -1) * gust_std(bench.spec)
@@ -73,8 +72,8 @@ def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rot
     """What an effect's force follows, averaged over each gust segment of each window, (K segments,), and its label."""
     windows = bench.windows
     if effect.follows in ("velocity", "position"):
-        pose, velocity = bench.simulate([Variation()])
-        track = (velocity if effect.follows == "velocity" else pose)[0, :, 1:, dof]
+        motion = bench.simulate([Variation()])
+        track = (motion.velocity if effect.follows == "velocity" else motion.pose)[0, :, 1:, dof]
         unit = "rad" if rotary else "m"
         label = f"{joint} {effect.follows} [{unit}{'/s' if effect.follows == 'velocity' else ''}]"
     else:

@@ -1,0 +1,120 @@
+"""Which suspects become causes: evidence on the fitted windows, judgement by held-out ones, rivals for every cause."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.diagnosis.holdout import HeldOut, improvement
+from vpptwin.diagnosis.search import BAR, MAX_CAUSES, Fit, Search, Step
+from vpptwin.diagnosis.verdict import Rival
+
+TEMPER = 1.5
+"""Differences in evidence are divided by this before they become probabilities: no noise model is exact."""
+RIVAL_SIGMA = 3.0
+"""A rival within so many sigma of the named cause is reported with it."""
+SIGMAS_HELD_OUT = 2.0
+"""Standard errors by which a cause must improve the held-out windows."""
+STRONG = 8.0 * BAR
+"""Evidence on fitted windows beyond which one standard error is enough: a few held-out windows cannot outvote that,
+but they must not speak against it."""
+POWERLESS = 25.0
+"""Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
+then named on twice the evidence, unless they speak against it."""
+TOLERANCES = 2.5
+"""Build tolerances that a parameter must leave its nominal by before its effect is named."""
+BETTER = 2.0
+"""Evidence by which a rival must be better to take a cause's place."""
+MOST_SWAPS = 4
+
+Stage = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The causes, and what speaks for and against each.
+
+    Attributes:
+        fit: the causes fitted together.
+        first: the first step of the search, which ranks every suspect as the only cause.
+        rivals: cause → effects that explain the fitted windows nearly as well in its place.
+        evidence: cause → drop in cost that it brings beside the others.
+    """
+
+    fit: Fit
+    first: Step
+    rivals: dict[str, list[Rival]]
+    evidence: dict[str, float]
+
+    def confidence(self, effect: str) -> float:
+        """Probability that the cause is right, among its rivals and that nothing is there."""
+        doubt = float(np.exp(-0.5 * min(max(self.evidence[effect], 0.0), 1400.0) / TEMPER))
+        others = sum(rival.confidence for rival in self.rivals[effect])
+        return float(min((1.0 - others) * (1.0 - 0.5 * doubt), 0.999))
+
+
+def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
+    """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
+    fit, barred, swaps = search.start, frozenset[str](), 0
+    first: Step | None = None
+    while True:
+        named = ", ".join(sorted(fit.effects)) or "nothing yet"
+        stage(f"trying suspects (named: {named})")
+        step = search.extend(fit, barred)
+        first = first or step
+        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e)), None)
+        if accepted is not None and len(fit.effects) < MAX_CAUSES:
+            best = step.tried[accepted]
+            fit = search.drop_superfluous(search.adopt(best.effects, best.values))
+            barred |= step.before.effects - fit.effects
+            continue
+        stage("checking rivals")
+        replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
+        better = find_better(fit, replaced) if swaps < MOST_SWAPS else None
+        if better is None:
+            rivals = {effect: weigh_rivals(fit, step) for effect, step in replaced.items()}
+            evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
+            return Selection(fit, first, rivals, evidence)
+        fit = search.drop_superfluous(search.adopt(better.effects, better.values))
+        swaps += 1
+
+
+def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str) -> bool:
+    """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better."""
+    tried, drop = step.tried[effect], step.drop(effect)
+    if drop < BAR:
+        return False
+    own = [u for u in search.unknowns if u.effect.id == effect]
+    if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
+        return False
+    before, after = (held_out.surprise(f.values, f.likelihood.gust, search.scale) for f in (step.before, tried))
+    gain, error = improvement(before, after)
+    likelihood = held_out.likelihood(tried.values, tried.likelihood.gust)
+    changed = likelihood.whiten(held_out.residual(step.before.values) - held_out.residual(tried.values))
+    if (changed**2).sum() < POWERLESS:
+        return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
+    return gain > (1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error
+
+
+def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
+    """The fit without a cause, and every shortlisted suspect tried in its place."""
+    return search.extend(search.complete(search.without(fit, effect)), against=effect)
+
+
+def find_better(fit: Fit, replaced: dict[str, Step]) -> Fit | None:
+    """The fit with a rival in the place of a cause that the evidence prefers most; None if it prefers none."""
+    tried = [step.tried[step.ordered[0]] for step in replaced.values() if step.tried]
+    best = min(tried, key=lambda found: found.cost, default=None)
+    return best if best is not None and best.cost < fit.cost - BETTER else None
+
+
+def weigh_rivals(fit: Fit, step: Step) -> list[Rival]:
+    """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first."""
+    gaps = {name: max(step.tried[name].cost - fit.cost, 0.0) / TEMPER for name in step.tried}
+    close = {name: gap for name, gap in gaps.items() if gap < RIVAL_SIGMA**2}
+    weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
+    total = 1.0 + sum(weights.values())
+    ordered = sorted(close, key=lambda name: close[name])
+    return [Rival(name, weights[name] / total, float(np.sqrt(close[name]))) for name in ordered]
