@@ -106,6 +106,7 @@ class Plan:
         begin = self.here()
         end = np.array([begin[0] if x is None else x, begin[1] if z is None else z])
         self.follow(duration, lambda t: begin + minimum_jerk(np.clip(t / duration, 0.0, 1.0))[:, None] * (end - begin))
+        self.step(*end)
 
     def cruise(self, x: float, speed: float, acceleration: float) -> None:
         """Go to x [m] at a constant speed [m/s], started and ended at an acceleration [m/s²]."""
@@ -123,6 +124,7 @@ class Plan:
             return begin + np.column_stack([np.sign(x - begin[0]) * covered, np.zeros_like(t)])
 
         self.follow(total, path)
+        self.step(x)
 
     def nudge(self, angle: float, width: float) -> None:
         """Lean by `angle` [rad] for `width` [s], then the other way for as long."""
