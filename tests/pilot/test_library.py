@@ -104,7 +104,7 @@ def test_what_is_often_confused_has_a_manoeuvre() -> None:
 
 
 def test_wrong_settings_are_refused() -> None:
-    """Unknown manoeuvre, unknown setting, out of bounds, no number, a duration that makes no sense: told so in a line."""
+    """Unknown names, values out of bounds or no numbers, durations that make no sense: told so in a line."""
     steps = find_manoeuvre(LIBRARY, "x_steps")
     with pytest.raises(InputError, match="unknown manoeuvre 'waltz'; expected one of hover, x_steps"):
         find_manoeuvre(LIBRARY, "waltz")
