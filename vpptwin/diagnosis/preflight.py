@@ -76,7 +76,9 @@ class Preflight:
         parts += [f"{name} moves {share:.0%} of the time{self.tell_reach(name)}" for name, share in self.moving.items()]
         if self.inverted:
             parts.append(f"inverted {self.inverted:.0%} of the time")
-        parts += [f"{name} at its limits {share:.0%} of the time" for name, share in self.saturated.items() if share]
+        parts += [
+            f"{name} at its limits {share:.0%} of the time" for name, share in self.saturated.items() if share >= 0.005
+        ]
         if self.lag is not None:
             drift = self.lag_drift or 0.0
             growing = f", growing by {1e3 * drift:.2g} ms/s" if abs(drift) * self.duration > RESOLUTION else ""

@@ -41,8 +41,9 @@ def find_spikes(time: np.ndarray, value: np.ndarray, std: float, curvature: floa
         left = np.flatnonzero(~wild)
         if len(left) < 7:
             break
-        ratio = measure_miss(time[left], value[left], std, curvature or 0.0)
-        found = ratio > 1.0
+        found = np.zeros(len(left), dtype=bool)
+        for column in value[left].T:
+            found |= miss_all(time[left], column, std, curvature or 0.0)
         if curvature is None:
             found &= find_outside(value[left])
         if not found.any():
@@ -64,24 +65,28 @@ def find_outside(value: np.ndarray) -> np.ndarray:
     return found
 
 
-def measure_miss(time: np.ndarray, value: np.ndarray, std: float, curvature: float) -> np.ndarray:
-    """How far samples (n, k) are from the nearest of their predictions, over what noise and curvature allow, (n,).
+def miss_all(time: np.ndarray, value: np.ndarray, std: float, curvature: float) -> np.ndarray:
+    """Samples (n,) that miss each of their predictions by more than noise and curvature allow, (n,) bool.
 
     Vibration that is faster than the samples counts as noise.
     """
-    best, noise = np.full(value.shape, np.inf), np.full(value.shape[1], std)
     count = len(time)
+    noise, missing = std, np.arange(count)
     for first, second in PAIRS:
-        rows = np.arange(max(0, -first), count - max(0, second))
+        inside = (missing >= -first) & (missing < count - second)
+        rows = missing[inside]
         a, b = rows + first, rows + second
-        part = ((time[rows] - time[a]) / (time[b] - time[a]))[:, None]
+        part = (time[rows] - time[a]) / (time[b] - time[a])
         miss = np.abs(value[rows] - value[a] - part * (value[b] - value[a]))
         spread = np.sqrt(1.0 + part**2 + (1.0 - part) ** 2)
         if (first, second) == PAIRS[0]:
-            noise = np.maximum(noise, np.median(miss / spread, axis=0) / 0.6745)
-        bend = 0.5 * curvature * np.abs((time[rows] - time[a]) * (time[b] - time[rows]))[:, None]
-        best[rows] = np.minimum(best[rows], miss / (SPREADS * noise * spread + bend))
-    return np.asarray(best.max(axis=1))
+            noise = max(std, float(np.median(miss / spread)) / 0.6745)
+        bend = 0.5 * curvature * np.abs((time[rows] - time[a]) * (time[b] - time[rows]))
+        inside[inside] = miss <= SPREADS * noise * spread + bend
+        missing = missing[~inside]
+    wild = np.zeros(count, dtype=bool)
+    wild[missing] = True
+    return wild
 
 
 def find_strays(time: np.ndarray, value: np.ndarray, std: np.ndarray, speed: np.ndarray, turn: int = -1) -> np.ndarray:

@@ -15,6 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from vpptwin.logs.container import Block, RawChannel
 from vpptwin.logs.layout import LITTLE_ENDIAN, Definitions, Layout, LayoutError, Leaf, locate_fields, parse_definition
 
+MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
 MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each
 
 
@@ -63,10 +64,15 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
 
 
 def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:
-    """Join the blocks of all chunks by length of message, so that there are few."""
+    """Join the blocks of chunks by length of message, so that they are few but none is much beyond MERGED."""
     for length in sorted({block.payload.shape[1] for block in blocks}):
         same = [block for block in blocks if block.payload.shape[1] == length]
-        yield Block(*(np.concatenate(parts) for parts in zip(*((b.number, b.log_time, b.payload) for b in same))))
+        sizes = np.cumsum([block.payload.nbytes for block in same]) // MERGED
+        for group in np.unique(sizes):
+            members = [block for block, size in zip(same, sizes) if size == group]
+            yield Block(
+                *(np.concatenate(parts) for parts in zip(*((b.number, b.log_time, b.payload) for b in members)))
+            )
 
 
 def _decode_block(
