@@ -1,13 +1,14 @@
-"""Draws the pictures of the documentation: python -m tests.viz.pictures (needs Chromium)."""
+"""Draws the pictures of the documentation: make demo && python -m tests.viz.pictures (needs Chromium)."""
 
 from __future__ import annotations
 
+import io
 import tempfile
 from pathlib import Path
 
+from PIL import Image
+
 from tests.viz.browser import Browser
-from vpptwin.demo import DIAGNOSED
-from vpptwin.diagnosis.command import diagnose_logs
 from vpptwin.estimation.replay import replay
 from vpptwin.logs import read_flight
 from vpptwin.twin.spec import load_twin
@@ -31,17 +32,23 @@ def draw_flip(out: Path) -> None:
             out.write_bytes(browser.take_picture())
 
 
-def draw_report(out: Path) -> None:
-    """The top of the report that `make demo` writes."""
-    flights = [ROOT / f"demo/flights/{name}.mcap" for name in DIAGNOSED]
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        diagnose_logs(flights, "nominal", Path(folder))
-        with Browser(Path(folder) / "profile", size=(1120, 800)) as browser:
-            browser.open(Path(folder) / "report.html")
-            browser.draw_frames()
-            out.write_bytes(browser.take_picture())
+def draw_report(report: Path, top: Path, force: Path) -> None:
+    """The top of the report that `make demo` has written, and its picture of the missing force."""
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        Browser(Path(folder) / "profile", size=(880, 1000)) as browser,
+    ):
+        browser.open(report)
+        browser.draw_frames()
+        top.write_bytes(browser.take_picture())
+        browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').scrollIntoView(); 0")
+        height = browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').offsetHeight")
+        browser.draw_frames()
+        picture = Image.open(io.BytesIO(browser.take_picture()))
+        picture.crop((0, 0, picture.width, round(height))).save(force)
 
 
 if __name__ == "__main__":
-    draw_report(ROOT / "docs/pictures/report.png")
-    draw_flip(ROOT / "docs/pictures/flip.png")
+    pictures = ROOT / "docs/pictures"
+    draw_report(ROOT / "out/demo/report.html", pictures / "report.png", pictures / "force.png")
+    draw_flip(pictures / "flip.png")
