@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.measurements import read_measurements
-from vpptwin.estimation.windows import cut_windows, simulate_windows
+from vpptwin.estimation.windows import cut_windows, fly_windows
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -23,7 +24,7 @@ class Prediction:
 
     Attributes:
         time: (T,) s on the flight's clock.
-        qpos: (T, nv) m, rad.
+        qpos: (T, nv) m, rad; where the twin is, not what its sensors show.
         qvel: (T, nv) m/s, rad/s.
         blade_pitch: command as the servos see it, (T, nu) rad (control input on other rigs).
         rotor_speed: (T, nu) rad/s; nominal where it was not measured.
@@ -50,7 +51,8 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     Raises:
         InputError: if the flight is shorter than one restart interval.
     """
-    measurements = read_measurements(spec, flight)
+    # Where the twin's sensors err, its state is not what they showed.
+    measurements = correct_measurements(read_measurements(spec, flight), Twin(spec, 1).constants)
     begin = measurements.start + 0.2
     available = measurements.end - begin
     length = available if restart is None else restart
@@ -63,7 +65,7 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     starts = begin + length * np.arange(int(available / length + 1e-9))
     windows = cut_windows(spec, measurements, starts, length, causal=True)
     twin = Twin(spec, len(windows))
-    pose, velocity = simulate_windows(twin, windows)
+    motion = fly_windows(twin, windows)
     every = max(round(1.0 / (rate * windows.dt)), 1)
     picked = slice(0, windows.steps, every)
     time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]
@@ -72,8 +74,8 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     nv, nu = spec.model.nv, spec.model.nu
     return Prediction(
         time=time.reshape(-1),
-        qpos=pose[:, :-1][:, picked].reshape(-1, nv),
-        qvel=velocity[:, :-1][:, picked].reshape(-1, nv),
+        qpos=motion.pose[:, :-1][:, picked].reshape(-1, nv),
+        qvel=motion.velocity[:, :-1][:, picked].reshape(-1, nv),
         blade_pitch=windows.command[:, picked].reshape(-1, nu),
         rotor_speed=speed[:, picked].reshape(-1, nu),
         restarts=starts,

@@ -208,14 +208,6 @@ class Motion(NamedTuple):
     rotor_speed: np.ndarray | None
 
 
-def simulate_windows(
-    twin: Twin, windows: Windows, disturbance: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pose and velocity of `fly_windows`."""
-    motion = fly_windows(twin, windows, disturbance)
-    return motion.pose, motion.velocity
-
-
 def fly_windows(twin: Twin, windows: Windows, disturbance: np.ndarray | None = None) -> Motion:
     """Drive a twin of len(windows) simulations through the windows.
 
