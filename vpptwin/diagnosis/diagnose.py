@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from vpptwin.diagnosis.bench import Key
 from vpptwin.diagnosis.flights import MAX_WINDOWS, build_bench, long_starts, split_flights, thin_out, window_length
 from vpptwin.diagnosis.holdout import HORIZONS_S, HeldOut
+from vpptwin.diagnosis.information import choose_judges, measure_information
 from vpptwin.diagnosis.leftover import judge_leftover
 from vpptwin.diagnosis.power import judge_power
 from vpptwin.diagnosis.search import Fit, Search
@@ -87,16 +88,20 @@ def search_and_judge(
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     window = window_length(spec)
-    split = split_flights(measurements, window)
+    unknowns = list_unknowns(spec)
+    judges: set[int] = set()
+    if len(flights) > 1:
+        stage("choosing the flights that judge")
+        judges = choose_judges(measure_information(spec, measurements, unknowns, progress))
+    split = split_flights(measurements, window, judges)
     stage("linearising the twin about the flights")
     bench = build_bench(spec, measurements, thin_out(split.fitted, MAX_WINDOWS), window, False, progress)
-    unknowns = list_unknowns(spec)
     search = Search(bench, unknowns)
     held_out = open_held_out(spec, measurements, split.held_out, progress)
     selection = select_causes(search, held_out, stage)
     stage("judging on held-out windows")
     fit = selection.fit
-    leftover = judge_leftover(held_out, fit.values)
+    leftover = judge_leftover(held_out, search, fit)
     verdict = conclude(spec, flights, measurements, search, held_out, selection, leftover.unexplained)
     ranking = rank_first(selection, search)
     return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,25 +84,24 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
     return starts
 
 
-def split_flights(measurements: Sequence[Measurements], window: float) -> Split:
-    """Hold out every third flight (at least one) where there are several, else every third block of the only one."""
+def split_flights(measurements: Sequence[Measurements], window: float, judges: Collection[int] = ()) -> Split:
+    """Hold out the flights `judges` where there are several, else every third block of the only one."""
     starts = list_starts(measurements, window)
     count = len(measurements)
     if count > 1:
-        out = set(range(count - max(count // 3, 1), count))
         empty = np.empty(0)
-        fitted = [empty if i in out else s for i, s in enumerate(starts)]
-        return Split(fitted, [s if i in out else empty for i, s in enumerate(starts)], True)
+        fitted = [empty if i in judges else s for i, s in enumerate(starts)]
+        return Split(fitted, [s if i in judges else empty for i, s in enumerate(starts)], True)
     since = starts[0] - starts[0][0]
     block = (since / min(BLOCK, (since[-1] + window) / 3.0) + 1e-9).astype(int)
-    judges, flight = block % 3 == 2, measurements[0]
-    if judges.sum() < MIN_JUDGES:
+    judging, flight = block % 3 == 2, measurements[0]
+    if judging.sum() < MIN_JUDGES:
         raise InputError(
-            f"{flight.name}: {flight.duration:.1f} s, of which {judges.sum()} windows can be held out",
+            f"{flight.name}: {flight.duration:.1f} s, of which {judging.sum()} windows can be held out",
             f"at least {3 * MIN_JUDGES * window + 2 * SETTLE + window:.0f} s, or several flights",
             "log a longer flight",
         )
-    return Split([starts[0][~judges]], [starts[0][judges]], False)
+    return Split([starts[0][~judging]], [starts[0][judging]], False)
 
 
 def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.channels import BIN
 from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, rotary_dofs, whiten_with
+from vpptwin.estimation.windows import Windows
 
 BLOCK = 1.5
 """Windows within this time [s] count as one when errors are resampled."""
@@ -122,15 +123,10 @@ class HeldOut:
                 squares[unit] = squares[unit] + near if unit in squares else near
         return squares
 
-    def blocks(self, bench: Bench) -> np.ndarray:
-        """Which block of flight every window of a bench belongs to, (K,): errors of neighbours are alike."""
-        block = np.floor(bench.windows.start / BLOCK).astype(int) + 10**6 * bench.windows.flight
-        return np.unique(block, return_inverse=True)[1]
-
     def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
         """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
         first, second = self.squares(before), self.squares(after)
-        blocks = self.blocks(self.long)
+        blocks = blocks_of(self.long.windows)
         named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
         result = {}
         for name, old in first.items():
@@ -148,7 +144,7 @@ class HeldOut:
         found = [self.chi2_by_window(values) for values in (without, after, before)]
         squares = np.stack([squares for squares, _ in found])
         number = found[0][1]
-        blocks = self.blocks(self.short)
+        blocks = blocks_of(self.short.windows)
         sums = np.stack([sum_blocks(row[:, None], blocks) for row in (*squares, number)])
         drawn = resample(sums)[..., 0]
         drawn = np.concatenate([sums.sum(axis=1).T, drawn])
@@ -156,6 +152,12 @@ class HeldOut:
         share = (drawn[:, 0] - drawn[:, 1]) / excess
         low, high = np.quantile(share[1:], [0.05, 0.95])
         return float(share[0]), (float(low), float(high))
+
+
+def blocks_of(windows: Windows) -> np.ndarray:
+    """Which block of flight every window belongs to, (K,): errors of neighbours are alike."""
+    block = np.floor(windows.start / BLOCK).astype(int) + 10**6 * windows.flight
+    return np.unique(block, return_inverse=True)[1]
 
 
 def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:

@@ -32,6 +32,8 @@ WORTH_A_REFIT = 8.0
 """Drop in cost by linearisation from which a suspect is refitted."""
 HOPE = 0.4
 """Share of a cause's drop in cost, by linearisation, from which a rival is refitted."""
+CHANCE = 0.25
+"""Share of the best suspect's drop in cost from which another is judged under its own likelihood."""
 POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
 SETTLED = 0.3
@@ -343,12 +345,13 @@ class Search:
         if against in starts:
             least = max(least, HOPE * starts.pop(against)[0].drop)
         names = [name for name in starts if starts[name][0].drop > least][:SHORTLIST]
-        tried = {}
+        found = {}
         for name in names:
             freed = fit.effects | {name}
-            found = [self.fit(freed, s.values, fit.about, fit.likelihood) for s in starts[name][:STARTS]]
-            tried[name] = self.own(min(found, key=lambda f: f.cost))
-        return Step(fit, tried)
+            refits = [self.fit(freed, s.values, fit.about, fit.likelihood) for s in starts[name][:STARTS]]
+            found[name] = min(refits, key=lambda f: f.cost)
+        most = max((fit.cost - f.cost for f in found.values()), default=0.0)
+        return Step(fit, {name: self.own(f) for name, f in found.items() if fit.cost - f.cost >= CHANCE * most})
 
     def without(self, fit: Fit, effect: str) -> Fit:
         """The fit without one of its effects, under its own likelihood."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.holdout import HeldOut, improvement
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, Fit, Search, Step
 from vpptwin.diagnosis.verdict import Rival
+from vpptwin.effects import Stage as EffectStage
 
 TEMPER = 1.5
 """Differences in evidence are divided by this before they become probabilities: no noise model is exact."""
@@ -25,6 +26,8 @@ POWERLESS = 25.0
 then named on twice the evidence, unless they speak against it."""
 TOLERANCES = 2.5
 """Build tolerances that a parameter must leave its nominal by before its effect is named."""
+KINSHIP = 0.05
+"""Share of a named cause's evidence that another effect of its kind must bring beside it."""
 BETTER = 2.0
 """Evidence by which a rival must be better to take a cause's place."""
 MOST_SWAPS = 4
@@ -58,15 +61,16 @@ class Selection:
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
     fit, barred, swaps = search.start, frozenset[str](), 0
+    brought: dict[str, float] = {}
     first: Step | None = None
     while True:
         named = ", ".join(sorted(fit.effects)) or "nothing yet"
         stage(f"trying suspects (named: {named})")
         step = search.extend(fit, barred)
         first = first or step
-        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e)), None)
+        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, brought)), None)
         if accepted is not None and len(fit.effects) < MAX_CAUSES:
-            best = step.tried[accepted]
+            best, brought[accepted] = step.tried[accepted], step.drop(accepted)
             fit = search.drop_superfluous(search.adopt(best.effects, best.values))
             barred |= step.before.effects - fit.effects
             continue
@@ -81,10 +85,15 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         swaps += 1
 
 
-def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str) -> bool:
-    """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better."""
+def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought: Mapping[str, float]) -> bool:
+    """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better.
+
+    Beside a cause that looks like it, it must bring a good part of what that cause `brought`: no law of friction is
+    exact, and what one leaves over another of its kind would mop up.
+    """
     tried, drop = step.tried[effect], step.drop(effect)
-    if drop < BAR:
+    kin = [drop for other, drop in brought.items() if other in tried.effects and look_alike(search, effect, other)]
+    if drop < BAR + KINSHIP * max(kin, default=0.0):
         return False
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
@@ -96,6 +105,15 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str) -> bool
     if (changed**2).sum() < POWERLESS:
         return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
     return gain > (1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error
+
+
+def look_alike(search: Search, first: str, second: str) -> bool:
+    """Whether two effects are hard to tell apart: by the catalogue, or as two kinds of dry friction on one joint."""
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    one, other = effects[first], effects[second]
+    if one.stage is other.stage is EffectStage.FRICTION and one.target == other.target:
+        return True
+    return second in one.look_alikes or first in other.look_alikes
 
 
 def replace_cause(search: Search, fit: Fit, effect: str) -> Step:

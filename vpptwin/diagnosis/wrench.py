@@ -9,7 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
 from vpptwin.diagnosis.holdout import HeldOut
-from vpptwin.diagnosis.likelihood import gust_std, whiten_with
+from vpptwin.diagnosis.likelihood import Response, gust_std, whiten_with
 from vpptwin.effects import Effect
 from vpptwin.twin.model import HINGE
 
@@ -36,10 +36,8 @@ class WrenchPlot:
     y_label: str
 
 
-def missing_wrench(held_out: HeldOut, values: Mapping[Key, float]) -> np.ndarray:
-    """Force pulses that explain the held-out windows' residuals, (K, segments, nv) N, N m."""
-    bench, response = held_out.short, held_out.response(values)
-    residual = held_out.residual(values)
+def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np.ndarray:
+    """Force pulses that explain the residuals (K, M) of a twin that responds so, (K, segments, nv) N, N m."""
     white = whiten_with(response.sensor_factor, residual)
     columns = whiten_with(response.sensor_factor, np.moveaxis(response.push, 2, 0))
     gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / WIDE**2
@@ -51,7 +49,7 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     """The missing force that an effect makes, on the joint it acts on or, for the craft, where it changes most."""
     bench = held_out.short
     model = bench.spec.model
-    before, after = missing_wrench(held_out, {}), missing_wrench(held_out, values)
+    before, after = (missing_wrench(bench, held_out.response(v), held_out.residual(v)) for v in ({}, values))
     joints = {model.joint(i).name: int(model.joint(i).dofadr[0]) for i in range(model.njnt)}
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench.spec) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
