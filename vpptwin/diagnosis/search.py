@@ -242,7 +242,7 @@ class Search:
             if unknown.effect.id in effects:
                 std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
             else:
-                tolerated[unknown.key] = float(about.at[i] + solution.deviation[i])
+                tolerated[unknown.key] = float(unknown.parameter.clip(about.at[i] + solution.deviation[i]))
         cost += float(likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
         return Fit(effects, point, std, cost, about, likelihood, tolerated)
 
