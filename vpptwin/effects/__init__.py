@@ -4,7 +4,7 @@ One list serves the model, the identification's unknowns, the randomization's ax
 the makers of hidden test data. This package imports nothing else of vpptwin.
 """
 
-from vpptwin.effects.base import Effect, Site, Stage
+from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage
 from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT, effects_for_rig, find_effect
 from vpptwin.effects.parameter import Parameter, Prior
 
@@ -12,9 +12,13 @@ __all__ = [
     "CATALOGUE",
     "GENERIC_ACTUATOR",
     "GENERIC_JOINT",
+    "Constants",
+    "Craft",
     "Effect",
+    "Motion",
     "Parameter",
     "Prior",
+    "Rotor",
     "Site",
     "Stage",
     "effects_for_rig",

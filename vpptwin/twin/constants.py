@@ -14,6 +14,7 @@ from vpptwin.engine.callback import installed
 from vpptwin.twin.kernel import Kernel
 from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.vehicle import Vehicle
 
 Key = tuple[str, str]
 """Effect id and parameter."""
@@ -55,7 +56,7 @@ class ConstantTable:
             self.values[effect_id, name] = self._column(self._columns[effect_id, name])
             self.values[effect_id, name][:] = spec.value(effects[effect_id], name)
         self.records = np.zeros(num_sims, kernel.constants)
-        self._nominal = nominal_constants(spec, self.records)
+        self._nominal = nominal_constants(spec.vehicle, self.records)
         self.table = {name: self.records[name] for name in kernel.constants.names or ()}
         written = {name for e in self._effects for name in e.writes}
         self._fields = sorted(written - set(self.table))
@@ -129,9 +130,9 @@ class ConstantTable:
         self._stale = None
 
 
-def nominal_constants(spec: TwinSpec, records: np.ndarray) -> dict[str, np.ndarray]:
+def nominal_constants(vehicle: Vehicle | None, records: np.ndarray) -> dict[str, np.ndarray]:
     """Constants of actuators and sensors of one simulation with no effect switched on, name → (...)."""
     nominal = {name: np.full(records[name].shape[1:], NOMINAL.get(name, 0.0)) for name in records.dtype.names or ()}
-    if spec.vehicle is not None:
-        nominal["actuator.time_constant"][:] = spec.vehicle.servo.time_constant
+    if vehicle is not None:
+        nominal["actuator.time_constant"][:] = vehicle.servo.time_constant
     return nominal

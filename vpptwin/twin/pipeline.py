@@ -14,6 +14,7 @@ from types import FunctionType
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from vpptwin.effects import Effect, Stage
 from vpptwin.effects.base import Motion
@@ -130,15 +131,38 @@ def function_name(effect: Effect) -> str:
 
 
 def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> str:
-    """A hash of texts, of the files that functions come from, and of the versions that compile them."""
+    """A hash of texts, of the files that functions come from, of values that they use, and of what compiles them."""
     digest = hashlib.sha256()
     for text in texts:
         digest.update(text.encode())
-    files = {inspect.getsourcefile(inspect.unwrap(f)) or "" for f in functions} | own_sources()
+    reached: dict[FunctionType, str] = {}
+    for function in functions:
+        reach(function, reached)
+    for captured in reached.values():
+        digest.update(captured.encode())
+    files = {inspect.getsourcefile(f) or "" for f in reached} | own_sources()
     for file in sorted(files):
         digest.update(Path(file).read_bytes() if Path(file).is_file() else b"")
     digest.update(versions().encode())
     return digest.hexdigest()[:20]
+
+
+def reach(function: Function, reached: dict[FunctionType, str]) -> None:
+    """Add to `reached` a function and those that it calls, with the closure's and the globals' values that they use.
+
+    Those are frozen into machine code, and a function made for one rig may have others than the same for the next.
+    """
+    plain = getattr(inspect.unwrap(function), "py_func", inspect.unwrap(function))
+    if not isinstance(plain, FunctionType) or plain in reached or plain.__module__.split(".")[0] in ("numpy", "numba"):
+        return
+    used = inspect.getclosurevars(plain)
+    held = {**used.globals, **used.nonlocals}
+    values = {name: value for name, value in held.items() if isinstance(value, (int, float, complex, str, tuple))}
+    arrays = {name: value.tobytes().hex() for name, value in held.items() if isinstance(value, np.ndarray)}
+    reached[plain] = f"{plain.__qualname__} {sorted((values | arrays).items())!r}"
+    for value in held.values():
+        if callable(value) and not isinstance(value, type):
+            reach(value, reached)
 
 
 @cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import shorten
@@ -55,6 +55,7 @@ class TwinFile(BaseModel):
     model: str
     vehicle: str | None = None
     effects: FileEffects = {}
+    effects_from: list[str] = []
     signals: Signals | None = None
     provenance: dict[str, object] | None = None
 
@@ -72,6 +73,7 @@ class TwinSpec:
         effects: what is switched on, id → parameter → value.
         signals: topics of joints and actuators; None for the drone.
         vehicle_file: where the vehicle was read from.
+        effect_files: Python files whose effects follow those of ours in the catalogue.
     """
 
     name: str
@@ -82,6 +84,7 @@ class TwinSpec:
     effects: EffectValues
     signals: Signals | None = None
     vehicle_file: Path | None = None
+    effect_files: tuple[Path, ...] = ()
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> TwinSpec:
         """The same rig with other effects switched on."""
@@ -134,23 +137,27 @@ def check_effects(
     return checked
 
 
-def load_twin(name: str | Path = "nominal") -> TwinSpec:
+def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] = ()) -> TwinSpec:
     """Read a twin.
 
     Args:
         name: `nominal` (the shipped rig, no effect switched on) or the path of a twin YAML.
+        effect_files: Python files with effects of the user's own, besides those that the YAML names. They are run.
 
     Raises:
-        InputError: if the file, the MJCF or the vehicle is missing or wrong, or an effect is unknown or out of bounds.
+        InputError: if a file is missing or wrong, or an effect is unknown or out of bounds.
     """
     if str(name) == "nominal":
-        return build_twin("nominal", TwinFile(model="rail_rig.xml", vehicle="vehicle.yaml"), Path.cwd())
+        file = TwinFile(model="rail_rig.xml", vehicle="vehicle.yaml")
+        return build_twin("nominal", file, Path.cwd(), list_effect_files([], effect_files))
     path = Path(name)
     try:
         content = yaml.safe_load(path.read_text())
         if not isinstance(content, dict):
             raise InputError(f"{path}: no YAML mapping", "keys model, vehicle, effects, signals", "see docs/twin.md")
-        return build_twin(str(name), TwinFile.model_validate(content), path.parent)
+        file = TwinFile.model_validate(content)
+        own = [path.parent / given for given in file.effects_from]
+        return build_twin(str(name), file, path.parent, list_effect_files(own, effect_files))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"no readable twin {path}", "`nominal` or a twin YAML", "check the path") from error
     except yaml.YAMLError as error:
@@ -173,7 +180,15 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     return f"{key} = {shorten(repr(first['input']), 60)}", expected.replace("dictionary", "mapping")
 
 
-def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
+def list_effect_files(*given: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Files with effects, each once, as they were named first."""
+    paths: dict[Path, Path] = {}
+    for path in (Path(file) for files in given for file in files):
+        paths.setdefault(path.resolve(), path)
+    return tuple(paths.values())
+
+
+def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path, ...] = ()) -> TwinSpec:
     """Resolve the files that a twin names, compile the model and check the effects."""
     model_file = find_model_file(file.model, folder)
     vehicle_file = find_model_file(file.vehicle, folder) if file.vehicle else None
@@ -193,8 +208,13 @@ def build_twin(name: str, file: TwinFile, folder: Path) -> TwinSpec:
         driven = file.signals.driven if file.signals is not None else {}
         joints = [joint for joint in describe_joints(model) if joint[0] not in driven]
         catalogue = effects_for_rig(joints, actuators)
+    if effect_files:
+        from vpptwin.twin.effect_file import Rig, extend_catalogue  # which brings the compiler
+
+        driven_joints = frozenset(file.signals.driven if file.signals is not None else {})
+        catalogue = extend_catalogue(catalogue, effect_files, Rig(model, vehicle, driven_joints), vehicle)
     effects = check_effects(file.effects, catalogue, name)
-    return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file)
+    return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files)
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:

@@ -1,0 +1,152 @@
+"""Whether a user's effect is one that the rig at hand can have: its declaration, place and arguments."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+
+from vpptwin.effects import Effect, Parameter, Prior, Stage
+from vpptwin.errors import InputError
+from vpptwin.twin.model import missing_parts
+from vpptwin.vehicle import Vehicle
+
+FOLLOWS = ("velocity", "position", "command", "command change")
+KINDS = ("normal", "uniform", "halfnormal")
+SEE = "see docs/own_effects.md"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What an effect is to act on.
+
+    Attributes:
+        model: the MuJoCo model.
+        vehicle: nominal numbers of the drone; None for other rigs.
+        driven: joints that follow their log.
+    """
+
+    model: mujoco.MjModel
+    vehicle: Vehicle | None
+    driven: frozenset[str] = frozenset()
+
+
+def check_effect(effect: Effect, where: str, rig: Rig, known: tuple[str, ...]) -> None:
+    """Refuse an effect that is not one, or not one of this rig.
+
+    Args:
+        effect: off values bound to the vehicle.
+        where: file and effect, for messages.
+        rig: at hand.
+        known: ids of all effects that it may name as look-alikes.
+
+    Raises:
+        InputError: naming the first mistake.
+    """
+    check_declaration(effect, where, known)
+    for parameter in effect.parameters:
+        check_parameter(parameter, f"{where}: parameter {parameter.name}")
+    check_place(effect, where, rig)
+    check_arguments(effect, where)
+
+
+def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> None:
+    """Check id, stage, parameters' names and the names of other effects."""
+    if not re.fullmatch(r"[A-Za-z]\w*(\.\w+)+", str(effect.id), flags=re.ASCII):
+        expected = "two words with a dot between, such as rail_x.cogging"
+        raise InputError(f"{where}: id {effect.id!r}", expected, "rename it")
+    if not isinstance(effect.stage, Stage):
+        raise InputError(f"{where}: stage {effect.stage!r}", f"one of {', '.join(map(str, Stage))}", SEE)
+    if not callable(effect.apply):
+        raise InputError(f"{where}: apply {effect.apply!r}", "a function", SEE)
+    if isinstance(effect.parameters, str) or not effect.parameters:
+        raise InputError(f"{where}: no parameters", "a tuple with at least one Parameter", SEE)
+    for parameter in effect.parameters:
+        if not isinstance(parameter, Parameter):
+            raise InputError(f"{where}: parameter {parameter!r}", "a Parameter", SEE)
+        if not re.fullmatch(r"[A-Za-z]\w*", str(parameter.name), flags=re.ASCII):
+            raise InputError(f"{where}: parameter {parameter.name!r}", "a word, such as force", "rename it")
+    names = [parameter.name for parameter in effect.parameters]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}: parameters {', '.join(names)}", "each name once", "rename one")
+    if effect.follows not in FOLLOWS:
+        raise InputError(f"{where}: follows {effect.follows!r}", f"one of {', '.join(FOLLOWS)}", "correct it")
+    for kind, ids in (("look_alikes", effect.look_alikes), ("modifies", effect.modifies)):
+        if isinstance(ids, str):
+            raise InputError(f"{where}: {kind} {ids!r}", f"a tuple of ids: ({ids!r},)", "add brackets and a comma")
+        for other in ids:
+            if other not in known:
+                close = difflib.get_close_matches(other, known, n=1) or ["rail_x.coulomb"]
+                raise InputError(f"{where}: {kind} {other!r}", f"an id such as {close[0]}", "correct it")
+
+
+def check_parameter(parameter: Parameter, where: str) -> None:
+    """Check that the numbers of a parameter are numbers and in order."""
+    p, prior = parameter, parameter.prior
+    if not isinstance(prior, Prior) or prior.kind not in KINDS:
+        raise InputError(f"{where}: prior {prior}", 'one such as Prior("normal", 0.0, 0.1)', "correct it")
+    numbers = {"off": p.off, "low": p.low, "high": p.high, "size": p.size, "tolerance": p.tolerance, "prior": prior.a,
+               "spread of the prior": prior.b}  # fmt: skip
+    for name, value in numbers.items():
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise InputError(f"{where}: {name} {value!r}", "a finite number", "correct it")
+    if not p.low <= p.off <= p.high or p.low == p.high:
+        bounds = f"low {p.low:g}, off {p.off:g}, high {p.high:g}"
+        raise InputError(f"{where}: {bounds}", "low ≤ off ≤ high, and room between", "correct the bounds")
+    if not 0.0 < p.size <= p.high - p.low:
+        expected = "a typical size above 0 that fits between the bounds"
+        raise InputError(f"{where}: size {p.size:g}", expected, "correct it")
+    if p.tolerance < 0.0:
+        raise InputError(f"{where}: tolerance {p.tolerance:g}", "0 or more", "correct it")
+
+
+def check_place(effect: Effect, where: str, rig: Rig) -> None:
+    """Check that the rig has what the effect acts on."""
+    model, target = rig.model, effect.target
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    bodies = [model.body(i).name for i in range(model.nbody)]
+    on_joint = effect.stage is Stage.FRICTION or (effect.stage is Stage.FORCE and bool(target))
+    if on_joint and target not in joints:
+        listed = ", ".join(filter(None, joints)) or "none, as the MJCF names no joint"
+        action = "correct it, or leave the file out"
+        raise InputError(f"{where}: target {target!r}", f"a joint of the rig: {listed}", action)
+    if on_joint and target in rig.driven:
+        found = f"{where}: target {target!r}, which follows its log"
+        raise InputError(found, "a joint that is simulated", "list it under joints in the twin, not under driven")
+    if effect.stage is Stage.CONSTANT and target and target not in [*joints, *actuators, *bodies]:
+        listed = ", ".join(filter(None, [*joints, *actuators, *bodies]))
+        raise InputError(f"{where}: target {target!r}", f"a joint, actuator or body of the rig: {listed}", "correct it")
+    if not on_joint and effect.stage is not Stage.CONSTANT and rig.vehicle is None:
+        acts = "thrust" if effect.stage is Stage.THRUST else "the craft"
+        expected = "effects on joints, as the rig is not the drone"
+        raise InputError(f"{where} acts on {acts}", expected, "give it a target")
+    missing = missing_parts(model, effect)
+    if missing:
+        raise InputError(f"{where} needs {' and '.join(missing)}", "a model with it", "leave the file out")
+
+
+def check_arguments(effect: Effect, where: str) -> None:
+    """Check that the function takes what its stage gives, and then the parameters in their order."""
+    names = [parameter.name for parameter in effect.parameters]
+    inputs = {
+        Stage.CONSTANT: ["constants", "site"], Stage.THRUST: ["thrust", "rotor"], Stage.FRICTION: ["level", "motion"],
+        Stage.FORCE: ["motion" if effect.target else "craft"],
+    }[effect.stage]  # fmt: skip
+    taken = list_arguments(effect.apply)
+    if len(taken) != len(inputs) + len(names) or taken[len(inputs) :] != names:
+        found = f"{where}: {getattr(effect.apply, '__name__', 'apply')}({', '.join(taken)})"
+        expected = f"({', '.join([*inputs, *names])}), what {effect.stage} gives and the parameters in their order"
+        raise InputError(found, expected, "correct its arguments")
+
+
+def list_arguments(function: Callable[..., object]) -> list[str]:
+    """Names of a function's arguments, `*` before those that stand for many; of a compiled one those of its Python."""
+    stars = {"VAR_POSITIONAL": "*", "VAR_KEYWORD": "**"}
+    given = inspect.signature(getattr(function, "py_func", function)).parameters.values()
+    return [stars.get(argument.kind.name, "") + argument.name for argument in given]
