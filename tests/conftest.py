@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
 import pytest
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_configure() -> None:
+    """Draw the seed of what is hidden in flights, unless it is given; workers of xdist inherit it."""
+    os.environ.setdefault("VPPTWIN_SEED", str(int.from_bytes(os.urandom(4))))
+
+
+def pytest_report_header() -> str:
+    """Print the seed, so that a run can be repeated even where nothing failed."""
+    return f"VPPTWIN_SEED={os.environ['VPPTWIN_SEED']}"
 
 
 @pytest.fixture(scope="session")

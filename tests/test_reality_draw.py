@@ -11,7 +11,6 @@ from tests.reality import (
     LOOK_ALIKES,
     draw_effect,
     draw_together,
-    fly,
     fly_many,
     measure_strength,
     true_size,
@@ -27,6 +26,7 @@ def test_strength_tells_faint_from_ordinary(effect: str) -> None:
     rng = np.random.default_rng()
     for _ in range(20):
         assert measure_strength(effect, draw_effect(rng, (effect,))[effect]) > 1 - 1e-3
+        assert measure_strength(effect, draw_effect(rng, (effect,), least=0.5)[effect]) > 1 + 1e-3
         assert 0.4 - 1e-3 < measure_strength(effect, draw_effect(rng, (effect,), 0.4)[effect]) < 1 + 1e-3
 
 
@@ -67,10 +67,10 @@ def test_true_size_has_the_tolerance_of_the_rig() -> None:
 
 
 def test_distractors_are_small() -> None:
-    """Thrust ripple and gyro wander move a flight of 4 s by less than gusts of 1 % of weight do."""
+    """Thrust ripple and gyro wander move a flight of 2 s by less than gusts of 1 % of weight do."""
     calm, small, gusty = fly_many(
         [
-            {"manoeuvre": "x_steps", "duration": 4.0, "seed": 9, "gusts": gusts, "distractors": distractors}
+            {"manoeuvre": "x_steps", "duration": 2.0, "seed": 9, "gusts": gusts, "distractors": distractors}
             for gusts, distractors in ((False, False), (False, True), (True, False))
         ]
     )
@@ -82,7 +82,7 @@ def test_distractors_are_small() -> None:
 
 def test_outliers_are_in_the_log_only() -> None:
     """About one recorded pose in 200 is far off; the flight itself is the same."""
-    plain, wild = (fly({}, "hover", 20.0, 3, outliers=outliers) for outliers in (False, True))
+    plain, wild = fly_many([{"manoeuvre": "hover", "duration": 6.0, "seed": 3, "outliers": o} for o in (False, True)])
     np.testing.assert_array_equal(plain.truth["position"], wild.truth["position"])
     off = wild.topics["/mocap/pose"].columns["x"] != plain.topics["/mocap/pose"].columns["x"]
-    assert 0.001 < off.mean() < 0.01
+    assert 0.001 < off.mean() < 0.015

@@ -34,20 +34,29 @@ class Size:
         """The value from which strength counts."""
         return self.off if self.idle is None else self.idle
 
-    def draw(self, rng: np.random.Generator) -> float:
-        """Draw one size, rounded to five digits so that a printed failure can be flown again."""
-        low, high = self.spans[rng.integers(len(self.spans))]
-        return float(f"{rng.uniform(low, high):.5g}")
+    def draw(self, rng: np.random.Generator, least: float = 0.0) -> float:
+        """Draw one size, rounded to five digits so that a printed failure can be flown again.
+
+        Args:
+            rng: Source of randomness.
+            least: Share of the span, from its faint end on, that is left out.
+        """
+        near, far = self._from_faint_end(self.spans[rng.integers(len(self.spans))])
+        return float(f"{near + rng.uniform(least, 1.0) * (far - near):.5g}")
 
     def draw_faint(self, rng: np.random.Generator, least: float) -> float:
         """Draw a size of strength `least` to 1: below all that `draw` gives."""
-        span = self.spans[rng.integers(len(self.spans))]
-        edge = min(span, key=lambda end: abs(end - self.nothing))
-        return float(f"{self.nothing + rng.uniform(least, 1.0) * (edge - self.nothing):.5g}")
+        near, _ = self._from_faint_end(self.spans[rng.integers(len(self.spans))])
+        return float(f"{self.nothing + rng.uniform(least, 1.0) * (near - self.nothing):.5g}")
+
+    def _from_faint_end(self, span: tuple[float, float]) -> tuple[float, float]:
+        """The ends of a span, the one closer to nothing first."""
+        near, far = sorted(span, key=lambda end: abs(end - self.nothing))
+        return near, far
 
     def measure_strength(self, value: float) -> float:
         """Distance from nothing over that of the faint end of the value's span: 1 is the least that `draw` gives."""
-        edges = [min(span, key=lambda end: abs(end - self.nothing)) for span in self.spans]
+        edges = [self._from_faint_end(span)[0] for span in self.spans]
         edge = next((e for e in edges if (e - self.nothing) * (value - self.nothing) > 0.0), edges[0])
         return abs(value - self.nothing) / abs(edge - self.nothing)
 
@@ -149,7 +158,7 @@ LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
 
 
 def draw_effect(
-    rng: np.random.Generator, among: Sequence[str] = tuple(CORE), faint: float | None = None
+    rng: np.random.Generator, among: Sequence[str] = tuple(CORE), faint: float | None = None, least: float = 0.0
 ) -> dict[str, dict[str, float]]:
     """Draw one hidden effect with its size and sign.
 
@@ -157,24 +166,25 @@ def draw_effect(
         rng: Source of randomness.
         among: Effect ids to choose from.
         faint: Least strength of an effect that is to be fainter than its spans; None for one within them.
+        least: Share of the first parameter's span, from its faint end on, that is left out.
 
     Returns:
         {id: {parameter: value in SI}}.
     """
     effect = among[int(rng.integers(len(among)))]
-    values = {name: size.draw(rng) for name, size in EFFECTS[effect].items()}
-    if faint is not None:
-        strength = next(iter(values))
-        values[strength] = EFFECTS[effect][strength].draw_faint(rng, faint)
-    return {effect: values}
+    (strength, first), *shape = EFFECTS[effect].items()
+    size = first.draw(rng, least) if faint is None else first.draw_faint(rng, faint)
+    return {effect: {strength: size} | {name: other.draw(rng) for name, other in shape}}
 
 
-def draw_together(rng: np.random.Generator, count: int, among: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Draw several hidden effects, no two of them look-alikes."""
+def draw_together(
+    rng: np.random.Generator, count: int, among: Sequence[str], least: float = 0.0
+) -> dict[str, dict[str, float]]:
+    """Draw several hidden effects, no two of them look-alikes; `least` as in `draw_effect`."""
     while True:
         chosen = [among[int(i)] for i in rng.choice(len(among), count, replace=False)]
         if all(len(group.intersection(chosen)) < 2 for group in LOOK_ALIKES):
-            return {k: v for effect in chosen for k, v in draw_effect(rng, (effect,)).items()}
+            return {k: v for effect in chosen for k, v in draw_effect(rng, (effect,), least=least).items()}
 
 
 def measure_strength(effect: str, values: Mapping[str, float]) -> float:
