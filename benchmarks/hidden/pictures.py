@@ -100,8 +100,8 @@ def draw_detection(cases: Sequence[Case], path: Path) -> None:
 def draw_rates(axes: plt.Axes, points: Sequence[tuple[float, Rate]], label: str, colour: str) -> None:
     """Rates with their 95 % intervals."""
     x, y = [p for p, _ in points], [rate.share for _, rate in points]
-    down = [rate.share - rate.interval[0] for _, rate in points]
-    up = [rate.interval[1] - rate.share for _, rate in points]
+    down = [max(rate.share - rate.interval[0], 0.0) for _, rate in points]  # rounding may lead below 0
+    up = [max(rate.interval[1] - rate.share, 0.0) for _, rate in points]
     axes.errorbar(x, y, yerr=[down, up], marker="o", capsize=2, color=colour, label=label)
 
 
