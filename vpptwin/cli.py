@@ -72,6 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     effects = commands.add_parser("effects", help="list the catalogue of effects")
     effects.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
+    add_effects(effects)
     effects.add_argument("--markdown", action="store_true", help="as a Markdown table")
     effects.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
     effects.set_defaults(run=run_effects)
@@ -94,6 +95,7 @@ def build_parser() -> argparse.ArgumentParser:
         "log", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the split files of one recording"
     )
     play.add_argument("--twin", help="`nominal` or a twin YAML, driven by the log's commands")
+    add_effects(play)
     play.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
     play.add_argument("--free", action="store_true", help="let the twin run freely from the start")
     play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
@@ -111,6 +113,7 @@ def build_parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--tracks", type=int, default=1000)
     evaluate.add_argument("--seed", type=int, default=0)
     evaluate.add_argument("--twin", default="nominal")
+    add_effects(evaluate)
     evaluate.add_argument("--json", type=Path)
     evaluate.set_defaults(run=run_evaluate)
     return parser
@@ -125,6 +128,7 @@ def add_fly(fly: argparse.ArgumentParser) -> None:
     fly.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
     fly.add_argument("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
     fly.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add_effects(fly)
     fly.add_argument("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
     fly.add_argument("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
     fly.add_argument("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
@@ -136,7 +140,16 @@ def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
     parser.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add_effects(parser)
     add_topic_map(parser)
+
+
+def add_effects(parser: argparse.ArgumentParser) -> None:
+    """The argument that adds effects of the user's own."""
+    parser.add_argument(
+        "--effects", type=Path, action="append", default=[], metavar="FILE",
+        help="a Python file with effects of your own, which is run; may be given several times",
+    )  # fmt: skip
 
 
 def add_topic_map(parser: argparse.ArgumentParser) -> None:
@@ -149,7 +162,7 @@ def run_effects(options: argparse.Namespace) -> None:
     from vpptwin.effects.table import print_catalogue
     from vpptwin.twin.spec import load_twin
 
-    spec = load_twin(options.twin)
+    spec = load_twin(options.twin, options.effects)
     if options.pictures and spec.vehicle is None:
         raise InputError(
             f"{spec.name} is not the drone", "the drone, which the pictures' flight is for", "leave it out"
@@ -171,14 +184,14 @@ def run_diagnose(options: argparse.Namespace) -> None:
         if log.resolve() in [other.resolve() for other in options.logs[:i]]:
             expected = "every flight once, as those that judge must not be those that are fitted"
             raise InputError(f"{log} is given twice", expected, "leave one out")
-    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json)
+    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
 
 
 def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
     from vpptwin.diagnosis.compare import compare_logs
 
-    compare_logs(options.logs, options.twin, options.json, options.topic_map)
+    compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
 
 
 def run_play(options: argparse.Namespace) -> None:
@@ -186,7 +199,7 @@ def run_play(options: argparse.Namespace) -> None:
     from vpptwin.viz.command import play_log
 
     restart = None if options.free else options.restart
-    play_log(options.log, options.twin, options.html, restart, options.topic_map)
+    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects)
 
 
 def run_fly(options: argparse.Namespace) -> None:
@@ -200,7 +213,7 @@ def run_fly(options: argparse.Namespace) -> None:
     scripted = check_pilot(options)
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}", "a number from 0 on", "choose another")
-    spec = load_twin(options.twin)
+    spec = load_twin(options.twin, options.effects)
     vehicle, out = require_drone(spec), check_out(options.out)
     pilot: Pilot
     if scripted:
@@ -247,7 +260,8 @@ def run_evaluate(options: argparse.Namespace) -> None:
     """`vpptwin evaluate`."""
     from vpptwin.train.evaluate import run_evaluate as evaluate
 
-    result = evaluate(options.checkpoint, options.task, options.tracks, options.seed, options.twin, options.json)
+    own = [str(file) for file in options.effects]
+    result = evaluate(options.checkpoint, options.task, options.tracks, options.seed, options.twin, options.json, own)
     print(json.dumps(result, indent=2))
 
 

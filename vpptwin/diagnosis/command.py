@@ -31,8 +31,9 @@ VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
 
 
 def diagnose_logs(
-    logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None
-) -> Verdict:
+    logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
+    effects: Sequence[Path] = (),
+) -> Verdict:  # fmt: skip
     """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
 
     Args:
@@ -41,13 +42,15 @@ def diagnose_logs(
         out: folder of results.
         topic_map: YAML that renames topics of other people's bags.
         json: another place for the verdict; `-` prints it to standard output instead of the summary.
+        effects: Python files with effects of the user's own.
 
     Raises:
         InputError: on bad logs, a bad twin, or a folder that cannot be written; old results are left as they were.
     """
     arguments = ["diagnose", *map(str, logs), "--twin", twin, "--out", str(out)]
     arguments += ["--topic-map", str(topic_map)] if topic_map is not None else []
-    spec = load_twin(twin)
+    arguments += [part for file in effects for part in ("--effects", str(file))]
+    spec = load_twin(twin, effects)
     flights = [read_flight(log, topic_map) for log in logs]
     if json is not None:
         check_target(json)

@@ -21,13 +21,15 @@ from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import load_twin
 
 
-def compare_logs(logs: Sequence[Path], twin: str, json: Path | None, topic_map: Path | None = None) -> Score:
+def compare_logs(
+    logs: Sequence[Path], twin: str, json: Path | None, topic_map: Path | None = None, effects: Sequence[Path] = ()
+) -> Score:
     """Score a twin on whole logs and print (and write) the errors over the horizon.
 
     Raises:
         InputError: on bad logs, a bad twin, or a file that cannot be written.
     """
-    spec = load_twin(twin)
+    spec = load_twin(twin, effects)
     flights = [read_flight(log, topic_map) for log in logs]
     if json is not None:
         check_target(json)

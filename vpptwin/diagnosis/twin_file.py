@@ -43,6 +43,8 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
     if spec.vehicle_file is not None:
         content["vehicle"] = name_file(spec.vehicle_file, folder)
     content["effects"] = effects
+    if spec.effect_files:
+        content["effects_from"] = [os.path.relpath(file.resolve(), folder.resolve()) for file in spec.effect_files]
     if spec.signals is not None:
         content["signals"] = spec.signals.model_dump()
     intervals = {

@@ -44,6 +44,7 @@ class TrainConfig:
     Attributes:
         task: what to fly.
         twin: `nominal` or a twin YAML.
+        effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
         resume: folder of a run to continue; besides it only total_steps, the threads and progress can be given.
         seed: the same seed gives the same run.
@@ -73,6 +74,7 @@ class TrainConfig:
 
     task: Task = MISSING
     twin: str = "nominal"
+    effects: list[str] = field(default_factory=list)
     out: str | None = None
     resume: str | None = None
     seed: int = 0

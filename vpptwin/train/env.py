@@ -217,7 +217,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None) -> VppEnv:
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
-    spec = load_twin(config.twin)
+    spec = load_twin(config.twin, config.effects)
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
     randomized = [e.id for e in spec.catalogue] if ALL in config.randomize else config.randomize

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,7 @@ def evaluate(
     seed: int = 1_000_000,
     twin: str | None = None,
     noise: float = 0.0,
+    effects: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Measure a policy on random initial states.
 
@@ -71,6 +73,7 @@ def evaluate(
         seed: of the initial states.
         twin: `nominal` or a twin YAML; by default that of training.
         noise: sensor noise, 1 = that of vehicle.yaml.
+        effects: Python files with effects of the user's own; those of training come with the twin of training.
 
     Returns:
         Plain data: position errors [m] of the flights that did not fail, fail rate, success share and provenance.
@@ -82,7 +85,8 @@ def evaluate(
         raise InputError(f"tracks={tracks}", "at least 1", "ask for more, e.g. --tracks 100")
     content = read_checkpoint(checkpoint)
     policy, trained = build_policy(content, checkpoint)
-    env = make_env(configure_flights(trained, task, tracks, seed, twin, noise))
+    config = configure_flights(trained, task, tracks, seed, twin, noise)
+    env = make_env(replace(config, effects=[*(config.effects if twin is None else ()), *effects]))
     measured = fly_tracks(env, policy)
     flown = measured["position_error"][~measured["failed"]]
     limits = env.task.success
@@ -119,14 +123,15 @@ def summarize(errors: np.ndarray) -> dict[str, float | None]:
 
 
 def run_evaluate(
-    checkpoint: Path | str, task: str | None, tracks: int, seed: int, twin: str | None, json_path: Path | str | None
-) -> dict[str, Any]:
+    checkpoint: Path | str, task: str | None, tracks: int, seed: int, twin: str | None, json_path: Path | str | None,
+    effects: Sequence[str] = (),
+) -> dict[str, Any]:  # fmt: skip
     """`evaluate`, and write the result as JSON unless `json_path` is None.
 
     Raises:
         InputError: as `evaluate`, and if the file cannot be written.
     """
-    result = evaluate(checkpoint, task, tracks, seed, twin)
+    result = evaluate(checkpoint, task, tracks, seed, twin, effects=effects)
     if json_path is not None:
         path = Path(json_path)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")

@@ -69,8 +69,8 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
 
 def write_list(override: Override) -> str:
     """The text of an override, a single name given for a list as a list of one: `randomize=all`."""
-    text, value = str(override.input_line), override.value()
-    return f"randomize=[{value}]" if override.key_or_group == "randomize" and isinstance(value, str) else text
+    text, value, key = str(override.input_line), override.value(), override.key_or_group
+    return f"{key}=[{value}]" if key in ("randomize", "effects") and isinstance(value, str) else text
 
 
 def list_options(node: object = None, prefix: str = "") -> list[str]:

@@ -19,6 +19,7 @@ def play_log(
     html: Path | None,
     restart: float | None = 0.5,
     topic_map: Path | None = None,
+    effects: Sequence[Path] = (),
 ) -> None:
     """Play one recording.
 
@@ -28,10 +29,11 @@ def play_log(
         html: the page to write; None serves meshcat until Ctrl-C.
         restart: seconds between the twin's restarts; None lets it run freely.
         topic_map: YAML that renames topics of other people's bags.
+        effects: Python files with effects of the user's own.
     """
     if restart is not None and not restart > 0.0:
         raise InputError(f"--restart {restart:g}", "seconds above 0", "use --free for a twin that is never restarted")
-    spec = load_twin(twin or "nominal")
+    spec = load_twin(twin or "nominal", effects)
     flight = read_flight(list(logs), topic_map)
     if twin is None:
         check_craft(flight)
