@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.bench import Key
+from vpptwin.diagnosis.experiment import propose_experiment
 from vpptwin.diagnosis.flights import MAX_WINDOWS, build_bench, long_starts, split_flights, thin_out, window_length
 from vpptwin.diagnosis.holdout import HORIZONS_S, HeldOut
 from vpptwin.diagnosis.information import choose_judges, measure_information
 from vpptwin.diagnosis.leftover import judge_leftover
 from vpptwin.diagnosis.power import judge_power
+from vpptwin.diagnosis.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.search import Fit, Search
-from vpptwin.diagnosis.selection import Selection, select_causes
+from vpptwin.diagnosis.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.suspects import Unknown, list_unknowns
-from vpptwin.diagnosis.verdict import Cause, Estimate, Unexplained, Verdict
+from vpptwin.diagnosis.verdict import Cause, Estimate, Experiment, Unexplained, Verdict
 from vpptwin.diagnosis.wrench import WrenchPlot
+from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
-
-if TYPE_CHECKING:
-    from vpptwin.diagnosis.preflight import Preflight
 
 SOBER = 0.5
 """Confidence is halved where more than half of the missing force stays unexplained: the true cause may be unknown."""
@@ -78,13 +77,50 @@ def diagnose(
     """
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        return search_and_judge(spec, flights, stage, progress)
+        material = prepare(spec, flights, stage, progress)
+        return judge(spec, flights, material, select_causes(material.search, material.held_out, stage), stage)
 
 
-def search_and_judge(
-    spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None
+def fit_causes(
+    spec: TwinSpec,
+    flights: Sequence[Flight],
+    effects: Sequence[str],
+    stage: Stage = lambda text: None,
+    progress: Callable[[int], None] | None = None,
 ) -> Diagnosis:
-    """The work of `diagnose`."""
+    """Fit exactly these effects and judge them as `diagnose` does: what knowing the true causes would give.
+
+    Args:
+        spec: the twin.
+        flights: logs.
+        effects: ids, whatever the evidence for them.
+        stage: told what is being done.
+        progress: told how many inner steps were simulated.
+
+    Raises:
+        InputError: as `diagnose`.
+        KeyError: if the catalogue lacks an effect.
+    """
+    for effect in effects:
+        find_effect(spec.catalogue, effect)
+    with threadpool_limits(limits=1, user_api="blas"):
+        material = prepare(spec, flights, stage, progress)
+        return judge(spec, flights, material, impose_causes(material.search, effects), stage)
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a diagnosis works on: the flights' measurements, windows that are fitted, and windows that judge."""
+
+    measurements: list[Measurements]
+    search: Search
+    held_out: HeldOut
+
+
+def prepare(
+    spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None
+) -> Material:
+    """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     window = window_length(spec)
@@ -97,14 +133,31 @@ def search_and_judge(
     stage("linearising the twin about the flights")
     bench = build_bench(spec, measurements, thin_out(split.fitted, MAX_WINDOWS), window, False, progress)
     search = Search(bench, unknowns)
-    held_out = open_held_out(spec, measurements, split.held_out, progress)
-    selection = select_causes(search, held_out, stage)
+    return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress))
+
+
+def judge(
+    spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, stage: Stage
+) -> Diagnosis:
+    """The verdict on selected causes."""
+    search, held_out, fit = material.search, material.held_out, selection.fit
     stage("judging on held-out windows")
-    fit = selection.fit
     leftover = judge_leftover(held_out, search, fit)
-    verdict = conclude(spec, flights, measurements, search, held_out, selection, leftover.unexplained)
+    verdict = conclude(spec, flights, material, selection, leftover.unexplained)
+    if any(cause.also_explained_by for cause in verdict.causes):
+        stage("looking for the manoeuvre that tells rivals apart")
+        verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
+    preflight = [inspect_flight(spec, measured) for measured in material.measurements]
     ranking = rank_first(selection, search)
-    return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot)
+    return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot, preflight)
+
+
+def suggest_experiment(
+    spec: TwinSpec, search: Search, selection: Selection, causes: Sequence[Cause]
+) -> Experiment | None:
+    """The manoeuvre for the cause whose rivals are most probable."""
+    doubtful = max(causes, key=lambda cause: sum(rival.confidence for rival in cause.also_explained_by)).effect
+    return propose_experiment(spec, [selection.fit, *selection.instead[doubtful]], search.unknowns)
 
 
 def open_held_out(
@@ -123,14 +176,13 @@ def open_held_out(
 def conclude(
     spec: TwinSpec,
     flights: Sequence[Flight],
-    measurements: Sequence[Measurements],
-    search: Search,
-    held_out: HeldOut,
+    material: Material,
     selection: Selection,
     unexplained: Unexplained,
 ) -> Verdict:
     """Put the verdict together."""
-    fit, nominal = selection.fit, dict[Key, float]()
+    search, held_out, fit = material.search, material.held_out, selection.fit
+    nominal: dict[Key, float] = {}
     before, after = held_out.score(nominal), held_out.score(fit.values)
     sober = SOBER if unexplained.significant and unexplained.share > 0.5 else 1.0
     causes = []
@@ -167,7 +219,7 @@ def conclude(
         improvement=held_out.change(nominal, fit.values) if causes else {},
         warnings=[
             f"{flight.path.name}: {warning}"
-            for flight, measured in zip(flights, measurements)
+            for flight, measured in zip(flights, material.measurements)
             for warning in (*flight.warnings, *measured.warnings)
         ],
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vpptwin.diagnosis.holdout import HeldOut, improvement
-from vpptwin.diagnosis.search import BAR, MAX_CAUSES, Fit, Search, Step
+from vpptwin.diagnosis.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
 from vpptwin.diagnosis.verdict import Rival
 from vpptwin.effects import Stage as EffectStage
 
@@ -43,12 +43,14 @@ class Selection:
         fit: the causes fitted together.
         first: the first step of the search, which ranks every suspect as the only cause.
         rivals: cause → effects that explain the fitted windows nearly as well in its place.
+        instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
     """
 
     fit: Fit
     first: Step
     rivals: dict[str, list[Rival]]
+    instead: dict[str, list[Fit]]
     evidence: dict[str, float]
 
     def confidence(self, effect: str) -> float:
@@ -80,9 +82,23 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         if better is None:
             rivals = {effect: weigh_rivals(fit, step) for effect, step in replaced.items()}
             evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
-            return Selection(fit, first, rivals, evidence)
+            instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
+            return Selection(fit, first, rivals, instead, evidence)
         fit = search.drop_superfluous(search.adopt(better.effects, better.values))
         swaps += 1
+
+
+def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
+    """Fit exactly these effects, whatever the evidence for them: what somebody who knows the truth would find."""
+    fit = search.start
+    first = search.extend(fit)
+    for effect in effects:
+        starts = [start for start in search.rank(fit) if start.effect == effect][:STARTS]
+        freed = fit.effects | {effect}
+        found = [search.own(search.fit(freed, s.values, fit.about, fit.likelihood)) for s in starts]
+        best = min(found, key=lambda f: f.cost)
+        fit = search.adopt(best.effects, best.values)
+    return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought: Mapping[str, float]) -> bool:
