@@ -21,7 +21,7 @@ from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
 Effects = dict[str, dict[str, float]]
-# One flight each. The last is held out to judge: it must move in every direction, or what acts along z cannot show.
+# One flight each: x and turns, everything fast, and a bit of everything with a low pass.
 MANOEUVRES = ("x_steps", "aggressive", "mixed")
 DURATION = 16.0  # s
 STRONG = 0.5  # of each span only the stronger half is hidden here: a red run is to mean a fault, not bad luck

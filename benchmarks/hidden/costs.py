@@ -15,18 +15,15 @@ from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
 PACKAGE = Path(vpptwin.__file__).parent
+ENGINE, SENSORS = "engine: the twin through the windows", "what the sensors would have seen"
+FITS, JUDGING = "linear algebra of the fits", "judging: held-out flights, leftover, power"
 STAGES = {
     "logs": "reading logs",
-    "estimation": "starting states and windows",
-    "twin": "engine: the twin through the windows",
-    "engine": "engine: the twin through the windows",
-    "effects": "engine: the twin through the windows",
-    "actuators": "engine: the twin through the windows",
-    "diagnosis/bench.py": "what the sensors would have seen",
-    "diagnosis/channels.py": "what the sensors would have seen",
-    "diagnosis/likelihood.py": "linear algebra",
-    "diagnosis/suspects.py": "linear algebra",
-    "diagnosis/search.py": "linear algebra",
+    "estimation": "measurements, starting states, windows",
+    **dict.fromkeys(("twin", "engine", "effects", "actuators"), ENGINE),
+    **dict.fromkeys(("diagnosis/bench.py", "diagnosis/channels.py", "diagnosis/motor.py"), SENSORS),
+    **{f"diagnosis/{name}.py": FITS for name in ("likelihood", "suspects", "search", "selection", "separation")},
+    **{f"diagnosis/{name}.py": JUDGING for name in ("information", "holdout", "leftover", "noise", "power")},
 }
 REST = "everything else"
 Function = tuple[str, int, str]

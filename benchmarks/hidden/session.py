@@ -17,7 +17,7 @@ from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
 MANOEUVRES = ("x_steps", "aggressive", "mixed")
-"""One flight each. The last is held out to judge, so it has a bit of everything."""
+"""One flight each: x and turns, everything fast, and a bit of everything with a low pass."""
 DURATION = 16.0
 """Of each flight [s]."""
 FIT_CAUSES = getattr(method, "fit_causes", None)

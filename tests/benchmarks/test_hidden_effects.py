@@ -260,4 +260,4 @@ def test_costs_go_to_whoever_called() -> None:
         reading: (1, 1, 0.25, 0.75, {}),
         numpy: (4, 4, 2.0, 2.0, {algebra: (3, 3, 1.5, 1.5), reading: (1, 1, 0.5, 0.5)}),
     }
-    assert costs.share_out(stats) == pytest.approx({"linear algebra": 2.5, "reading logs": 0.75})
+    assert costs.share_out(stats) == pytest.approx({costs.FITS: 2.5, "reading logs": 0.75})
