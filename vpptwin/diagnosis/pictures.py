@@ -41,13 +41,14 @@ class Pictures:
 
 
 def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction], noise: NoiseFloor) -> Pictures:
-    """Draw everything; of the flights the last is shown, which no fit has seen where there are several."""
+    """Draw everything; of several flights one is shown that no fit has seen."""
     verdict = diagnosis.verdict
+    shown = predictions[int(diagnosis.held_out.short.windows.flight[-1])]
     return Pictures(
         errors=draw_errors(verdict, noise),
         forces={cause.effect: draw_force(diagnosis, cause.effect) for cause in verdict.causes},
-        flight=draw_flight(predictions[-1]),
-        flight_name=predictions[-1].flight.path.name,
+        flight=draw_flight(shown),
+        flight_name=shown.flight.path.name,
         leftover=draw_wrench(diagnosis.leftover_plot, "left") if diagnosis.leftover_plot is not None else [],
     )
 
