@@ -78,15 +78,17 @@ def load_cases(paths: Sequence[Path]) -> list[Case]:
 def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
     """Run what is not there yet; returns all sessions asked for."""
     done: dict[int, Case] = {}
+    compared = {p.number for p in [p for p in plans if p.kind in ("single", "none")][: options.baselines]}
     if options.json and options.json.exists():
         if (seed := read_results(options.json)["seed"]) != options.seed:
             sys.exit(f"{options.json} holds sessions of seed {seed}, not {options.seed}: name another file")
-        done = {case.plan.number: case for case in load_cases([options.json]) if not case.error}
+        known = (case for case in load_cases([options.json]) if not case.error)
+        done = {c.plan.number: c for c in known if c.baselines or c.plan.number not in compared}
     head = {"seed": options.seed, "date": datetime.now(UTC).isoformat(timespec="seconds"), **describe_machine()}
     left = [plan for plan in plans if plan.number not in done]
     with tempfile.TemporaryDirectory() as folder:
         home = options.keep or Path(folder)
-        cases = run_campaign(left, home, options.jobs, options.oracle, options.baselines, options.keep is not None)
+        cases = run_campaign(left, home, options.jobs, options.oracle, compared, options.keep is not None)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
             done[case.plan.number] = case
             for line in list_failures([case]):

@@ -27,6 +27,7 @@ DURATION = 16.0  # s
 STRONG = 0.5  # of each span only the stronger half is hidden here: a red run is to mean a fault, not bad luck
 CONFIDENT = 0.9  # a cause named with less is a suggestion and said to be one
 STDS, SHARE = 4.0, 0.15  # a fitted strength is right within 4 of its own std, or 15 % of what was hidden
+NO_WORSE = 1.02  # of held-out errors: what does not show in poses may move them a little
 HORIZON = 2  # index of 0.25 s among the horizons of SPEC 7
 # Four standard deviations of what gusts push on average, in the effect's unit: a real force, which no fit
 # can tell from the effect. Gusts of 1 % of weight (0.044 N; 0.0088 N m) that last 0.3 s average to
@@ -191,11 +192,11 @@ def find_size_faults(cause: Cause, sizes: dict[str, float], rig: int) -> list[st
 
 
 def find_gain_faults(verdict: Verdict) -> list[str]:
-    """Why naming causes did not make the twin better on flights that it has not seen."""
+    """Why naming causes made the twin worse on flights that it has not seen; a gyro's bias hardly shows in poses."""
     faults, before, after = [], verdict.before, verdict.after
-    if not after.chi2 < before.chi2:
+    if after.chi2 > NO_WORSE * before.chi2:
         faults.append(f"held-out chi2 {before.chi2:.4g} -> {after.chi2:.4g}")
     errors = [(before.position_rmse_m, after.position_rmse_m), (before.angle_rmse_rad, after.angle_rmse_rad)]
-    if all(late[HORIZON] > early[HORIZON] for early, late in errors if early and late):
+    if all(late[HORIZON] > NO_WORSE * early[HORIZON] for early, late in errors if early and late):
         faults.append("held-out position and angle errors at 0.25 s grew")
     return faults

@@ -6,7 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,7 +48,7 @@ def take_core(cores: Any) -> None:  # noqa: ANN401 (a queue of the context has n
 
 
 def run_campaign(
-    plans: Sequence[Plan], folder: Path, jobs: int, oracle: bool, baselines: int, keep: bool
+    plans: Sequence[Plan], folder: Path, jobs: int, oracle: bool, compared: Set[int], keep: bool
 ) -> Iterator[Case]:
     """Fly and diagnose sessions; yields each as it is done, in no order.
 
@@ -57,10 +57,9 @@ def run_campaign(
         folder: for their logs.
         jobs: worker processes.
         oracle: fit the true structure too.
-        baselines: try the other methods on the first so many sessions with one effect or none.
+        compared: numbers of the sessions that the other methods are tried on too.
         keep: leave the logs in `folder`.
     """
-    tried = {p.number for p in [p for p in plans if p.kind in ("single", "none")][:baselines]}
     waiting = iter([plans[i : i + BATCH] for i in range(0, len(plans), BATCH)])
     flying: dict[Future, Sequence[Plan]] = {}
     running: dict[Future, Plan] = {}
@@ -77,7 +76,7 @@ def run_campaign(
                 if (batch := flying.pop(future, None)) is not None:
                     fly_next(pool)  # ahead of this batch's diagnoses, so that there is always something to do
                     for plan, logs in zip(batch, future.result()):
-                        job = pool.submit(run_session, plan, logs, oracle, plan.number in tried)
+                        job = pool.submit(run_session, plan, logs, oracle, plan.number in compared)
                         running[job] = plan
                 else:
                     plan = running.pop(future)
