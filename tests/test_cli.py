@@ -284,6 +284,12 @@ def test_compare_prints_and_writes_the_error(tmp_path: Path, capsys: pytest.Capt
     assert [file.name for file in tmp_path.iterdir()] == ["score.json"]
 
 
+def test_compare_gives_its_figures_to_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json -` prints them and nothing else on stdout."""
+    assert main(["compare", str(UNSEEN), "--json", "-"]) == 0
+    check_score(json.loads(capsys.readouterr().out)["error"])
+
+
 def test_play_writes_a_page_of_a_twin_from_a_diagnosis(diagnosed: Run, tmp_path: Path) -> None:
     """`play --html` takes the extended twin as it takes nominal, and leaves one page."""
     page = tmp_path / "flip.html"
