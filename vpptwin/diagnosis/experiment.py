@@ -31,8 +31,9 @@ from vpptwin.vehicle import Vehicle
 
 FLOWN = 12.0
 """Of every manoeuvre, in the twin [s]; what is predicted is for the manoeuvre's own duration."""
-SPACING = 4
-"""Every so many-th window of a flight is looked at."""
+SHARE = 0.25
+"""Of a flight's windows that is looked at: spread evenly, but in step with nothing that the manoeuvre repeats."""
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 LEAST = 1.0
 """A manoeuvre that separates less [sigma] is not worth flying."""
 
@@ -141,5 +142,6 @@ def observe_candidates(spec: TwinSpec, candidates: Sequence[Candidate]) -> Bench
     """Windows of every candidate's flight; `windows.flight` tells whose."""
     measurements = [read_measurements(spec, candidate.flight) for candidate in candidates]
     length = window_length(spec)
-    starts = [np.arange(m.start + SETTLE, m.end - length, SPACING * length) for m in measurements]
+    starts = [np.arange(m.start + SETTLE, m.end - length, length) for m in measurements]
+    starts = [every[GOLDEN * np.arange(len(every)) % 1.0 < SHARE] for every in starts]
     return build_bench(spec, measurements, starts, length, causal=False)

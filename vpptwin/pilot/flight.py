@@ -150,7 +150,7 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
             blade[:, k] = layer["history"][np.arange(n), layer["newest"]]
             throttle[:, k] = state.throttle
         broken = find_diverged(state) & np.isinf(diverged)
-        diverged[broken] = (tick - lead) * period
+        diverged[broken] = (tick + 1 - lead) * period
     return Tracks(
         twin, step, period, (lead * each, lead), pose, velocity, blade, throttle, speed, command, target, noise,
         diverged,

@@ -35,7 +35,7 @@ class PolicyPilot:
         self.task = task.name
         self.count, period = 1, 1.0 / vehicle.control.policy_rate
         self.ticks = round(check_duration(max(task.episode, SHORTEST) if duration is None else duration) / period)
-        self._policy, self._paper_inputs = policy, trained.paper_inputs
+        self.policy, self.trained = policy, trained
         self._limit = np.array([vehicle.control.thrust_max, vehicle.control.rate_max])
         rng = np.random.default_rng(seed)
         target = task.target.draw(rng, 1)
@@ -60,8 +60,8 @@ class PolicyPilot:
         """Thrust [N] and rate [rad/s], (1, 2), from estimates (1, 3), and Γ, (1, 2) m, for the next tick."""
         target = self.target(tick)
         integral = accumulate_error(memory, (target - pose)[:, :2])
-        seen = observe(pose, velocity, target, integral, self._paper_inputs)
-        action = self._policy(torch.from_numpy(seen)).numpy().astype(np.float64)
+        seen = observe(pose, velocity, target, integral, self.trained.paper_inputs)
+        action = self.policy(torch.from_numpy(seen)).numpy().astype(np.float64)
         return np.clip(action, -1.0, 1.0) * self._limit, integral
 
 
