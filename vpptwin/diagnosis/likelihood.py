@@ -201,9 +201,8 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         white = np.linalg.solve(factor, along[..., None])[..., 0]
         logdet = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
         square = (white**2).sum(axis=1) / scale
-        # Student-t: a window that goes astray must not make a storm.
-        usual = float(len(one))
-        heavy = 4.0 * usual * np.log1p(square / (4.0 * usual))
+        # Student-t of 4 degrees of freedom for every value: a window that goes astray must not make a storm.
+        heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
         return float(heavy.sum() + logdet + ((log_gust / GUST_DOUBT) ** 2).sum())
 
     low, high = np.log(LEAST_GUST), np.log(MOST_GUST)
