@@ -1,4 +1,4 @@
-"""Rigs that are not ours, simulated without MuJoCo and at a finer step: a cart with dry friction, a damped pendulum."""
+"""Rigs that are not ours, simulated without MuJoCo and at a finer step: carts with friction or cogging, a pendulum."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ LOG_EVERY = 50
 """Steps between samples and between changes of the command: 200 Hz."""
 DURATION = 24.0
 MASS, FRICTION = 2.0, 1.1  # kg, N
+PITCH = 0.25
+"""Distance at which the cart's cogging repeats [m]."""
 BOB, LENGTH, DAMPING = 0.3, 0.4, 0.03  # kg, m, N m s/rad
 
 CART = """<mujoco>
@@ -50,10 +52,11 @@ Track = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Position, velocity and control input at every sample, (n,) each."""
 
 
-def drive_cart(friction: float, seed: int) -> Track:
+def drive_cart(friction: float, seed: int, cogging: float = 0.0) -> Track:
     """A cart of 2 kg after steps of its reference, under a motor of 20 N and Karnopp's dry friction [N].
 
-    At rest it stays exactly at rest below breakaway; where the velocity would cross zero it stops first.
+    At rest it stays exactly at rest below breakaway; where the velocity would cross zero it stops first. `cogging` is
+    the amplitude [N] of a force that goes as the sine of the position, which no effect of the catalogue is.
     """
     rng = np.random.default_rng(seed)
     count = round(DURATION / STEP / LOG_EVERY)
@@ -63,8 +66,9 @@ def drive_cart(friction: float, seed: int) -> Track:
     for i in range(count):
         control = float(np.clip((25.0 * (goals[i] - x) - 9.0 * v) / 20.0, -0.5, 0.5))
         log[i] = x, v, control
-        push = 20.0 * control
+        motor = 20.0 * control
         for _ in range(LOG_EVERY):
+            push = motor + cogging * math.sin(2.0 * math.pi / PITCH * x) if cogging else motor
             direction = push if v == 0.0 else v
             drag = min(friction, abs(push)) if v == 0.0 else friction
             ahead = v + STEP * (push - math.copysign(drag, direction)) / MASS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +12,13 @@ from vpptwin.diagnosis.bench import Bench, Variation
 from vpptwin.diagnosis.flights import build_bench
 from vpptwin.diagnosis.likelihood import (
     GENERIC_GUST,
-    GUST_TIME,
     START_POSE,
     START_VELOCITY,
     Likelihood,
-    build_likelihood,
-    correlate_segments,
+    Response,
+    couple_gusts,
     gust_std,
+    measure_response,
     whiten_with,
 )
 from vpptwin.estimation.measurements import Measurements, Series
@@ -45,12 +44,26 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 @pytest.fixture(scope="module")
-def likelihood(bench: Bench) -> Likelihood:
-    """About the right twin."""
-    return build_likelihood(bench, {})
+def response(bench: Bench) -> Response:
+    """Of the right twin."""
+    return measure_response(bench, {})
 
 
-def write_covariance() -> np.ndarray:
+@pytest.fixture(scope="module")
+def likelihood(bench: Bench, response: Response) -> Likelihood:
+    """About the right twin, gusts as assumed."""
+    return couple_gusts(bench, response, np.ones(1))
+
+
+def covariance_of(likelihood: Likelihood) -> np.ndarray:
+    """S of every window, (K, M, M): what whitening undoes."""
+    size = likelihood.response.basis.shape[1]
+    whole = np.broadcast_to(np.eye(size)[:, None], (size, COUNT, size))
+    root = np.linalg.inv(np.moveaxis(likelihood.whiten(whole.copy()), 0, -1))
+    return root @ np.swapaxes(root, 1, 2)
+
+
+def write_covariance(gust: float = 1.0) -> np.ndarray:
     """S of one window, (80, 80), from x = x₀ + v₀ t + Σ pulses at the bins' mean instants: samples at 0 and 5 ms."""
     t = 0.0025 + 0.01 * np.arange(BINS)
     one, zero = np.ones(BINS), np.zeros(BINS)
@@ -64,7 +77,7 @@ def write_covariance() -> np.ndarray:
         under, after = np.clip(t - begin, 0.0, 0.1), np.clip(t - begin - 0.1, 0.0, None)
         pulses.append(GUST / MASS * np.concatenate([0.5 * under**2 + 0.1 * after, under]))
     for pulse in pulses:
-        covariance += np.outer(pulse, pulse)
+        covariance += gust**2 * np.outer(pulse, pulse)
     return covariance
 
 
@@ -73,13 +86,31 @@ def test_gusts_are_a_share_of_the_typical_force(bench: Bench) -> None:
     np.testing.assert_allclose(gust_std(bench.spec), [GUST])
 
 
-def test_covariance_is_that_of_a_free_cart(bench: Bench, likelihood: Likelihood) -> None:
+@pytest.mark.parametrize("gust", [0.5, 1.0, 20.0])
+def test_covariance_is_that_of_a_free_cart(bench: Bench, response: Response, gust: float) -> None:
     """Every window's S is what Newton says, to what the twin's steps of 2 ms leave: parts in a thousand."""
-    found = likelihood.factor @ likelihood.factor.transpose(0, 2, 1)
-    assert found.shape == (COUNT, 2 * BINS, 2 * BINS)
-    expected = write_covariance()
+    expected = write_covariance(gust)
     scale = np.sqrt(np.diag(expected))
+    found = covariance_of(couple_gusts(bench, response, np.array([gust])))
+    assert found.shape == (COUNT, 2 * BINS, 2 * BINS)
     np.testing.assert_allclose(found / np.outer(scale, scale), [expected / np.outer(scale, scale)] * COUNT, atol=2e-3)
+
+
+def test_response_holds_the_terms_of_the_covariance(bench: Bench, response: Response, likelihood: Likelihood) -> None:
+    """S = R + J_x P J_xᵀ + J_n Q J_nᵀ to rounding, term by term from what the response says it holds."""
+    state = response.state * response.state_std
+    written = np.stack([np.diag(std**2) for std in bench.std])
+    written += state @ np.swapaxes(state, 1, 2)
+    np.testing.assert_allclose(response.sensor_factor @ np.swapaxes(response.sensor_factor, 1, 2), written, atol=1e-12)
+    written += response.push @ np.swapaxes(response.push, 1, 2)
+    np.testing.assert_allclose(covariance_of(likelihood), written, rtol=1e-7, atol=1e-12)
+
+
+def test_determinant_is_that_of_the_covariance(bench: Bench, response: Response) -> None:
+    """Without what couples windows each has the log determinant of its own S."""
+    found = couple_gusts(bench, response, np.array([3.0]))
+    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(covariance_of(found))[1], rtol=1e-9)
+    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(write_covariance(3.0))[1], atol=0.05)
 
 
 def test_whitened_draws_are_independent_and_unit(likelihood: Likelihood) -> None:
@@ -92,13 +123,6 @@ def test_whitened_draws_are_independent_and_unit(likelihood: Likelihood) -> None
     # 24000 draws know each variance to 0.9 % and each correlation to 0.65 %; the largest of 3160 is 4.5 sigma.
     np.testing.assert_allclose(np.cov(samples.T), np.eye(2 * BINS), atol=0.05)
     assert (white**2).mean() == pytest.approx(1.0, abs=0.005)
-
-
-def test_sensor_factor_leaves_gusts_out(likelihood: Likelihood) -> None:
-    """S less what gusts add is the sensors' part."""
-    gusts = np.einsum("kmi,kni->kmn", likelihood.push, likelihood.push)
-    full, sensor = (f @ f.transpose(0, 2, 1) for f in (likelihood.factor, likelihood.sensor_factor))
-    np.testing.assert_allclose(full - gusts, sensor, atol=1e-12)
 
 
 @pytest.mark.parametrize(("pose", "velocity"), [(0.02, 0.0), (0.0, 0.3), (-0.03, 0.2)])
@@ -118,22 +142,14 @@ def test_the_starting_state_is_marginalised(bench: Bench, likelihood: Likelihood
     assert (alone > 1e3 * prior).all()
 
 
-def test_freedom_counts_values_less_starting_states(likelihood: Likelihood) -> None:
+def test_freedom_counts_values_less_starting_states(response: Response) -> None:
     """Eight windows of 80 values, each with a fitted position and velocity."""
-    assert likelihood.freedom == COUNT * (2 * BINS - 2)
-
-
-def test_gusts_on_the_drone_outlast_a_pulse() -> None:
-    """Outdoors air stays alike over 0.3 s: pulses a tenth apart by e^(-1/3), two tenths by e^(-2/3)."""
-    windows = SimpleNamespace(steps=300, dt=0.001)
-    factor = correlate_segments(SimpleNamespace(spec=load_twin(), segments=3, windows=windows))
-    a, b = np.exp(-0.1 / GUST_TIME), np.exp(-0.2 / GUST_TIME)
-    np.testing.assert_allclose(factor @ factor.T, [[1.0, a, b], [a, 1.0, a], [b, a, 1.0]])
+    assert response.freedom == COUNT * (2 * BINS - 2)
 
 
 def test_pushes_act_where_and_when_they_should(bench: Bench) -> None:
     """5 N on 2 kg during the third tenth: nothing before 0.2 s, 0.25 m/s more after 0.3 s."""
-    plain, pushed = bench.simulate([Variation(), Variation(push=(2, 0, 5.0))])[1][:, :, :, 0]
+    plain, pushed = bench.simulate([Variation(), Variation(push=(2, 0, 5.0))]).velocity[..., 0]
     gained = pushed - plain
     np.testing.assert_allclose(gained[:, :101], 0.0, atol=1e-12)
     np.testing.assert_allclose(gained[:, 125], 0.125, atol=1e-9)
@@ -155,7 +171,7 @@ def test_variations_side_by_side_equal_each_alone(bench: Bench) -> None:
 
 def test_coulomb_friction_slows_the_cart_as_newton_says(bench: Bench) -> None:
     """0.5 N on 2 kg: 0.3 m/s fall by 0.25 m/s² · 0.4 s = 0.1 m/s."""
-    velocity = bench.simulate([Variation({("slide.coulomb", "force"): 0.5})])[1]
+    velocity = bench.simulate([Variation({("slide.coulomb", "force"): 0.5})]).velocity
     np.testing.assert_allclose(velocity[0, :, -1, 0], SPEED - 0.1, atol=1e-3)
 
 
