@@ -49,7 +49,7 @@ def spoil_starts(measurements: Measurements, starts: np.ndarray, length: float) 
     for series in measurements.positions.values():
         gaps = find_gaps(series.time, MAX_POSE_GAP)
         lost = touch(gaps, before, starts + MAX_HOLD) | (overlap(gaps, starts, ends) > 0.5 * length)
-        yield series.name, lost
+        yield "poses" if measurements.delayed else series.name, lost
     for inertial in (*measurements.velocities.values(), measurements.specific_force):
         if inertial is not None and measurements.specific_force is not None:
             gaps = find_gaps(inertial.time, MAX_INERTIAL_GAP)

@@ -60,6 +60,8 @@ def search_all(angle: Series, turned: Series) -> float | None:
     """The lag at which turning is most alike, out of all at which half of the flight overlaps [s]."""
     begin, end = min(angle.time[0], turned.time[0]), max(angle.time[-1], turned.time[-1])
     grid = np.arange(begin, end, GRID)
+    if len(grid) < 2 * SPAN / GRID:
+        return None
     late, early = (step_over(series, grid) for series in (angle, turned))
     if np.std(late) < CLEAR * angle.std or not np.any(early):
         return None

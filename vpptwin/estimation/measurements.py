@@ -23,6 +23,8 @@ __all__ = ["Measurements", "Series", "read_measurements"]
 
 MEASURED = ("/mocap/pose", "/imu/data", "/rotor/state")
 """Topics of the drone's sensors."""
+TELLING = 2.0
+"""Over so long [s] no craft falls for half of the time, so that the median of its specific force is telling."""
 MAX_OFFSET = 0.25
 """No motion capture is later than this [s]; one that seems to be is stamped by another clock."""
 
@@ -100,7 +102,8 @@ def sort_force(flight: Flight, imu: Stream | None, sensors: Sensors) -> Series |
     if imu is None or not measures_force(imu):
         return None
     force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
-    check_accelerometer(f"{flight.path}: /imu/data", np.hypot(force[:, 0], force[:, 1]))
+    if imu.time[-1] - imu.time[0] > TELLING:
+        check_accelerometer(f"{flight.path}: /imu/data", np.hypot(force[:, 0], force[:, 1]))
     return Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
 
 
