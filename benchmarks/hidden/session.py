@@ -10,7 +10,7 @@ from hidden.case import Case, Finding, Named
 from hidden.draw import Plan
 from tests.reality import fly_many, write_mcap
 from tests.reality.flight import FlightPlan
-from vpptwin.diagnosis import diagnose as method
+from vpptwin.diagnosis.diagnose import diagnose, fit_causes
 from vpptwin.diagnosis.verdict import Verdict
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
@@ -20,7 +20,6 @@ MANOEUVRES = ("x_steps", "aggressive", "mixed")
 """One flight each: x and turns, everything fast, and a bit of everything with a low pass."""
 DURATION = 16.0
 """Of each flight [s]."""
-FIT_CAUSES = getattr(method, "fit_causes", None)
 
 
 def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
@@ -47,7 +46,7 @@ def run_session(plan: Plan, logs: Sequence[Path], oracle: bool, baselines: bool)
     try:
         flights = [read_flight(log) for log in logs]
         found = find(flights)
-        best = find(flights, plan.known) if oracle and plan.known and FIT_CAUSES else None
+        best = find(flights, plan.known) if oracle and plan.known else None
     except Exception as error:
         return Case(plan, None, error=f"{type(error).__name__}: {error}")
     return Case(plan, found, best, name_by_baselines(flights) if baselines else {})
@@ -64,10 +63,7 @@ def find(flights: Sequence[Flight], truth: frozenset[str] | None = None) -> Find
     """Diagnose flights with the nominal twin, or judge the true structure where that is given."""
     began = time.perf_counter()
     twin = load_twin()
-    if truth is None or FIT_CAUSES is None:
-        diagnosis = method.diagnose(twin, flights)
-    else:
-        diagnosis = FIT_CAUSES(twin, flights, truth)
+    diagnosis = diagnose(twin, flights) if truth is None else fit_causes(twin, flights, sorted(truth))
     return read_verdict(diagnosis.verdict, time.perf_counter() - began)
 
 
