@@ -1,0 +1,79 @@
+"""Effects of a user's own act in the twin as ours do; the compiled step follows every edit of their file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.twin.own_effect_files import HEAD, WAVE, write_effects, write_rig
+from vpptwin.twin import Twin, load_twin
+
+STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own for what is compiled."""
+    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: tmp_path / "cache" / name)
+    return tmp_path / "cache"
+
+
+def coast(twin: Path, file: Path, effect: str = "slide.wave", force: float | None = 1.5) -> float:
+    """Where the cart gets to from START at rest [m]; `force` None leaves the effect out."""
+    spec = load_twin(twin, [file])
+    made = Twin(spec, 1, active=[] if force is None else [effect], num_threads=1)
+    if force is not None:
+        made.set_parameter(effect, "force", force)
+    state = made.initial_state(qpos=np.array([START, 0.0]))
+    return float(made.replay_commands(state, np.zeros((1, STEPS, 1)))[0].qpos[0, 0])
+
+
+def test_own_effects_push(tmp_path: Path) -> None:
+    """A wavy rail pulls the cart as its formula says, and at its off value changes not a bit."""
+    twin, file = write_rig(tmp_path), write_effects(tmp_path)
+    x, v = START, 0.0
+    for _ in range(STEPS):  # the same formula by hand; a joint that follows its log carries no force over
+        v = (v * MASS - DT * 1.5 * np.sin(10.0 * x)) / (MASS + 0.5 * DT)
+        x += DT * v
+    assert coast(twin, file) == pytest.approx(x, rel=1e-3)
+    assert abs(x - START) > 0.005
+    assert coast(twin, file, force=0.0) == coast(twin, file, force=None) == START
+
+
+def test_an_edited_file_is_compiled_anew(tmp_path: Path) -> None:
+    """A stronger wave in the same file, under the same id, pulls the cart farther; the old text its old way again."""
+    twin = write_rig(tmp_path)
+    weak = coast(twin, write_effects(tmp_path))
+    strong = coast(twin, write_effects(tmp_path, WAVE.replace("-force * np", "-2.0 * force * np")))
+    assert abs(strong - START) > 1.5 * abs(weak - START)
+    assert coast(twin, write_effects(tmp_path)) == weak
+
+
+def test_files_with_the_same_ids_do_not_clash(tmp_path: Path) -> None:
+    """Two files of one name, with effects of one id, are two: each does what is written in it."""
+    twin = write_rig(tmp_path)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    plus = write_effects(tmp_path / "a")
+    minus = write_effects(tmp_path / "b", WAVE.replace("return -force", "return force"))
+    assert coast(twin, plus) < START < coast(twin, minus)
+
+
+def test_numbers_of_the_rig_are_compiled_in(tmp_path: Path) -> None:
+    """The same file makes another function for a heavier cart, and that is the one that acts."""
+    build = """
+def build_effects(model):
+    mass = float(model.body("cart").mass[0])
+    def hold(motion, /, force):
+        return -force * mass * motion.position
+    return [Effect("slide.wave", "a pull", "-force m x", (FORCE,), Stage.FORCE, hold, (), target="slide")]
+"""
+    file, twin = write_effects(tmp_path, HEAD + build), write_rig(tmp_path)
+    light = coast(twin, file)
+    model = tmp_path / "slide.xml"
+    model.write_text(model.read_text().replace('mass="2"', 'mass="4"'))
+    heavy = coast(twin, file)
+    # pull and mass grow alike: 1.5·2 x on 3 kg, 1.5·4 x on 5 kg
+    assert (heavy - START) / (light - START) == pytest.approx((1.5 * 4 / 5) / (1.5 * 2 / 3), rel=0.02)
