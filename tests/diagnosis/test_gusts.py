@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.diagnosis.fakes import Starts
 from vpptwin.diagnosis.bench import Bench
 from vpptwin.diagnosis.likelihood import (
     FORGOTTEN,
@@ -27,13 +28,6 @@ LENGTH = 0.3
 """Length of a window [s]."""
 STRENGTH = np.array([0.6, 3.0])
 """Multiples of the assumed gusts."""
-
-
-class Starts(SimpleNamespace):
-    """Windows of which only the time counts."""
-
-    def __len__(self) -> int:
-        return len(self.start)
 
 
 def lay_bench(start: np.ndarray, flight: np.ndarray | None = None, outdoors: bool = True) -> Bench:
