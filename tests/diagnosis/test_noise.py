@@ -22,6 +22,14 @@ def test_slides_add_up_and_fast_samples_average() -> None:
     assert floor.rmse["angle_rmse_rad"] == pytest.approx(ANGLE_STD)
     assert floor.rmse["θ rate"] == pytest.approx(GYRO_STD / np.sqrt(10.0))
     assert floor.units == {"θ rate": "rad/s"}
+    assert floor.label == "sensor noise"
+
+
+def test_a_guess_is_called_so() -> None:
+    """Of other rigs the noise is guessed with caution: a good twin may go below it."""
+    flight = Sensors(imu=False).measure(2.0)
+    guessed = {dof: replace(s, white=False) for dof, s in flight.positions.items()}
+    assert find_noise_floor([replace(flight, positions=guessed)]).label == "assumed noise"
 
 
 def test_noise_that_is_not_white_does_not_average() -> None:

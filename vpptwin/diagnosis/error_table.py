@@ -27,13 +27,15 @@ class ErrorTable:
         quantity: what is wrong by that much.
         unit: of all figures.
         rows: one for each horizon.
-        noise: what sensor noise alone makes; empty where it is not known.
+        noise: what the noise of the sensors alone makes; empty where nobody knows.
+        noise_label: what to call that.
     """
 
     quantity: str
     unit: str
     rows: list[ErrorRow]
     noise: str
+    noise_label: str = "sensor noise"
 
 
 def tabulate_errors(
@@ -70,7 +72,8 @@ def tabulate_errors(
             for i, horizon in enumerate(HORIZONS_S)
         ]
         floor = noise.rmse.get(key)
-        tables.append(ErrorTable(quantity, unit, rows, format_error(1e3 * floor) if floor is not None else ""))
+        shown = format_error(1e3 * floor) if floor is not None else ""
+        tables.append(ErrorTable(quantity, unit, rows, shown, noise.label))
     return tables
 
 

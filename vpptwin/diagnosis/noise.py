@@ -21,10 +21,17 @@ class NoiseFloor:
     Attributes:
         rmse: key of a score (velocities by name) → error, in SI units.
         units: name of a velocity → its unit.
+        known: the sensors are known; else noise is a cautious guess, which a good twin may well go below.
     """
 
     rmse: dict[str, float]
     units: dict[str, str]
+    known: bool = True
+
+    @property
+    def label(self) -> str:
+        """What to call it."""
+        return "sensor noise" if self.known else "assumed noise"
 
 
 def find_noise_floor(flights: Sequence[Measurements]) -> NoiseFloor:
@@ -40,7 +47,8 @@ def find_noise_floor(flights: Sequence[Measurements]) -> NoiseFloor:
             own[series.name], units[series.name] = variance_of_bin(series), series.unit
         for key, square in own.items():
             squares.setdefault(key, []).append(square)
-    return NoiseFloor({key: float(np.sqrt(np.mean(parts))) for key, parts in squares.items()}, units)
+    known = all(series.white for flight in flights for series in flight.positions.values())
+    return NoiseFloor({key: float(np.sqrt(np.mean(parts))) for key, parts in squares.items()}, units, known)
 
 
 def variance_of_bin(series: Series) -> float:

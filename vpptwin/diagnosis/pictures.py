@@ -62,7 +62,7 @@ def draw_errors(verdict: Verdict, noise: NoiseFloor) -> list[str]:
         if verdict.causes:
             after, interval = getattr(verdict.after, key), verdict.improvement.get(key)
         if before is not None:
-            figures.append(plots.error_by_horizon(HORIZONS_S, before, after, floor, interval, label))
+            figures.append(plots.error_by_horizon(HORIZONS_S, before, after, floor, interval, label, noise.label))
     return figures
 
 

@@ -131,7 +131,7 @@ def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
     table = tables[0]
     row = table.rows[SHOWN_HORIZON]
     ahead = f"{table.quantity} error {row.horizon} ahead"
-    floor = f"; sensor noise alone makes {table.noise} {table.unit}" if table.noise else ""
+    floor = f"; {table.noise_label} alone makes {table.noise} {table.unit}" if table.noise else ""
     if not row.after:
         return f"On flight that no fit has seen, the {ahead} is {row.before} {table.unit}{floor}."
     change = f" ({row.change}, 90 % interval)" if row.change else ""

@@ -69,5 +69,5 @@ def print_errors(console: Console, title: str, tables: Sequence[ErrorTable]) -> 
         cells = [entry.rows[i] for entry in tables]
         table.add_row(row.horizon, *[f"{c.before} → {c.after}" if after else c.before for c in cells])
     if any(entry.noise for entry in tables):
-        table.add_row("noise", *[entry.noise for entry in tables], style="dim")
+        table.add_row(tables[0].noise_label, *[entry.noise for entry in tables], style="dim")
     console.print(table)

@@ -25,6 +25,7 @@ def error_by_horizon(
     noise: float | None = None,
     interval: Sequence[tuple[float, float]] | None = None,
     label: str = "error",
+    noise_label: str = "sensor noise",
 ) -> str:
     """Prediction error against horizon, before and after, on logarithmic axes.
 
@@ -35,6 +36,7 @@ def error_by_horizon(
         noise: error of a perfect twin.
         interval: 90 % interval of the change per horizon, as a share of the error before.
         label: what the error is of, with its unit.
+        noise_label: what the noise is to be called.
     """
     with open_figure(*SIZE) as figure:
         axes = figure.subplots()
@@ -45,7 +47,7 @@ def error_by_horizon(
                 low, high = np.asarray(before)[:, None].T * (1.0 + np.asarray(interval).T)
                 axes.fill_between(horizons_s, low, high, color=AFTER, alpha=0.2, linewidth=0.0)
         if noise is not None:
-            axes.axhline(noise, color=INK, linewidth=1.0, linestyle=":", label="sensor noise")
+            axes.axhline(noise, color=INK, linewidth=1.0, linestyle=":", label=noise_label)
         axes.set_xticks(list(horizons_s), [f"{h:g}" for h in horizons_s])
         axes.minorticks_off()
         axes.yaxis.set_major_formatter("{x:g}")
