@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.channels import BIN
 from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, rotary_dofs, whiten_with
+from vpptwin.diagnosis.search import Fit
 from vpptwin.estimation.windows import Windows
 
 BLOCK = 1.5
@@ -63,16 +64,20 @@ class HeldOut:
         strength = np.ones(self.short.spec.model.nv) if gust is None else gust
         return couple_gusts(self.short, self.response(values), strength)
 
-    def surprise(self, values: Mapping[Key, float], gust: np.ndarray, scale: float = 1.0) -> np.ndarray:
-        """Twice the negative log of the density that a twin with `values` predicts for every short window, (K,).
+    def surprise(self, fit: Fit, scale: float, sticks: bool) -> np.ndarray:
+        """Twice the negative log of the density that a fit predicts for every short window, (K,).
 
         Args:
-            values: parameters of effects that are switched on.
-            gust: strength of the gusts as a multiple of what is assumed, (nv,).
+            fit: effects with their values, and the strength of the gusts beside them.
             scale: variance of the whitened residual.
+            sticks: one of them is dry friction. Then the response of the nominal twin counts where it is likelier: a
+                real slider yields a little where the twin's stands still.
         """
-        likelihood = self.likelihood(values, gust)
-        return (likelihood.whiten(self.residual(values)) ** 2).sum(axis=1) / scale + likelihood.logdet
+        residual, found = self.residual(fit.values), []
+        for values in ({}, fit.values) if sticks else ({},):
+            likelihood = self.likelihood(values, fit.likelihood.gust)
+            found.append((likelihood.whiten(residual) ** 2).sum(axis=1) / scale + likelihood.logdet)
+        return min(found, key=lambda surprise: float(surprise.sum()))
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""

@@ -14,6 +14,8 @@ from vpptwin.twin.spec import TwinSpec
 
 SAMPLE = 16
 """Windows of every flight that are looked at."""
+JUDGING = 0.5
+"""What it is worth that an effect shows where it is judged, against that it shows where it is fitted."""
 ENOUGH = 50.0
 """Squared signal to noise of a typical size at which an effect counts as half seen."""
 
@@ -53,6 +55,8 @@ def measure_information(
 def choose_judges(information: np.ndarray) -> set[int]:
     """A third of the flights (at least one), chosen one by one so that what is left shows as many effects as possible.
 
+    Of flights that the others can do without, those judge that show most themselves.
+
     Args:
         information: (flights, effects).
     """
@@ -61,8 +65,8 @@ def choose_judges(information: np.ndarray) -> set[int]:
     for _ in range(max(count // 3, 1)):
 
         def seen_without(flight: int) -> float:
-            left = information[sorted(kept - {flight})].sum(axis=0)
-            return float((left / (left + ENOUGH)).sum())
+            left, own = information[sorted(kept - {flight})].sum(axis=0), information[flight]
+            return float((left / (left + ENOUGH)).sum() + JUDGING * (own / (own + ENOUGH)).sum())
 
         kept.discard(max(sorted(kept, reverse=True), key=seen_without))
     return set(range(count)) - kept

@@ -24,6 +24,10 @@ FITTED = 10**6
 """Tells fitted windows of a flight from its held-out ones."""
 DEPENDS = 0.1
 """Share of the missing force's variance that a quantity must predict on other stretches of flight to be named."""
+STRUCTURE = 0.25
+"""Predicted share of the missing force from which a rig without known no-effect flights has something unexplained."""
+MATTERS = 0.05
+"""Share of what was missing before that must be left for it."""
 BINS = (4, 8, 16, 48)
 FOLDS = 4
 
@@ -85,6 +89,8 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
         Part(held_out.short, held_out.response({}), held_out.residual({})),
     ]
+    if search.bench.spec.vehicle is None:
+        return judge_structure(parts[1], before[1], tolerant)
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     force = np.concatenate([part.squares_of_force() for part in parts])
     channels = np.concatenate([part.squares_of_channels() for part in parts], axis=1)
@@ -101,11 +107,45 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     loud, where = np.unravel_index(np.argmax(of_channels), of_channels.shape)
     flight = names[worst if levels[worst] > FORCE_LEVEL else where]
     index = int(flight >= FITTED)
-    depends, plot = find_dependence(parts[index], before[index], tolerant)
-    return Leftover(Unexplained(True, share, search.bench.channels[int(loud)].name, depends, sigma), plot)
+    found = find_dependence(parts[index], before[index], tolerant)
+    channel = search.bench.channels[int(loud)].name
+    return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
 
 
-def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> tuple[list[str], WrenchPlot]:
+def judge_structure(part: Part, before: Part, values: Mapping[Key, float]) -> Leftover:
+    """The same for rigs of which no flights without an effect are known: what is left must follow something.
+
+    Whatever a rig's state or command predicts of the missing force on stretches of flight that it was not learnt from
+    is no noise, however strong noise may be.
+    """
+    found = find_dependence(part, before, values)
+    channels = part.squares_of_channels().mean(axis=1)
+    share = found.share * found.kept
+    sigma = float(found.share / max(1.0 - found.share, 1e-6) * np.sqrt(len(part.bench.windows)))
+    if found.share < STRUCTURE or share < MATTERS:
+        return Leftover(Unexplained(False, share, None, [], sigma), None)
+    channel = part.bench.channels[int(np.argmax(channels))].name
+    return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """What a missing force follows.
+
+    Attributes:
+        depends_on: quantities, strongest first.
+        share: of the force's variance that the strongest predicts.
+        kept: energy of the missing force as a share of what was missing before.
+        plot: force against the strongest.
+    """
+
+    depends_on: list[str]
+    share: float
+    kept: float
+    plot: WrenchPlot
+
+
+def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> Dependence:
     """Quantities that the missing force follows on stretches of flight other than those it was learnt from."""
     bench = part.bench
     missing, old = (missing_wrench(bench, p.response, p.residual) for p in (part, before))
@@ -117,10 +157,12 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> tu
     found.sort(key=lambda item: -item[0])
     joint = model.joint(int(model.dof_jntid[dof])).name
     unit = "N m" if rotary_dofs(bench.spec)[dof] else "N"
-    _, label, quantity = found[0]
+    share, label, quantity = found[0]
+    kept = float(np.clip((missing**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
     y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
     plot = WrenchPlot(quantity.ravel(), old[:, :, dof].ravel(), force, label, y_label)
-    return [label.split(" [")[0] for share, label, _ in found if share > DEPENDS][:3], plot
+    named = [name.split(" [")[0] for part_of_it, name, _ in found if part_of_it > DEPENDS][:3]
+    return Dependence(named, share, kept, plot)
 
 
 def list_quantities(bench: Bench, values: Mapping[Key, float]) -> list[tuple[str, np.ndarray]]:

@@ -182,12 +182,16 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likeliho
 def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """Most probable strength of the gusts as a multiple of what is assumed, (nv,), windows taken one by one.
 
+    On rigs without rotors no wind blows: a gust there would be an excuse, and stays as small as it is assumed.
+
     Args:
         bench: K windows.
         response: what starting states and pulses do in them.
         residual: (K, M).
         scale: variance of the whitened residual.
     """
+    if bench.spec.vehicle is None:
+        return np.ones(bench.spec.model.nv)
     along = response.along(residual)
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
     nv = bench.spec.model.nv
@@ -210,11 +214,13 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     return np.exp(found.x)
 
 
-def measure_response(bench: Bench, values: Mapping[Key, float]) -> Response:
-    """Linearise the windows of a twin with the parameters `values` by starting states and force pulses."""
+def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Response:
+    """Linearise the windows of a twin with the parameters `values` by starting states and force pulses.
+
+    Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
+    """
     spec, nv = bench.spec, bench.spec.model.nv
-    rotary = rotary_dofs(spec)
-    gust = gust_std(spec)
+    rotary, assumed = rotary_dofs(spec), gust_std(spec)
     variations = [Variation(values)]
     sizes = []
     for dof in range(nv):
@@ -227,8 +233,9 @@ def measure_response(bench: Bench, values: Mapping[Key, float]) -> Response:
         sizes.append(step)
     for segment in range(bench.segments):
         for dof in range(nv):
-            variations.append(Variation(values, push=(segment, dof, float(gust[dof]))))
-            sizes.append(1.0)
+            times = 1.0 if gust is None else float(max(gust[dof], 1.0))
+            variations.append(Variation(values, push=(segment, dof, times * float(assumed[dof]))))
+            sizes.append(times)
     predicted = bench.predict(variations, values)
     slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]

@@ -114,8 +114,8 @@ class Search:
         self.trials = list_trials(self.unknowns, bench)
         self.scale = 1.0
         self.weight = np.ones(bench.valid.size)
-        self._library: dict[frozenset[str], tuple[Linearisation, Response]] = {}
-        self.start = self.adopt(frozenset(), {})
+        self._library: dict[frozenset[str], Linearisation] = {}
+        self.start = self._settle(frozenset(), {}, measure_response(bench, {}))
 
     def linearise(
         self,
@@ -211,11 +211,16 @@ class Search:
         """The same hypothesis judged by its own likelihood: gusts as strong as it needs, acting through its own twin.
 
         A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
-        nearly as it is. The fit is polished under it; derivatives by effects that are not freed are kept.
+        nearly as it is. A real slider yields a little where the twin's stands still, so that of the two responses the
+        likelier one counts. The fit is polished; derivatives by effects that are not freed are kept.
         """
-        response = fit.likelihood.response
-        if self._rubbing(fit.effects):
-            response = measure_response(self.bench, fit.values)
+        loose = self._polish(fit, fit.likelihood.response)
+        if not self.sticks(fit.effects):
+            return loose
+        tight = self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust))
+        return min(loose, tight, key=lambda f: f.cost)
+
+    def _polish(self, fit: Fit, response: Response) -> Fit:
         likelihood = self._tune(fit.about, fit.effects, response)
         about = fit.about
         known = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
@@ -246,15 +251,18 @@ class Search:
         cost += float(likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
         return Fit(effects, point, std, cost, about, likelihood, tolerated)
 
-    def adopt(self, effects: frozenset[str], values: Mapping[Key, float]) -> Fit:
-        """Take effects as the new state of knowledge and refit them.
+    def adopt(self, fit: Fit) -> Fit:
+        """Take a fit as the new state of knowledge: derivatives that belong to it, and a refit.
 
         What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
+        return self._settle(fit.effects, fit.values, fit.likelihood.response)
+
+    def _settle(self, effects: frozenset[str], values: Mapping[Key, float], response: Response) -> Fit:
         self.weight, self.scale = np.ones(self.bench.valid.size), 1.0
-        about, response = self._known(effects, values)
-        about = self._at(values, about, effects)
+        plain = couple_gusts(self.bench, response, np.ones(self.bench.spec.model.nv))
+        about = self.linearise(values, plain, effects, self._derive(effects, values, plain))
         likelihood = self._tune(about, effects, response)
         about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
         residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
@@ -264,30 +272,28 @@ class Search:
         return self.fit(effects, values, weighted, likelihood)
 
     def complete(self, fit: Fit) -> Fit:
-        """The same fit under its own likelihood, with derivatives that belong to it."""
-        about, response = self._known(fit.effects, fit.values)
-        about = self._at(fit.values, about, fit.effects)
-        likelihood = self._tune(about, fit.effects, response)
+        """The same fit with derivatives that belong to it."""
+        known = self._derive(fit.effects, fit.values, fit.likelihood)
+        about = self.linearise(fit.values, fit.likelihood, fit.effects, known)
+        likelihood = self._tune(about, fit.effects, fit.likelihood.response)
         about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
         return self._sum_up(fit.effects, fit.values, about, likelihood, self._cost_at(about, fit.effects))
 
-    def _known(self, effects: frozenset[str], values: Mapping[Key, float]) -> tuple[Linearisation, Response]:
-        """Derivatives about a twin with these effects, and its response.
+    def _derive(self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood) -> Linearisation:
+        """Derivatives about a twin with these effects.
 
         Only what sticks changes the derivatives by everything else much, so that they are taken once for every set of
         effects that make dry friction.
         """
         rubbing = self._rubbing(effects)
         if rubbing not in self._library:
-            response = measure_response(self.bench, values)
-            plain = couple_gusts(self.bench, response, np.ones(self.bench.spec.model.nv))
-            self._library[rubbing] = self.linearise(values, plain), response
-        return self._library[rubbing]
+            self._library[rubbing] = self.linearise(values, likelihood)
+        known = self._library[rubbing]
+        return self.whiten(known.at, known.slopes, known.missed, known.trials, likelihood)
 
-    def _at(self, values: Mapping[Key, float], about: Linearisation, effects: frozenset[str]) -> Linearisation:
-        """A linearisation moved to other values, derivatives by these effects taken anew."""
-        likelihood = couple_gusts(self.bench, self._library[frozenset()][1], np.ones(self.bench.spec.model.nv))
-        return self.linearise(values, likelihood, effects, about)
+    def sticks(self, effects: frozenset[str]) -> bool:
+        """Whether any of the effects makes dry friction."""
+        return bool(self._rubbing(effects))
 
     def _rubbing(self, effects: frozenset[str]) -> frozenset[str]:
         """Those of the effects that make dry friction."""
@@ -364,7 +370,7 @@ class Search:
             weakest = min(without, key=lambda e: without[e].cost)
             if without[weakest].cost - fit.cost > BAR:
                 return fit
-            fit = self.adopt(without[weakest].effects, without[weakest].values)
+            fit = self.adopt(without[weakest])
         return fit
 
     def _cost_at(self, about: Linearisation, effects: frozenset[str]) -> float:

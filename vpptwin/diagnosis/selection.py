@@ -30,7 +30,9 @@ KINSHIP = 0.05
 """Share of a named cause's evidence that another effect of its kind must bring beside it."""
 BETTER = 2.0
 """Evidence by which a rival must be better to take a cause's place."""
-MOST_SWAPS = 4
+MOST_SWAPS = 2
+MOST_STEPS = 9
+"""Steps of the search: flights that no known effect explains would keep it busy for ever."""
 
 Stage = Callable[[str], None]
 
@@ -62,18 +64,18 @@ class Selection:
 
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
-    fit, barred, swaps = search.start, frozenset[str](), 0
+    fit, barred, swaps, steps = search.start, frozenset[str](), 0, 0
     brought: dict[str, float] = {}
     first: Step | None = None
     while True:
         named = ", ".join(sorted(fit.effects)) or "nothing yet"
         stage(f"trying suspects (named: {named})")
         step = search.extend(fit, barred)
-        first = first or step
+        first, steps = first or step, steps + 1
         accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, brought)), None)
-        if accepted is not None and len(fit.effects) < MAX_CAUSES:
+        if accepted is not None and len(fit.effects) < MAX_CAUSES and steps < MOST_STEPS:
             best, brought[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(search.adopt(best.effects, best.values))
+            fit = search.drop_superfluous(search.adopt(best))
             barred |= step.before.effects - fit.effects
             continue
         stage("checking rivals")
@@ -84,7 +86,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             return Selection(fit, first, rivals, instead, evidence)
-        fit = search.drop_superfluous(search.adopt(better.effects, better.values))
+        fit = search.drop_superfluous(search.adopt(better))
         swaps += 1
 
 
@@ -97,7 +99,7 @@ def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
         freed = fit.effects | {effect}
         found = [search.own(search.fit(freed, s.values, fit.about, fit.likelihood)) for s in starts]
         best = min(found, key=lambda f: f.cost)
-        fit = search.adopt(best.effects, best.values)
+        fit = search.adopt(best)
     return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
 
 
@@ -114,9 +116,9 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
         return False
-    before, after = (held_out.surprise(f.values, f.likelihood.gust, search.scale) for f in (step.before, tried))
+    before, after = (held_out.surprise(f, search.scale, search.sticks(f.effects)) for f in (step.before, tried))
     gain, error = improvement(before, after)
-    likelihood = held_out.likelihood(tried.values, tried.likelihood.gust)
+    likelihood = held_out.likelihood({}, tried.likelihood.gust)
     changed = likelihood.whiten(held_out.residual(step.before.values) - held_out.residual(tried.values))
     if (changed**2).sum() < POWERLESS:
         return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
