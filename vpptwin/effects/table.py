@@ -35,6 +35,8 @@ A fingerprint shows what an effect does to a flight with steps along x and z, fl
 motion, or what a sensor says of it, departs from that of a twin without the effect within 50 ms under the same
 commands; right the same departures over what they follow. `vpptwin effects --pictures docs/effects` draws them anew,
 each effect five typical sizes away from off.
+
+What is missing here you can add without touching our code: [an effect of your own](own_effects.md).
 """
 
 
