@@ -76,7 +76,11 @@ class HeldOut:
         residual, found = self.residual(fit.values), []
         for values in ({}, fit.values) if sticks else ({},):
             likelihood = self.likelihood(values, fit.likelihood.gust)
-            found.append((likelihood.whiten(residual) ** 2).sum(axis=1) / scale + likelihood.logdet)
+            square = (likelihood.whiten(residual) ** 2).sum(axis=1) / scale
+            usual = 3.0 * float(np.median(square))
+            # As in the fit, a window that goes astray must not outvote the others.
+            square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
+            found.append(square + likelihood.logdet)
         return min(found, key=lambda surprise: float(surprise.sum()))
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:

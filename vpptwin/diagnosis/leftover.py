@@ -81,9 +81,12 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     tolerant = {key: value for key, value in fit.tolerated.items() if key not in limits} | fit.values
     missed = Variation(tolerant)
     fitted = np.where(search.bench.valid, search.bench.measured - search.bench.predict([missed], tolerant)[0], 0.0)
+    judged = held_out.residual(tolerant)
+    responses = [held_out.response(values) for values in ({}, fit.values)]
+    candidates = [Part(held_out.short, response, judged) for response in responses]
     parts = [
         Part(search.bench, fit.likelihood.response, fitted),
-        Part(held_out.short, held_out.response(fit.values), held_out.residual(tolerant)),
+        min(candidates, key=lambda part: float(part.squares_of_force().sum())),
     ]
     before = [
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
@@ -102,7 +105,8 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     share = float(np.clip((force.mean() - NO_EFFECT) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
     worst = int(np.argmax(levels))
     sigma = float(max((levels[worst] - NO_EFFECT) / max(errors[worst], 1e-9), 0.0))
-    if levels[worst] <= FORCE_LEVEL and of_channels.max() <= CHANNEL_LEVEL:
+    quiet = levels[worst] <= FORCE_LEVEL and of_channels.max() <= CHANNEL_LEVEL
+    if quiet or (fit.effects and share < MATTERS):
         return Leftover(Unexplained(False, share, None, [], sigma), None)
     loud, where = np.unravel_index(np.argmax(of_channels), of_channels.shape)
     flight = names[worst if levels[worst] > FORCE_LEVEL else where]

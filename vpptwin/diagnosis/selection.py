@@ -19,8 +19,8 @@ RIVAL_SIGMA = 3.0
 SIGMAS_HELD_OUT = 2.0
 """Standard errors by which a cause must improve the held-out windows."""
 STRONG = 8.0 * BAR
-"""Evidence on fitted windows beyond which one standard error is enough: a few held-out windows cannot outvote that,
-but they must not speak against it."""
+"""Evidence on fitted windows beyond which any improvement is enough: a few held-out windows cannot outvote that, but
+they must not speak against it."""
 POWERLESS = 25.0
 """Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
 then named on twice the evidence, unless they speak against it."""
@@ -122,7 +122,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought
     changed = likelihood.whiten(held_out.residual(step.before.values) - held_out.residual(tried.values))
     if (changed**2).sum() < POWERLESS:
         return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
-    return gain > (1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error
+    return gain > (0.0 if drop > STRONG else SIGMAS_HELD_OUT) * error
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:

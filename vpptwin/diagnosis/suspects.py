@@ -91,23 +91,32 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
             for value in list_limits(strength, bench):
                 trials.append(Trial(effect, {strength.key: value}, True))
             continue
-        grids = [grid_of_shape(shape) for shape in shapes]
+        grids = [grid_of_shape(shape, len(shapes) == 1) for shape in shapes]
         places = list(product(*grids))
         if len(places) < 2:
             continue
         size = strength.nominal + strength.step_from(strength.nominal)
         for place in places:
-            values = {shape.key: value for shape, value in zip(shapes, place)}
+            values = {shape.key: float(value) for shape, value in zip(shapes, place)}
             trials.append(Trial(effect, {strength.key: size, **values}, False))
     return tuple(trials)
 
 
-def grid_of_shape(shape: Unknown) -> np.ndarray:
-    """Values of a parameter of shape, three of its typical sizes apart, over the likely part of its prior."""
+def grid_of_shape(shape: Unknown, alone: bool) -> np.ndarray:
+    """Values of a parameter of shape from which a fit may start.
+
+    Args:
+        shape: a place, a speed, a width.
+        alone: it is the only one of its effect. Then speeds and widths are tried at either side of their typical size;
+            places always are, three of their typical sizes apart over the likely part of their prior.
+    """
     parameter = shape.parameter
-    reach = 1.5 * parameter.prior.b if parameter.prior.kind != "uniform" else 0.5 * (parameter.high - parameter.low)
-    count = int(reach / (3.0 * parameter.size))
-    grid = shape.nominal + 3.0 * parameter.size * np.arange(-count, count + 1)
+    if parameter.low > 0.0:
+        offsets = shape.nominal * (np.array([0.6, 1.0, 1.6]) - 1.0) if alone else np.zeros(1)
+    else:
+        count = int(1.5 * parameter.prior.b / (3.0 * parameter.size))
+        offsets = 3.0 * parameter.size * np.arange(-count, count + 1)
+    grid = shape.nominal + offsets
     return grid[(grid >= parameter.low) & (grid <= parameter.high)]
 
 
