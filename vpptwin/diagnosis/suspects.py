@@ -111,12 +111,12 @@ def grid_of_shape(shape: Unknown, alone: bool) -> np.ndarray:
             places always are, three of their typical sizes apart over the likely part of their prior.
     """
     parameter = shape.parameter
+    grid: np.ndarray
     if parameter.low > 0.0:
-        offsets = shape.nominal * (np.array([0.6, 1.0, 1.6]) - 1.0) if alone else np.zeros(1)
+        grid = np.array([0.6, 1.0, 1.6] if alone else [1.0]) * shape.nominal
     else:
         count = int(1.5 * parameter.prior.b / (3.0 * parameter.size))
-        offsets = 3.0 * parameter.size * np.arange(-count, count + 1)
-    grid = shape.nominal + offsets
+        grid = np.arange(-count, count + 1) * 3.0 * parameter.size + shape.nominal
     return grid[(grid >= parameter.low) & (grid <= parameter.high)]
 
 
