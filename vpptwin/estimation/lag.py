@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.signal import correlate, correlation_lags
 
 from vpptwin.estimation.series import Lag, Series
 
@@ -66,11 +65,11 @@ def search_all(angle: Series, turned: Series) -> float | None:
     if np.std(late) < CLEAR * angle.std or not np.any(early):
         return None
     early = early - np.median(early)
-    likeness = correlate(late, early, mode="full", method="fft") / np.sqrt((late @ late) * (early @ early))
-    lags = correlation_lags(len(late), len(early))
-    likeness[np.abs(lags) > len(grid) // 2] = 0.0
+    padded, most = 2 * len(grid), len(grid) // 2
+    product = np.fft.irfft(np.fft.rfft(late, padded) * np.conj(np.fft.rfft(early, padded)), padded)
+    likeness = np.roll(product, most)[: 2 * most + 1] / np.sqrt((late @ late) * (early @ early))
     best = int(np.argmax(likeness))
-    return float(lags[best] * GRID) if likeness[best] > LIKENESS else None
+    return float((best - most) * GRID) if likeness[best] > LIKENESS else None
 
 
 def refine(angle: Series, turned: Series, coarse: float, begin: float, end: float) -> float | None:
