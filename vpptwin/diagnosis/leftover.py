@@ -55,11 +55,29 @@ class Part:
         """Mean square of the whitened residual of every channel in every window, (C, K)."""
         plain = couple_gusts(self.bench, self.response, np.ones(self.bench.spec.model.nv))
         white, found = plain.whiten(self.residual), []
-        ends = np.cumsum([c.value.shape[1] for c in self.bench.channels])
-        for channel, end in zip(self.bench.channels, ends):
-            part = slice(int(end) - channel.value.shape[1], int(end))
-            found.append((white[:, part] ** 2).sum(axis=1) / np.maximum(self.bench.valid[:, part].sum(axis=1), 1))
+        for columns in slice_channels(self.bench):
+            number = np.maximum(self.bench.valid[:, columns].sum(axis=1), 1)
+            found.append((white[:, columns] ** 2).sum(axis=1) / number)
         return np.array(found)
+
+    def missed_on_average(self, kind: str, dof: int) -> np.ndarray:
+        """How far a joint's position or velocity was off the twin's in every gust segment, (K, segments).
+
+        Zero where it was not measured.
+        """
+        segments = self.bench.segments
+        for channel, columns in zip(self.bench.channels, slice_channels(self.bench)):
+            if (channel.kind, channel.axis) == (kind, dof):
+                valid = np.array_split(self.bench.valid[:, columns], segments, axis=1)
+                missed = np.array_split(self.residual[:, columns], segments, axis=1)
+                return np.stack([m.sum(axis=1) / np.maximum(v.sum(axis=1), 1) for m, v in zip(missed, valid)], axis=1)
+        return np.zeros((len(self.bench.windows), segments))
+
+
+def slice_channels(bench: Bench) -> list[slice]:
+    """Where every channel lies in a row of measurements."""
+    ends = np.cumsum([c.value.shape[1] for c in bench.channels])
+    return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(bench.channels, ends)]
 
 
 @dataclass(frozen=True)
@@ -157,7 +175,7 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench.spec), 1e-30) ** 2))
     force = missing[:, :, dof].ravel()
     fold = np.repeat(blocks_of(bench.windows) % FOLDS, bench.segments)
-    found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in list_quantities(bench, values)]
+    found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in list_quantities(part, values)]
     found.sort(key=lambda item: -item[0])
     joint = model.joint(int(model.dof_jntid[dof])).name
     unit = "N m" if rotary_dofs(bench.spec)[dof] else "N"
@@ -169,21 +187,25 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     return Dependence(named, share, kept, plot)
 
 
-def list_quantities(bench: Bench, values: Mapping[Key, float]) -> list[tuple[str, np.ndarray]]:
-    """Quantities that a force may follow, averaged over the gust segments of every window, (K, segments) each."""
+def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, np.ndarray]]:
+    """Quantities that a force may follow, averaged over the gust segments of every window, (K, segments) each.
+
+    Positions and velocities are the measured ones where there are any: the twin, which lacks the force, goes elsewhere.
+    """
+    bench = part.bench
     pose, velocity, _ = bench.simulate([bench.without_sensors(Variation(dict(values)))], values)
     model, windows = bench.spec.model, bench.windows
     named: list[tuple[str, np.ndarray]] = []
 
-    def add(label: str, track: np.ndarray) -> None:
-        parts = np.array_split(track, bench.segments, axis=1)
-        named.append((label, np.stack([part.mean(axis=1) for part in parts], axis=1)))
+    def add(label: str, track: np.ndarray, missed: np.ndarray | float = 0.0) -> None:
+        pieces = np.array_split(track, bench.segments, axis=1)
+        named.append((label, np.stack([piece.mean(axis=1) for piece in pieces], axis=1) + missed))
 
     rotary = rotary_dofs(bench.spec)
     for dof in range(model.nv):
         joint, unit = model.joint(int(model.dof_jntid[dof])).name, "rad" if rotary[dof] else "m"
-        add(f"{joint} position [{unit}]", pose[0, :, 1:, dof])
-        add(f"{joint} velocity [{unit}/s]", velocity[0, :, 1:, dof])
+        add(f"{joint} position [{unit}]", pose[0, :, 1:, dof], part.missed_on_average("position", dof))
+        add(f"{joint} velocity [{unit}/s]", velocity[0, :, 1:, dof], part.missed_on_average("velocity", dof))
     for i in range(model.nu):
         command = windows.command[:, :, i]
         add(f"command of {model.actuator(i).name}", command)
