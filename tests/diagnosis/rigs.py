@@ -17,7 +17,7 @@ LOG_EVERY = 50
 """Steps between samples and between changes of the command: 200 Hz."""
 DURATION = 24.0
 MASS, FRICTION = 2.0, 1.1  # kg, N
-PITCH = 0.25
+PITCH = 0.4
 """Distance at which the cart's cogging repeats [m]."""
 BOB, LENGTH, DAMPING = 0.3, 0.4, 0.03  # kg, m, N m s/rad
 

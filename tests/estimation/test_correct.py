@@ -1,0 +1,74 @@
+"""Errors of sensors taken back: what the sensors' laws make of a known motion, undone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vpptwin.estimation.correct import correct_measurements
+from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin.sensors import PERFECT, age_of_pose, measure_coordinate, measure_rate, perfect_sensors
+
+STAMPS = np.arange(0.0, 20.0, 0.01)
+FLAWS = {
+    "mocap.delay": 0.012, "clock.drift": 1.5e-3, "mocap.scale": 1.02, "mocap.angle": 0.01, "gyro.scale": 0.97,
+    "gyro.bias": 0.05,
+}  # fmt: skip
+
+
+def locate(time: np.ndarray) -> list[np.ndarray]:
+    """The true x, z [m] and θ [rad] at some time [s]."""
+    return [np.sin(2.0 * time), 1.5 + 0.2 * np.cos(time), 0.6 * np.sin(3.0 * time)]
+
+
+def turn(time: np.ndarray) -> np.ndarray:
+    """The rate of that θ [rad/s]."""
+    return 1.8 * np.cos(3.0 * time)
+
+
+def measure(flaws: dict[str, float], delayed: tuple[int, ...] = (0, 1, 2)) -> Measurements:
+    """What flawed sensors without noise say: the motion capture about the past, as its stamps have it."""
+    sensors = perfect_sensors(1) | {name: np.array([value]) for name, value in flaws.items()}
+    positions = {}
+    for dof in range(3):
+        seen = STAMPS - age_of_pose(sensors, STAMPS) if dof in delayed else STAMPS
+        value = measure_coordinate(sensors, dof, locate(seen)[dof])
+        positions[dof] = Series("xzθ"[dof], "m", STAMPS, value, 1e-3)
+    gyro = Series("θ rate", "rad/s", STAMPS, measure_rate(sensors, turn(STAMPS)), 0.02)
+    command = Series("command", "", STAMPS, np.zeros((len(STAMPS), 2)), 0.0)
+    return Measurements("by hand", positions, {2: gyro}, None, command, None, delayed, 0.0, 20.0)
+
+
+@pytest.mark.parametrize("flaws", [{name: value} for name, value in FLAWS.items()] + [FLAWS])
+def test_what_is_corrected_is_the_truth(flaws: dict[str, float]) -> None:
+    """Measured through every flaw alone and through all: each sample says where the craft was at its corrected time."""
+    sensors = {name: np.array([flaws.get(name, value)]) for name, value in PERFECT.items()}
+    found = correct_measurements(measure(flaws), sensors)
+    for dof, series in found.positions.items():
+        np.testing.assert_allclose(series.value, locate(series.time)[dof], atol=1e-12)
+        assert series.std == 1e-3
+    np.testing.assert_allclose(found.velocities[2].value, turn(STAMPS), atol=1e-12)
+    np.testing.assert_array_equal(found.velocities[2].time, STAMPS)
+
+
+def test_times_by_hand() -> None:
+    """Stamped 10 s, 12 ms late and drifting by 1.5 ms a second: of 10 - 0.012 - 0.015 s."""
+    sensors = {name: np.array([FLAWS.get(name, value)]) for name, value in PERFECT.items()}
+    found = correct_measurements(measure(FLAWS), sensors)
+    assert found.positions[0].time[1000] == pytest.approx(9.973)
+
+
+def test_encoders_are_not_late() -> None:
+    """Only what comes from the motion capture is stamped late."""
+    flaws = {"mocap.delay": 0.05, "mocap.scale": 1.1}
+    sensors = {name: np.array([flaws.get(name, value)]) for name, value in PERFECT.items()}
+    found = correct_measurements(measure(flaws, delayed=(0,)), sensors)
+    np.testing.assert_array_equal(found.positions[1].time, STAMPS)
+    np.testing.assert_allclose(found.positions[1].value, locate(STAMPS)[1], atol=1e-12)
+    np.testing.assert_allclose(found.positions[0].value, locate(STAMPS - 0.05)[0], atol=1e-12)
+
+
+def test_without_errors_nothing_changes() -> None:
+    """Perfect sensors give back the very flight."""
+    flight = measure({})
+    assert correct_measurements(flight, perfect_sensors(1)) is flight
