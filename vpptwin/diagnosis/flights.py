@@ -123,6 +123,7 @@ def build_bench(
     motors = all(None not in (flight.throttle, flight.rotor_speed, flight.current) for flight in measurements)
     for i, (flight, times) in enumerate(zip(measurements, starts)):
         times = times[times <= flight.end - length]
+        times = times[usable_starts(flight, times, length)]
         if len(times):
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
