@@ -42,11 +42,9 @@ def estimate_states(
     for dof, series in measurements.positions.items():
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        for k, instant in enumerate(times):
-            pose[k, dof], velocity[k, dof] = fit_local(series, rate, moved, instant, causal)
+        pose[:, dof], velocity[:, dof] = fit_local(series, rate, moved, times, causal)
     if 2 in displacement:
-        gyro = measurements.velocities[2]
-        velocity[:, 2] = [fit_end(gyro, instant, 0.01, causal) for instant in times]
+        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, causal)
     return pose, velocity
 
 
@@ -99,47 +97,79 @@ def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, 
     return result
 
 
-def select_samples(time: np.ndarray, instant: float, span: float, causal: bool) -> slice:
-    """Samples within `span` [s] of an instant, or the three nearest if there are fewer; `causal`: none after it."""
-    first, stop = np.searchsorted(time, [instant - span, instant + (0.0 if causal else span)], side="right")
-    if stop - first >= 3:
-        return slice(first, stop)
+def select_samples(time: np.ndarray, times: np.ndarray, span: float, causal: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Samples within `span` [s] of each instant, or the three nearest if there are fewer.
+
+    Args:
+        time: of the samples, (n,) s.
+        times: the instants, (K,) s.
+        span: s.
+        causal: none after the instant.
+
+    Returns:
+        Indices of samples and which of them count, (K, S) each.
+    """
+    first = np.searchsorted(time, times - span, side="right")
+    stop = np.searchsorted(time, times if causal else times + span, side="right")
+    few = stop - first < 3
     if causal:
-        return slice(max(stop - 3, 0), max(stop, 1))
-    middle = int(np.clip(np.searchsorted(time, instant), 2, len(time) - 1))
-    return slice(middle - 2, middle + 1)
+        nearest = stop - 3, np.maximum(stop, 1)
+    else:
+        middle = np.clip(np.searchsorted(time, times), 2, len(time) - 1)
+        nearest = middle - 2, middle + 1
+    return list_samples(np.where(few, nearest[0], first), np.where(few, nearest[1], stop), len(time))
+
+
+def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The samples from `first` to before `stop` (K,) of `count`, as `select_samples` returns them."""
+    first = np.maximum(first, 0)
+    index = first[:, None] + np.arange((stop - first).max(initial=0))
+    return np.minimum(index, count - 1), index < stop[:, None]
 
 
 def fit_local(
-    series: Series, rate: Series | None, moved: Displacement | None, instant: float, causal: bool
-) -> tuple[float, float]:
-    """Position and velocity at an instant by regularised least squares over the samples around it.
+    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, causal: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity at instants `times` (K,) by regularised least squares over the samples around each.
 
     The model is position + velocity t + extra t²/2 on top of the known displacement `moved`; with no displacement
     known the extra term is a free acceleration.
+
+    Returns:
+        Positions (K,) and velocities (K,).
     """
-    near = select_samples(series.time, instant, HORIZON, causal)
-    t = series.time[near] - instant
-    value = np.array(series.value[near], dtype=float)
-    columns = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1) / series.std
+    index, near = select_samples(series.time, times, HORIZON, causal)
+    t = series.time[index] - times[:, None]
+    value = np.array(series.value[index], dtype=float)
     if moved is not None:
-        (at,), (speed,) = moved.read(np.array([instant]))
-        value -= moved.read(series.time[near])[0] - at - speed * t
-    rows, target = [columns], [value / series.std]
+        at, speed = moved.read(times)
+        value -= moved.read(series.time)[0][index] - at[:, None] - speed[:, None] * t
+    columns = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=2)
+    rows, target = [np.where(near[..., None], columns, 0.0) / series.std], [np.where(near, value, 0.0) / series.std]
     if rate is not None:
-        low, high = instant - HORIZON, instant + (0.0 if causal else HORIZON)
-        near_rate = slice(*np.searchsorted(rate.time, [low, high], side="right"))
-        t_rate = rate.time[near_rate] - instant
-        rows.append(np.stack([np.zeros_like(t_rate), np.ones_like(t_rate), t_rate], axis=1) / rate.std)
-        target.append(rate.value[near_rate] / rate.std)
-    rows.append(np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / (FREE if moved is None else moved.prior)]))
-    target.append(np.zeros(3))
-    solution = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)[0]
-    return float(solution[0]), float(solution[1])
+        first, stop = (
+            np.searchsorted(rate.time, times + reach, side="right") for reach in (-HORIZON, 0.0 if causal else HORIZON)
+        )
+        index, near = list_samples(first, stop, len(rate.time))
+        t = rate.time[index] - times[:, None]
+        columns = np.stack([np.zeros_like(t), np.ones_like(t), t], axis=2)
+        rows.append(np.where(near[..., None], columns, 0.0) / rate.std)
+        target.append(np.where(near, rate.value[index], 0.0) / rate.std)
+    prior = np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / (FREE if moved is None else moved.prior)])
+    rows.append(np.broadcast_to(prior, (len(times), 3, 3)))
+    target.append(np.zeros((len(times), 3)))
+    q, r = np.linalg.qr(np.concatenate(rows, axis=1))
+    solution = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ np.concatenate(target, axis=1)[..., None])
+    return solution[:, 0, 0], solution[:, 1, 0]
 
 
-def fit_end(series: Series, instant: float, span: float, causal: bool) -> float:
-    """Value of a series at an instant from a line through the samples within `span` [s], at least three."""
-    near = select_samples(series.time, instant, span, causal)
-    line = np.polyfit(series.time[near] - instant, series.value[near], min(1, near.stop - near.start - 1))
-    return float(line[-1])
+def fit_end(series: Series, times: np.ndarray, span: float, causal: bool) -> np.ndarray:
+    """Values of a series at `times` (K,), from lines through the samples within `span` [s], at least three; (K,)."""
+    index, near = select_samples(series.time, times, span, causal)
+    weight = near / near.sum(axis=1, keepdims=True)
+    t, value = series.time[index] - times[:, None], series.value[index]
+    middle, mean = (weight * t).sum(axis=1), (weight * value).sum(axis=1)
+    apart = t - middle[:, None]
+    spread = (weight * apart**2).sum(axis=1)
+    slope = (weight * apart * (value - mean[:, None])).sum(axis=1) / np.where(spread > 0.0, spread, 1.0)
+    return mean - slope * middle

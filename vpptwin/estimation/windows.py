@@ -153,7 +153,7 @@ def cut_windows(
 def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
     """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
     rotors = [replace(speed, value=speed.value[:, i]) for i in range(2)]
-    return np.array([[fit_end(rotor, time, SPIN_SPAN, causal) for rotor in rotors] for time in times])
+    return np.stack([fit_end(rotor, times, SPIN_SPAN, causal) for rotor in rotors], axis=1)
 
 
 def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
