@@ -186,6 +186,22 @@ def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
     np.testing.assert_allclose(rubbing.surprise(guess({}), 4.0, False), square / 4.0 + logdet, rtol=1e-6)
 
 
+def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldOut) -> None:
+    """One 30 times worse than it was: beyond u, thrice the median square, its square s counts as u (1 + ln s/u)."""
+    factor = np.ones(10)
+    factor[4] = 30.0
+    likelihood, residual = rubbing.likelihood({}), rubbing.residual({}) * factor[:, None]
+    square = (likelihood.whiten(residual) ** 2).sum(axis=1)
+    usual = 3.0 * np.median(square)
+    assert square[4] > 5.0 * usual
+    astray = HeldOut(rubbing.short, rubbing.long)
+    astray.residual = lambda values: residual  # type: ignore[method-assign]
+    found = astray.surprise(guess({}), 1.0, False)
+    assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
+    usually = np.flatnonzero(square <= usual)
+    np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])
+
+
 def test_truth_predicts_better(rubbing: HeldOut) -> None:
     """The true friction lowers chi2 and the error of every horizon from 0.1 s; twice as much overshoots."""
     nothing, truth, double = (rubbing.score(values) for values in ({}, TRUTH, DOUBLE))

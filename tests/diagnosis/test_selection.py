@@ -1,0 +1,206 @@
+"""Which suspects become causes: the rules one by one, on judges and searches that are made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vpptwin.diagnosis.search import BAR, Fit, Step
+from vpptwin.diagnosis.selection import (
+    BETTER,
+    KINSHIP,
+    POWERLESS,
+    RIVAL_SIGMA,
+    SIGMAS_HELD_OUT,
+    STRONG,
+    TEMPER,
+    TOLERANCES,
+    Selection,
+    find_better,
+    is_cause,
+    look_alike,
+    weigh_rivals,
+)
+from vpptwin.diagnosis.suspects import Unknown
+from vpptwin.diagnosis.verdict import Rival
+from vpptwin.effects.friction import asymmetry, coulomb, stiction
+from vpptwin.effects.joint import Place, bias, spring, viscous
+
+PLACE = Place("a", "on a", tolerance=0.02)
+UNKNOWNS = tuple(
+    Unknown(effect, p, 0.1 if effect.id == "a.viscous" else p.off)
+    for effect in (
+        coulomb(PLACE),
+        viscous(PLACE, look_alikes=("a.spring",)),
+        bias(PLACE),
+        spring(PLACE),
+        stiction(PLACE),
+        coulomb(Place("b", "on b")),
+        asymmetry(PLACE),
+    )
+    for p in effect.parameters
+)
+WINDOWS = 25
+
+
+def fit(cost: float, **values: float) -> Fit:
+    """A fit of strengths, e.g. a_viscous=0.3, with its cost."""
+    keys = {u.effect.id: u.key for u in reversed(UNKNOWNS)}
+    named = {name.replace("_", "."): value for name, value in values.items()}
+    likelihood = SimpleNamespace(gust=np.ones(1))
+    return Fit(frozenset(named), {keys[e]: v for e, v in named.items()}, {}, cost, None, likelihood, {})  # type: ignore[arg-type]
+
+
+class Judges:
+    """Held-out windows whose surprise drops by `gain` standard errors with every effect that is named.
+
+    Args:
+        gain: in standard errors of the sum over windows.
+        power: whitened change of prediction, squared and summed.
+    """
+
+    def __init__(self, gain: float, power: float = 10.0 * POWERLESS) -> None:
+        scatter = np.tile([1.0, -1.0], WINDOWS)[:WINDOWS] - 1.0 / WINDOWS
+        scatter /= scatter.std(ddof=1)
+        self.drop = scatter + gain / np.sqrt(WINDOWS)
+        self.power = power
+
+    def surprise(self, fit: Fit, *_: Any) -> np.ndarray:  # noqa: ANN401
+        """Of every window."""
+        return -len(fit.effects) * self.drop
+
+    def likelihood(self, *_: Any) -> SimpleNamespace:  # noqa: ANN401
+        """Residuals are white already."""
+        return SimpleNamespace(whiten=lambda residual: residual)
+
+    def residual(self, values: dict) -> np.ndarray:
+        """One number in every window."""
+        return np.full((WINDOWS, 1), len(values) * np.sqrt(self.power / WINDOWS))
+
+
+SEARCH: Any = SimpleNamespace(unknowns=UNKNOWNS, scale=1.0, sticks=lambda effects: False)
+
+
+def judge(judges: Judges, drop: float, brought: dict[str, float] | None = None, **values: float) -> bool:
+    """Whether the last of the values is a cause beside the others, beside which it brings a drop in cost."""
+    tried = fit(50.0 - drop, **values)
+    *beside, effect = (name.replace("_", ".") for name in values)
+    before = fit(50.0, **{name: v for name, v in values.items() if name.replace("_", ".") in beside})
+    return is_cause(SEARCH, judges, Step(before, {effect: tried}), effect, brought or {})  # type: ignore[arg-type]
+
+
+SURE = Judges(10.0)
+
+
+@pytest.mark.parametrize(("drop", "named"), [(1.01 * BAR, True), (0.99 * BAR, False), (-5.0, False)])
+def test_causes_clear_the_bar(drop: float, named: bool) -> None:
+    """Evidence below the bar names nothing, however well held-out windows are predicted."""
+    assert judge(SURE, drop, a_coulomb=0.5) is named
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
+    """A force of 2.4 tolerances is what a well-built rig may have; 2.6 are not; counted from the twin's own value."""
+    for times, named in ((TOLERANCES - 0.1, False), (TOLERANCES + 0.1, True)):
+        assert judge(SURE, 10.0 * BAR, a_bias=sign * times * 0.02) is named
+        assert judge(SURE, 10.0 * BAR, a_viscous=0.1 + sign * times * 0.02) is named
+
+
+@pytest.mark.parametrize(
+    ("gain", "drop", "named"),
+    [
+        (SIGMAS_HELD_OUT + 0.2, 0.9 * STRONG, True),
+        (SIGMAS_HELD_OUT - 0.2, 0.9 * STRONG, False),
+        (SIGMAS_HELD_OUT - 0.2, 1.1 * STRONG, True),
+        (-0.2, 1.1 * STRONG, False),
+        (-5.0, 100.0 * STRONG, False),
+    ],
+)
+def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> None:
+    """By two standard errors; less is enough where the evidence is overwhelming, but nothing that they contradict."""
+    assert judge(Judges(gain), drop, a_coulomb=0.5) is named
+
+
+@pytest.mark.parametrize(
+    ("gain", "drop", "named"),
+    [
+        (0.0, 2.1 * BAR, True),
+        (0.0, 1.9 * BAR, False),
+        (-SIGMAS_HELD_OUT + 0.2, 2.1 * BAR, True),
+        (-SIGMAS_HELD_OUT - 0.2, 2.1 * BAR, False),
+    ],
+)
+def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: float, named: bool) -> None:
+    """Where an effect hardly moves them, twice the evidence names it unless they speak against it."""
+    assert judge(Judges(gain, 0.9 * POWERLESS), drop, a_coulomb=0.5) is named
+    assert not judge(Judges(0.0, 1.1 * POWERLESS), 2.1 * BAR, a_coulomb=0.5)
+
+
+def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
+    """Beside sliding friction that brought 1000, breakaway must clear the bar by 50; another joint's need not."""
+    brought, more = {"a.coulomb": 1000.0}, BAR + KINSHIP * 1000.0
+    for drop, named in ((0.98 * more, False), (1.02 * more, True)):
+        assert judge(SURE, drop, brought, a_coulomb=1.0, a_stiction=0.5) is named
+    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, b_coulomb=0.5)
+    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, a_bias=0.5)
+    # What was dropped since is no kin.
+    assert judge(SURE, 1.01 * BAR, brought, a_bias=1.0, a_stiction=0.5)
+
+
+def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> None:
+    """Whichever of the two names the other."""
+    assert look_alike(SEARCH, "a.viscous", "a.spring")
+    assert look_alike(SEARCH, "a.spring", "a.viscous")
+    assert look_alike(SEARCH, "a.coulomb", "a.asymmetry")
+    assert not look_alike(SEARCH, "a.coulomb", "b.coulomb")
+    assert not look_alike(SEARCH, "a.bias", "a.spring")
+
+
+def test_rivals_by_hand() -> None:
+    """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
+    cause = fit(100.0, a_coulomb=1.0)
+    tried = {
+        "a.viscous": fit(104.0, a_viscous=1.0),
+        "a.spring": fit(99.0, a_spring=1.0),
+        "a.bias": fit(100.0 + 1.01 * RIVAL_SIGMA**2 * TEMPER, a_bias=1.0),
+    }
+    first, second = weigh_rivals(cause, Step(fit(500.0), tried))
+    less = np.exp(-2.0 / TEMPER)
+    assert (first.effect, second.effect) == ("a.spring", "a.viscous")
+    assert first.confidence == pytest.approx(1.0 / (2.0 + less))
+    assert second.confidence == pytest.approx(less / (2.0 + less))
+    assert (first.sigma, second.sigma) == (0.0, pytest.approx(np.sqrt(4.0 / TEMPER)))
+    assert weigh_rivals(cause, Step(fit(500.0), {})) == []
+
+
+def select(evidence: float, *rivals: Rival) -> Selection:
+    """A single cause with its evidence and rivals."""
+    cause = fit(0.0, a_coulomb=1.0)
+    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
+
+
+def test_confidence_by_hand() -> None:
+    """What rivals leave, less half of the odds that nothing is there; never beyond 0.999, never below a half of it."""
+    doubt = 0.5 * np.exp(-0.5 * 6.0 / TEMPER)
+    rivals = Rival("a.viscous", 0.25), Rival("a.spring", 0.15)
+    assert select(6.0).confidence("a.coulomb") == pytest.approx(1.0 - doubt)
+    assert select(6.0, *rivals).confidence("a.coulomb") == pytest.approx(0.6 * (1.0 - doubt))
+    assert select(1e9).confidence("a.coulomb") == 0.999
+    assert select(-3.0, *rivals).confidence("a.coulomb") == pytest.approx(0.3)
+
+
+def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
+    """The best rival of all causes, if the evidence prefers it by more than BETTER."""
+    both = fit(100.0, a_coulomb=1.0, a_bias=1.0)
+    worse, better, best = (fit(100.0 - d, a_spring=1.0) for d in (0.9 * BETTER, 1.1 * BETTER, 2.0 * BETTER))
+
+    def stand_in(*fits: Fit) -> Step:
+        return Step(fit(300.0), {str(i): f for i, f in enumerate(fits)})
+
+    assert find_better(both, {"a.coulomb": stand_in(worse), "a.bias": stand_in()}) is None
+    assert find_better(both, {"a.coulomb": stand_in(worse, better), "a.bias": stand_in()}) is better
+    assert find_better(both, {"a.coulomb": stand_in(better), "a.bias": stand_in(worse, best)}) is best
+    assert find_better(both, {}) is None
