@@ -101,6 +101,6 @@ def move(unknown: Unknown, values: Mapping[Key, float]) -> tuple[dict[Key, float
 
 def whiten_changes(bench: Bench, named: Mapping[Key, float], changed: Sequence[Mapping[Key, float]]) -> np.ndarray:
     """What every twin of `changed` predicts beyond the named one, in units of what noise and gusts do, (V, K, M)."""
-    predicted = bench.predict([Variation(dict(values)) for values in (named, *changed)])
+    predicted = bench.predict([Variation(dict(values)) for values in (named, *changed)], named)
     change = np.where(bench.valid, predicted[1:] - predicted[0], 0.0)
     return build_likelihood(bench, dict(named)).whiten(change)
