@@ -181,6 +181,24 @@ def check_cause(cause: dict) -> None:
     assert sum(rival["confidence"] for rival in rivals) + cause["confidence"] <= 1.0
 
 
+def check_power(verdict: dict) -> None:
+    """What was cleared, what could not be seen and what to fly next: every effect in one list at most."""
+    named = [cause["effect"] for cause in verdict["causes"]]
+    for suspect in verdict["cleared"]:
+        assert set(suspect) == {"effect", "parameter", "low", "high", "unit"}
+        assert suspect["low"] <= suspect["high"]
+    for suspect in verdict["unseen"]:
+        assert set(suspect) == {"effect", "reason"}
+        assert suspect["reason"]
+    listed = [*named, *(suspect["effect"] for suspect in (*verdict["cleared"], *verdict["unseen"]))]
+    assert len(listed) == len(set(listed))
+    if (experiment := verdict["experiment"]) is not None:
+        assert set(experiment) == {"manoeuvre", "parameters", "separates", "sigma", "command"}
+        assert experiment["manoeuvre"] == verdict["suggested_experiment"]
+        assert experiment["sigma"] > 0.0
+        assert experiment["command"].startswith("vpptwin fly ")
+
+
 def check_verdict(verdict: dict) -> None:
     """verdict.json has the form of SPEC 7, key by key; the last line of keys is ours."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
@@ -205,6 +223,11 @@ def check_verdict(verdict: dict) -> None:
     assert unexplained["channel"] is None or isinstance(unexplained["channel"], str)
     assert all(isinstance(quantity, str) for quantity in unexplained["depends_on"])
     assert verdict["suggested_experiment"] is None or isinstance(verdict["suggested_experiment"], str)
+    check_power(verdict)
+    for key, intervals in verdict["improvement"].items():
+        assert key in verdict["before"] or key in verdict["before"]["velocity_rmse"]
+        assert len(intervals) == len(HORIZONS)
+        assert all(low <= high for low, high in intervals)
     assert all(isinstance(warning, str) and "\n" not in warning for warning in verdict["warnings"])
 
 

@@ -9,7 +9,18 @@ from pathlib import Path
 import pytest
 
 from vpptwin.diagnosis.holdout import Score
-from vpptwin.diagnosis.verdict import Cause, Estimate, Rival, Unexplained, Verdict, write_json, write_text
+from vpptwin.diagnosis.verdict import (
+    Cause,
+    Cleared,
+    Estimate,
+    Experiment,
+    Rival,
+    Unexplained,
+    Unseen,
+    Verdict,
+    write_json,
+    write_text,
+)
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
 CAUSE = Cause(
@@ -64,6 +75,34 @@ def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
     assert content["unexplained"] == left
     assert content["suggested_experiment"] is None
     assert content["warnings"] == ["late"]
+
+
+def test_power_and_the_next_experiment_are_written(tmp_path: Path) -> None:
+    """What was cleared, what could not be seen, what changed and what to fly next, key by key."""
+    experiment = Experiment("x_steps", {"size": 0.5}, ["rail_x.coulomb", "rail_x.viscous"], 9.3, "vpptwin fly")
+    full = replace(
+        VERDICT,
+        cleared=[Cleared("air.drag", "area", 0.0, 0.01, "m²")],
+        unseen=[Unseen("air.ground_effect", "never below 0.6 m")],
+        improvement={"position_rmse_m": [(-0.5, -0.3)] * 5},
+        experiment=experiment,
+        causes=[replace(CAUSE, gain_interval=(0.5, 0.7), also_explained_by=[Rival("rail_x.viscous", 0.1, 2.4)])],
+    )
+    content = write_and_read(full, tmp_path)
+    assert content["cleared"] == [{"effect": "air.drag", "parameter": "area", "low": 0.0, "high": 0.01, "unit": "m²"}]
+    assert content["unseen"] == [{"effect": "air.ground_effect", "reason": "never below 0.6 m"}]
+    assert content["improvement"] == {"position_rmse_m": [[-0.5, -0.3]] * 5}
+    assert content["suggested_experiment"] == "x_steps"
+    assert content["experiment"] == {
+        "manoeuvre": "x_steps",
+        "parameters": {"size": 0.5},
+        "separates": ["rail_x.coulomb", "rail_x.viscous"],
+        "sigma": 9.3,
+        "command": "vpptwin fly",
+    }
+    (cause,) = content["causes"]
+    assert cause["gain_interval"] == [0.5, 0.7]
+    assert cause["also_explained_by"] == [{"effect": "rail_x.viscous", "confidence": 0.1, "sigma": 2.4}]
 
 
 def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
