@@ -52,3 +52,13 @@ def test_with_the_right_friction_little_force_is_missing(plot: WrenchPlot) -> No
     """What is left is a small part of what was missing."""
     moving = np.abs(plot.quantity) > 0.15
     assert np.median(np.abs(plot.after[moving])) < 0.2 * np.median(np.abs(plot.before[moving]))
+
+
+@pytest.mark.parametrize(
+    ("effect", "label"),
+    [("slide.inertia", "mean command"), ("motor.gain", "command of motor")],
+    ids=["joint", "actuator"],
+)
+def test_every_cause_has_something_to_plot_against(held_out: HeldOut, effect: str, label: str) -> None:
+    """An effect on a joint that follows the command has no actuator of its own: all of them are taken together."""
+    assert plot_wrench(held_out, {}, find_effect(held_out.short.spec.catalogue, effect)).x_label == label

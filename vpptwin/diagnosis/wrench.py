@@ -75,12 +75,15 @@ def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rot
         unit = "rad" if rotary else "m"
         label = f"{joint} {effect.follows} [{unit}{'/s' if effect.follows == 'velocity' else ''}]"
     else:
-        actuator = bench.spec.model.actuator(effect.target).id if effect.target else None
+        actuators = [bench.spec.model.actuator(i).name for i in range(bench.spec.model.nu)]
+        actuator = actuators.index(effect.target) if effect.target in actuators else None
         command = windows.command.mean(axis=2) if actuator is None else windows.command[:, :, actuator]
         if dof == 2 and actuator is None:
             command = windows.command[:, :, -1] - windows.command[:, :, 0]
         name = "difference of blade pitch commands" if dof == 2 and actuator is None else "mean blade pitch command"
         label = f"{name} [rad]" if bench.spec.vehicle is not None else f"command of {effect.target}"
+        if actuator is None and bench.spec.vehicle is None:
+            label = "mean command"
         track = command
         if effect.follows == "command change":
             track, label = np.gradient(command, windows.dt, axis=1), f"rate of {label.replace(']', '/s]')}"
