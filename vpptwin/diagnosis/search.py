@@ -214,11 +214,10 @@ class Search:
         nearly as it is. A real slider yields a little where the twin's stands still, so that of the two responses the
         likelier one counts. The fit is polished; derivatives by effects that are not freed are kept.
         """
-        loose = self._polish(fit, fit.likelihood.response)
-        if not self.sticks(fit.effects):
-            return loose
-        tight = self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust))
-        return min(loose, tight, key=lambda f: f.cost)
+        found = [fit, self._polish(fit, fit.likelihood.response)]
+        if self.sticks(fit.effects):
+            found.append(self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust)))
+        return min(found, key=lambda f: f.cost)
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
         likelihood = self._tune(fit.about, fit.effects, response)
