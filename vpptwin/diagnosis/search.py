@@ -34,6 +34,8 @@ HOPE = 0.4
 """Share of a cause's drop in cost, by linearisation, from which a rival is refitted."""
 CHANCE = 0.25
 """Share of the best suspect's drop in cost from which another is judged under its own likelihood."""
+YIELDING = 300.0
+"""Cost by which a looser response must be likelier to count: it lets gusts explain a part of dry friction."""
 POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
 SETTLED = 0.3
@@ -211,13 +213,15 @@ class Search:
         """The same hypothesis judged by its own likelihood: gusts as strong as it needs, acting through its own twin.
 
         A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
-        nearly as it is. A real slider yields a little where the twin's stands still, so that of the two responses the
-        likelier one counts. The fit is polished; derivatives by effects that are not freed are kept.
+        nearly as it is. A real slider may yield where the twin's stands still: the looser response that was known
+        before counts where the tight one is far less likely. The fit is polished; derivatives by effects that are not
+        freed are kept.
         """
-        found = [fit, self._polish(fit, fit.likelihood.response)]
-        if self.sticks(fit.effects):
-            found.append(self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust)))
-        return min(found, key=lambda f: f.cost)
+        loose = min(fit, self._polish(fit, fit.likelihood.response), key=lambda f: f.cost)
+        if not self.sticks(fit.effects):
+            return loose
+        tight = self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust))
+        return tight if tight.cost < loose.cost + YIELDING else loose
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
         likelihood = self._tune(fit.about, fit.effects, response)
