@@ -37,10 +37,10 @@ def command(values: np.ndarray) -> Bench:
 UNIFORM = command(np.linspace(-1.0, 1.0, 100001).reshape(1, -1, 1))
 
 
-def shaped(size: float, low: float = -9.0, prior: Prior | None = None) -> tuple[Effect, tuple[Unknown, ...]]:
+def shaped(size: float, low: float = -9.0) -> tuple[Effect, tuple[Unknown, ...]]:
     """A spring whose rest has that typical size, bounds from `low` to 9 and a prior of 0 ± 1, and its unknowns."""
     effect = spring(PLACE)
-    rest = replace(effect.parameters[1], size=size, low=low, high=9.0, prior=prior or Prior("normal", 0.0, 1.0))
+    rest = replace(effect.parameters[1], size=size, low=low, high=9.0, prior=Prior("normal", 0.0, 1.0))
     effect = replace(effect, parameters=(effect.parameters[0], rest))
     return effect, tuple(Unknown(effect, p, p.off) for p in effect.parameters)
 
@@ -117,14 +117,21 @@ def test_limits_beyond_their_bounds_are_not_tried() -> None:
     assert list_limits(RATE, command(np.zeros((2, 5, 1)))) == []
 
 
-def test_shapes_are_tried_on_a_grid_over_the_likely_part_of_their_prior() -> None:
+@pytest.mark.parametrize("alone", [False, True])
+def test_places_are_tried_over_the_likely_part_of_their_prior(alone: bool) -> None:
     """1.5 widths of the prior in steps of three sizes of 0.16: -1.44 to 1.44 by 0.48; bounds cut it."""
     _, (_, rest) = shaped(0.16)
-    np.testing.assert_allclose(grid_of_shape(rest), 0.48 * np.arange(-3, 4), atol=1e-12)
+    np.testing.assert_allclose(grid_of_shape(rest, alone), 0.48 * np.arange(-3, 4), atol=1e-12)
     _, (_, rest) = shaped(0.16, low=-0.5)
-    np.testing.assert_allclose(grid_of_shape(rest), 0.48 * np.arange(-1, 4), atol=1e-12)
-    _, (_, rest) = shaped(1.1, prior=Prior("uniform", -9.0, 9.0))  # half the bounds' 18: two steps of 3.3 each way
-    np.testing.assert_allclose(grid_of_shape(rest), 3.3 * np.arange(-2, 3), atol=1e-12)
+    np.testing.assert_allclose(grid_of_shape(rest, alone), 0.48 * np.arange(-1, 4), atol=1e-12)
+
+
+def test_speeds_and_widths_are_tried_at_either_side_of_their_typical_size() -> None:
+    """What cannot be zero: 0.6, 1 and 1.6 times its value, inside the bounds; beside another shape its value alone."""
+    speed = Parameter("speed", "m/s", 0.5, 0.1, 0.7, Prior("normal", 0.5, 0.1), 0.2)
+    shape = Unknown(spring(PLACE), speed, 0.5)
+    np.testing.assert_allclose(grid_of_shape(shape, True), [0.3, 0.5])
+    np.testing.assert_allclose(grid_of_shape(shape, False), [0.5])
 
 
 def test_trials_switch_an_effect_on_at_every_place() -> None:
