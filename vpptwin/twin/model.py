@@ -48,10 +48,7 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
             one that a twin can't step (`check_engine`).
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        if vehicle is not None:
-            apply_vehicle(spec, vehicle, path)
-        spec.nuserdata = WORDS  # marks our simulations to the compiled step
+        spec = specify_model(path, vehicle)
         with installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
             model = spec.compile()
     except InputError:
@@ -66,6 +63,20 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
         check_craft(model, path)
     check_engine(model, path)
     return model
+
+
+def specify_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjSpec:
+    """Read an MJCF, with the numbers of a vehicle where there is one, and with room for our marks.
+
+    Raises:
+        InputError: if a vehicle is given and the model is not of the drone.
+        ValueError: if MuJoCo refuses the file.
+    """
+    spec = mujoco.MjSpec.from_file(str(path))
+    if vehicle is not None:
+        apply_vehicle(spec, vehicle, path)
+    spec.nuserdata = WORDS  # marks our simulations to the compiled step
+    return spec
 
 
 def check_engine(model: mujoco.MjModel, path: Path) -> None:

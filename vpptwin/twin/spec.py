@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from textwrap import shorten
 from typing import Annotated
@@ -16,6 +17,7 @@ from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
 from vpptwin.errors import InputError
 from vpptwin.resources import find_model_file
 from vpptwin.twin.model import compile_model, describe_joints, missing_parts, read_nominal
+from vpptwin.twin.stepped import strip_model
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 EffectValues = dict[str, dict[str, float]]
@@ -85,6 +87,13 @@ class TwinSpec:
     signals: Signals | None = None
     vehicle_file: Path | None = None
     effect_files: tuple[Path, ...] = ()
+
+    @cached_property
+    def stepped(self) -> mujoco.MjModel:
+        """The model that simulations step: without what is only looked at, unless an effect changes geoms."""
+        if any(name.startswith("geom_") for effect in self.catalogue for name in effect.writes):
+            return self.model
+        return strip_model(self.model, self.model_file, self.vehicle)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> TwinSpec:
         """The same rig with other effects switched on."""

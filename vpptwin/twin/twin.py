@@ -18,6 +18,7 @@ from vpptwin.twin.model import hold_joints
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
+from vpptwin.twin.stepped import leave_out
 from vpptwin.vehicle import Vehicle
 
 
@@ -55,10 +56,11 @@ class Twin:
         self.effects: dict[str, Effect] = {e.id: e for e in spec.catalogue if e.id in wanted}
         self.dt = float(spec.model.opt.timestep)
         driven = spec.signals.driven if spec.signals is not None else {}
-        model = hold_joints(spec.model, driven) if driven else copy.copy(spec.model)
+        model = hold_joints(spec.stepped, driven) if driven else copy.copy(spec.stepped)
         self._dry = np.array(model.dof_frictionloss)
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
         depth = delay_depth(spec.catalogue, self.dt)
         self._kernel = compile_kernel(model, spec.catalogue, spec.vehicle is not None, depth)
         self._batch = Batch(model, num_sims, num_threads)
