@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
 from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, tune_gust
+from vpptwin.diagnosis.shortlist import Start, advance, rank_effects, rank_trials
 from vpptwin.diagnosis.suspects import (
     Linearisation,
     Solution,
@@ -80,15 +81,6 @@ class Step:
     def ordered(self) -> list[str]:
         """The suspects, the one whose addition brought most first."""
         return sorted(self.tried, key=self.drop, reverse=True)
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where a refit starts: a suspect, its parameters, and the drop in cost that linearisation promises."""
-
-    effect: str
-    values: Mapping[Key, float]
-    drop: float
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -194,7 +186,7 @@ class Search:
         for _ in range(iterations if effects else 0):
             about, point, cost = best
             solution = solve_hypothesis(about, self.unknowns, effects, self.scale)
-            ahead = self._advance(point, effects, solution, stride)
+            ahead = advance(about, self.unknowns, effects, solution, stride)
             there = self.linearise(ahead, likelihood, effects, about)
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
             cost_there = self._cost_at(there, effects)
@@ -305,39 +297,11 @@ class Search:
     def rank(self, fit: Fit, barred: frozenset[str] = frozenset()) -> list[Start]:
         """Where to start refitting every other effect beside those of a fit, by linearisation, most promising first."""
         base = solve_hypothesis(fit.about, self.unknowns, fit.effects, self.scale)
-        starts = []
-        for effect in {u.effect.id for u in self.unknowns} - fit.effects - barred:
-            if any(u.is_limit for u in self.unknowns if u.effect.id == effect):
-                continue
-            freed = fit.effects | {effect}
-            solution = solve_hypothesis(fit.about, self.unknowns, freed, self.scale)
-            moved = self._advance(fit.values, freed, solution, 1.0)
-            starts.append(Start(effect, moved, base.cost - solution.cost))
-        if len(fit.about.tried):
-            starts += self._rank_trials(fit, base, fit.effects | barred)
+        starts = rank_effects(fit.about, self.unknowns, base, fit.effects, barred, self.scale)
+        starts += rank_trials(fit.about, self.unknowns, self.trials, base, fit.effects | barred, self.scale)
+        known = {key: value for key, value in fit.values.items() if key[0] in fit.effects}
+        starts = [replace(start, values={**known, **start.values}) for start in starts]
         return sorted(starts, key=lambda start: (-start.drop, start.effect))
-
-    def _rank_trials(self, fit: Fit, base: Solution, barred: frozenset[str]) -> list[Start]:
-        """The same for trials: the drop in cost along each, everything else at its best beside it."""
-        about, trials = fit.about, fit.about.tried
-        left = about.residual - base.deviation @ about.columns
-        cross = trials @ about.columns.T
-        across = (trials**2).sum(axis=1) / self.scale
-        across -= np.einsum("ti,ij,tj->t", cross, base.covariance, cross) / self.scale**2
-        along = trials @ left / self.scale
-        starts = []
-        for trial, curvature, gradient in zip(self.trials, across, along):
-            if trial.effect in barred or curvature <= 1e-6:
-                continue
-            times = 1.0 if trial.limit else float(np.clip(gradient / curvature, 0.0, 10.0))
-            values = {**fit.values, **trial.values}
-            if not trial.limit:
-                key = next(iter(trial.values))
-                unknown = next(u for u in self.unknowns if u.key == key)
-                moved = unknown.nominal + times * (trial.values[key] - unknown.nominal)
-                values[key] = float(unknown.parameter.clip(np.array(moved)))
-            starts.append(Start(trial.effect, values, float(2.0 * times * gradient - times**2 * curvature)))
-        return starts
 
     def extend(self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "") -> Step:
         """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
@@ -383,13 +347,3 @@ class Search:
     def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
         """Freed parameters held where they are, the others moved within their tolerance."""
         return solve_hypothesis(about, self.unknowns, effects, self.scale, frozen=True)
-
-    def _advance(
-        self, values: Mapping[Key, float], effects: frozenset[str], solution: Solution, stride: float
-    ) -> dict[Key, float]:
-        moved = {}
-        for unknown, step in zip(self.unknowns, solution.deviation):
-            if unknown.effect.id in effects:
-                value = values.get(unknown.key, unknown.nominal) + stride * float(step)
-                moved[unknown.key] = float(np.clip(value, unknown.parameter.low, unknown.parameter.high))
-        return moved
