@@ -36,7 +36,7 @@ HOPE = 0.4
 CHANCE = 0.25
 """Share of the best suspect's drop in cost from which another is judged under its own likelihood."""
 YIELDING = 300.0
-"""Cost by which a looser response must be likelier to count: it lets gusts explain a part of dry friction."""
+"""Cost by which a looser response must be likelier to set the parameters: gusts then explain a part of friction."""
 POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
 SETTLED = 0.3
@@ -109,7 +109,9 @@ class Search:
         self.scale = 1.0
         self.weight = np.ones(bench.valid.size)
         self._library: dict[frozenset[str], Linearisation] = {}
-        self.start = self._settle(frozenset(), {}, measure_response(bench, {}))
+        self._tight: dict[frozenset[str], Response] = {}
+        self._nominal = measure_response(bench, {})
+        self.start = self._settle(frozenset(), {}, self._nominal)
 
     def linearise(
         self,
@@ -205,15 +207,18 @@ class Search:
         """The same hypothesis judged by its own likelihood: gusts as strong as it needs, acting through its own twin.
 
         A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
-        nearly as it is. A real slider may yield where the twin's stands still: the looser response that was known
-        before counts where the tight one is far less likely. The fit is polished; derivatives by effects that are not
-        freed are kept.
+        nearly as it is. A real slider may yield where the twin's stands still, so that the likelier of its response
+        and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
+        polished; derivatives by effects that are not freed are kept.
         """
-        loose = min(fit, self._polish(fit, fit.likelihood.response), key=lambda f: f.cost)
-        if not self.sticks(fit.effects):
+        loose, rubbing = self._polish(fit, self._nominal), self._rubbing(fit.effects)
+        if not rubbing:
             return loose
-        tight = self._polish(fit, measure_response(self.bench, fit.values, fit.likelihood.gust))
-        return tight if tight.cost < loose.cost + YIELDING else loose
+        if rubbing not in self._tight:
+            self._tight[rubbing] = measure_response(self.bench, fit.values, fit.likelihood.gust)
+        tight = self._polish(fit, self._tight[rubbing])
+        chosen = tight if tight.cost < loose.cost + YIELDING else loose
+        return replace(chosen, cost=min(tight.cost, loose.cost))
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
         likelihood = self._tune(fit.about, fit.effects, response)
@@ -264,15 +269,12 @@ class Search:
         self.weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
         self.scale = max(1.0, float(((residual * self.weight) ** 2).sum()) / response.freedom)
         weighted = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
-        return self.fit(effects, values, weighted, likelihood)
+        return self.own(self.fit(effects, values, weighted, likelihood))
 
     def complete(self, fit: Fit) -> Fit:
         """The same fit with derivatives that belong to it."""
         known = self._derive(fit.effects, fit.values, fit.likelihood)
-        about = self.linearise(fit.values, fit.likelihood, fit.effects, known)
-        likelihood = self._tune(about, fit.effects, fit.likelihood.response)
-        about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
-        return self._sum_up(fit.effects, fit.values, about, likelihood, self._cost_at(about, fit.effects))
+        return self.own(replace(fit, about=self.linearise(fit.values, fit.likelihood, fit.effects, known)))
 
     def _derive(self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood) -> Linearisation:
         """Derivatives about a twin with these effects.
