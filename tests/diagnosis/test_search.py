@@ -141,7 +141,7 @@ def test_nothing_is_missed_beside_it(rubbing: Search, step: Step) -> None:
 
 
 def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
-    """A cart that sticks hardly feels where it started: its own response or a far likelier one; damping keeps the old."""
+    """What sticks hardly feels where it started: its own response or a far likelier one; damping keeps the old."""
     start = rubbing.start
     force, damping = {("slide.coulomb", "force"): FRICTION}, {("slide.viscous", "damping"): 1.5}
     stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about, start.likelihood)
