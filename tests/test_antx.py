@@ -119,7 +119,7 @@ def test_the_centre_of_mass_is_below_the_pivot(pivot: dict) -> None:
 
 
 def test_idle_rotors_give_a_third_of_the_nominal_moment(pivot: dict) -> None:
-    """A fit by hand finds 118 to 132 rad/s² per command: one rotor can't pull down, and the other gives less."""
+    """A fit by hand finds 118 to 132 rad/s² per command: no rotor gives less than nothing."""
     gain = GAIN * values_of(pivot).get("moment.gain.gain", 1.0) * INERTIA / inertia_of(pivot)
     assert gain == pytest.approx(125.0, rel=0.15)
 
