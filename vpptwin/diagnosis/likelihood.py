@@ -239,17 +239,30 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     predicted = bench.predict(variations, values)
     slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
-    prior = [START_POSE[bool(r)] for r in rotary] + [START_VELOCITY[bool(r)] for r in rotary]
-    scaled = np.moveaxis(state * np.array(prior)[:, None, None], 0, -1)
+    prior = np.array([START_POSE[bool(r)] for r in rotary] + [START_VELOCITY[bool(r)] for r in rotary])
+    return assemble(bench, np.moveaxis(state, 0, -1), prior, np.moveaxis(push, 0, -1))
+
+
+def assemble(
+    bench: Bench, state: np.ndarray, state_std: np.ndarray, push: np.ndarray, floor: np.ndarray | float = 0.0
+) -> Response:
+    """A response from its derivatives.
+
+    Args:
+        bench: K windows.
+        state: derivative by the starting state, (K, M, 2 nv).
+        state_std: its prior, (2 nv,).
+        push: derivative by force pulses in units of their standard deviation, (K, M, G).
+        floor: standard deviation added to the sensors' noise, which broadcasts to (K, M).
+    """
+    scaled = state * state_std
     sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
     diagonal = np.arange(sensor.shape[1])
-    sensor[:, diagonal, diagonal] += bench.std**2
+    sensor[:, diagonal, diagonal] += bench.std**2 + np.square(floor)
     factor = np.linalg.cholesky(sensor)
-    basis, triangles = np.linalg.qr(np.moveaxis(whiten_with(factor, push), 0, -1))
+    basis, triangles = np.linalg.qr(np.moveaxis(whiten_with(factor, np.moveaxis(push, -1, 0)), 0, -1))
     freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
-    return Response(
-        factor, basis, triangles, freedom, np.moveaxis(state, 0, -1), np.array(prior), np.moveaxis(push, 0, -1)
-    )
+    return Response(factor, basis, triangles, freedom, state, state_std, push)
 
 
 def build_likelihood(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation
-from vpptwin.diagnosis.likelihood import Likelihood, Response, couple_gusts, measure_response, tune_gust
-from vpptwin.diagnosis.shortlist import Start, advance, rank_effects, rank_trials
+from vpptwin.diagnosis.likelihood import Likelihood, Response, assemble, couple_gusts, measure_response, tune_gust
+from vpptwin.diagnosis.shortlist import Start, advance, imitate, rank_effects, rank_trials
 from vpptwin.diagnosis.suspects import (
     Linearisation,
     Solution,
@@ -35,6 +35,8 @@ HOPE = 0.4
 """Share of a cause's drop in cost, by linearisation, from which a rival is refitted."""
 CHANCE = 0.25
 """Share of the best suspect's drop in cost from which another is judged under its own likelihood."""
+NONLINEAR = 0.1
+"""Share of what a twin misses in a window that no linearised gust or starting state is believed to explain."""
 YIELDING = 300.0
 """Cost by which a looser response must be likelier to set the parameters: gusts then explain a part of friction."""
 POLISH = 2
@@ -109,9 +111,10 @@ class Search:
         self.scale = 1.0
         self.weight = np.ones(bench.valid.size)
         self._library: dict[frozenset[str], Linearisation] = {}
-        self._tight: dict[frozenset[str], Response] = {}
-        self._nominal = measure_response(bench, {})
-        self.start = self._settle(frozenset(), {}, self._nominal)
+        self._measured: dict[frozenset[str], Response] = {}
+        self._floored: dict[frozenset[str], Response] = {}
+        self._floor: np.ndarray = np.zeros(bench.valid.shape)
+        self.start = self._settle(frozenset(), {}, frozenset())
 
     def linearise(
         self,
@@ -211,14 +214,32 @@ class Search:
         and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
         polished; derivatives by effects that are not freed are kept.
         """
-        loose, rubbing = self._polish(fit, self._nominal), self._rubbing(fit.effects)
+        loose = self._polish(fit, self._respond(frozenset(), {}, None))
+        rubbing = self._rubbing(fit.effects)
         if not rubbing:
             return loose
-        if rubbing not in self._tight:
-            self._tight[rubbing] = measure_response(self.bench, fit.values, fit.likelihood.gust)
-        tight = self._polish(fit, self._tight[rubbing])
+        tight = self._polish(fit, self._respond(rubbing, fit.values, fit.likelihood.gust))
         chosen = tight if tight.cost < loose.cost + YIELDING else loose
         return replace(chosen, cost=min(tight.cost, loose.cost))
+
+    def _respond(self, rubbing: frozenset[str], values: Mapping[Key, float], gust: np.ndarray | None) -> Response:
+        """The response of a twin with these effects of dry friction, no measurement believed better than the floor."""
+        if rubbing not in self._measured:
+            self._measured[rubbing] = measure_response(self.bench, values, gust)
+        if rubbing not in self._floored:
+            found = self._measured[rubbing]
+            self._floored[rubbing] = assemble(self.bench, found.state, found.state_std, found.push, self._floor)
+        return self._floored[rubbing]
+
+    def _raise_floor(self, missed: np.ndarray) -> None:
+        """Set the floor from what a twin misses, (K, M): a part of it is beyond what linearisation can follow."""
+        floor, begin = np.empty_like(missed), 0
+        for channel in self.bench.channels:
+            part = slice(begin, begin + channel.value.shape[1])
+            number = np.maximum(self.bench.valid[:, part].sum(axis=1, keepdims=True), 1)
+            floor[:, part] = NONLINEAR * np.sqrt((missed[:, part] ** 2).sum(axis=1, keepdims=True) / number)
+            begin = part.stop
+        self._floor, self._floored = floor, {}
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
         likelihood = self._tune(fit.about, fit.effects, response)
@@ -257,12 +278,15 @@ class Search:
         What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
-        return self._settle(fit.effects, fit.values, fit.likelihood.response)
+        tight = fit.likelihood.response is not self._respond(frozenset(), {}, None)
+        return self._settle(fit.effects, fit.values, self._rubbing(fit.effects) if tight else frozenset())
 
-    def _settle(self, effects: frozenset[str], values: Mapping[Key, float], response: Response) -> Fit:
+    def _settle(self, effects: frozenset[str], values: Mapping[Key, float], rubbing: frozenset[str]) -> Fit:
         self.weight, self.scale = np.ones(self.bench.valid.size), 1.0
-        plain = couple_gusts(self.bench, response, np.ones(self.bench.spec.model.nv))
+        plain = couple_gusts(self.bench, self._respond(rubbing, values, None), np.ones(self.bench.spec.model.nv))
         about = self.linearise(values, plain, effects, self._derive(effects, values, plain))
+        self._raise_floor(about.missed)
+        response = self._respond(rubbing, values, None)
         likelihood = self._tune(about, effects, response)
         about = self.whiten(about.at, about.slopes, about.missed, about.trials, likelihood)
         residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
@@ -305,13 +329,23 @@ class Search:
         starts = [replace(start, values={**known, **start.values}) for start in starts]
         return sorted(starts, key=lambda start: (-start.drop, start.effect))
 
-    def extend(self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "") -> Step:
+    def extend(
+        self,
+        fit: Fit,
+        barred: frozenset[str] = frozenset(),
+        against: str = "",
+        values: Mapping[Key, float] | None = None,
+    ) -> Step:
         """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
+
+        Those that the catalogue calls hard to tell from the best, or from the cause whose place they take, are tried
+        from where they do the same: of a large effect derivatives at the nominal twin tell little.
 
         Args:
             fit: what they are added to.
             barred: suspects that are not tried.
-            against: a suspect for whose place the others stand; those that fall far behind it are not tried.
+            against: a cause in whose place the others stand; those that fall far behind it are not tried.
+            values: its parameters.
         """
         starts: dict[str, list[Start]] = {}
         for start in self.rank(fit, barred):
@@ -320,13 +354,25 @@ class Search:
         if against in starts:
             least = max(least, HOPE * starts.pop(against)[0].drop)
         names = [name for name in starts if starts[name][0].drop > least][:SHORTLIST]
-        found = {}
+        found: dict[str, Fit] = {}
         for name in names:
-            freed = fit.effects | {name}
-            refits = [self.fit(freed, s.values, fit.about, fit.likelihood) for s in starts[name][:STARTS]]
-            found[name] = min(refits, key=lambda f: f.cost)
+            self._refit(found, fit, starts[name][:STARTS])
+        leader = min(found, key=lambda name: found[name].cost, default="")
+        for cause, at in ((leader, found[leader].values if leader else {}), (against, values or {})):
+            if cause:
+                alike = imitate(fit.about, self.unknowns, cause, at, fit.values)
+                for start in alike:
+                    if start.effect in starts and start.effect not in found:
+                        self._refit(found, fit, [start])
         most = max((fit.cost - f.cost for f in found.values()), default=0.0)
-        return Step(fit, {name: self.own(f) for name, f in found.items() if fit.cost - f.cost >= CHANCE * most})
+        chosen = {name: f for name, f in found.items() if fit.cost - f.cost >= max(CHANCE * most, 0.0)}
+        return Step(fit, {name: self.own(f) for name, f in chosen.items()})
+
+    def _refit(self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start]) -> None:
+        """Add to `found` the best refit of one suspect beside the effects of a fit."""
+        freed = fit.effects | {starts[0].effect}
+        refits = [self.fit(freed, start.values, fit.about, fit.likelihood) for start in starts]
+        found[starts[0].effect] = min(refits, key=lambda f: f.cost)
 
     def without(self, fit: Fit, effect: str) -> Fit:
         """The fit without one of its effects, under its own likelihood."""

@@ -136,7 +136,7 @@ def look_alike(search: Search, first: str, second: str) -> bool:
 
 def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
     """The fit without a cause, and every shortlisted suspect tried in its place."""
-    return search.extend(search.complete(search.without(fit, effect)), against=effect)
+    return search.extend(search.complete(search.without(fit, effect)), against=effect, values=fit.values)
 
 
 def find_better(fit: Fit, replaced: dict[str, Step]) -> Fit | None:

@@ -87,3 +87,39 @@ def rank_trials(
             values[key] = float(unknown.parameter.clip(np.array(moved)))
         starts.append(Start(trial.effect, values, float(2.0 * times * gradient - times**2 * curvature)))
     return starts
+
+
+def imitate(
+    about: Linearisation,
+    unknowns: Sequence[Unknown],
+    cause: str,
+    at: Mapping[Key, float],
+    beside: Mapping[Key, float],
+) -> list[Start]:
+    """Where the catalogue's look-alikes of a cause do most nearly what it does.
+
+    Args:
+        about: linearisation without the cause.
+        unknowns: its parameters.
+        cause: id of the cause.
+        at: its parameters.
+        beside: parameters of the effects that stay.
+    """
+    effect = next(u.effect for u in unknowns if u.effect.id == cause)
+    moved = np.array([at.get(u.key, u.nominal) - u.nominal if u.effect.id == cause else 0.0 for u in unknowns])
+    wanted = moved @ about.columns
+    starts = []
+    for other in {u.effect.id: u.effect for u in unknowns}.values():
+        if other.id not in effect.look_alikes and cause not in other.look_alikes:
+            continue
+        rows = [i for i, u in enumerate(unknowns) if u.effect.id == other.id]
+        units = np.array([unknowns[i].scale_at(unknowns[i].nominal) for i in rows])
+        columns = about.columns[rows] * units[:, None]
+        if not np.any(columns) or any(unknowns[i].is_limit for i in rows):
+            continue
+        times = np.linalg.lstsq(columns.T, wanted, rcond=1e-6)[0]
+        values = dict(beside)
+        for i, step in zip(rows, times * units):
+            values[unknowns[i].key] = float(unknowns[i].parameter.clip(unknowns[i].nominal + step))
+        starts.append(Start(other.id, values, 0.0))
+    return starts
