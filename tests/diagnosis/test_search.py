@@ -146,10 +146,10 @@ def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
     force, damping = {("slide.coulomb", "force"): FRICTION}, {("slide.viscous", "damping"): 1.5}
     stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about, start.likelihood)
     own = rubbing.own(stuck)
-    assert own.likelihood.response is not start.likelihood.response or own.cost <= stuck.cost
+    assert own.likelihood.response.push is not start.likelihood.response.push or own.cost <= stuck.cost
     assert own.cost < stuck.cost + YIELDING
     damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about, start.likelihood)
-    assert rubbing.own(damped).likelihood.response is start.likelihood.response
+    assert rubbing.own(damped).likelihood.response.push is start.likelihood.response.push
 
 
 def test_fits_go_downhill(rubbing: Search) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vpptwin.diagnosis.channels import Channel, predict_channel
 from vpptwin.diagnosis.motor import CURRENT, SPEED, predict_motor
+from vpptwin.effects import Stage
 from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
@@ -123,6 +124,12 @@ class Bench:
     def of_sensors(self) -> frozenset[str]:
         """Ids of the effects that change what sensors show and nothing else."""
         return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= set(PERFECT))
+
+    @cached_property
+    def gliding(self) -> dict[Key, float]:
+        """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
+        rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
+        return {(e.id, e.parameters[0].name): e.parameters[0].off for e in rubbing}
 
     @cached_property
     def _observed(self) -> frozenset[str]:

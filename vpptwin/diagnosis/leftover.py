@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,11 +100,10 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     missed = Variation(tolerant)
     fitted = np.where(search.bench.valid, search.bench.measured - search.bench.predict([missed], tolerant)[0], 0.0)
     judged = held_out.residual(tolerant)
-    responses = [held_out.response(values) for values in ({}, fit.values)]
-    candidates = [Part(held_out.short, response, judged) for response in responses]
+    looser = search.gliding_response, held_out.response(held_out.short.gliding)
     parts = [
-        Part(search.bench, fit.likelihood.response, fitted),
-        min(candidates, key=lambda part: float(part.squares_of_force().sum())),
+        quieter(Part(search.bench, fit.likelihood.response, fitted), looser[0]),
+        quieter(Part(held_out.short, held_out.response(fit.values), judged), looser[1]),
     ]
     before = [
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
@@ -132,6 +131,11 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     found = find_dependence(parts[index], before[index], tolerant)
     channel = search.bench.channels[int(loud)].name
     return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
+
+
+def quieter(part: Part, response: Response) -> Part:
+    """The part, or the same under another response that leaves less to explain: what sticks in a twin may yield."""
+    return min(part, replace(part, response=response), key=lambda p: float(p.squares_of_force().sum()))
 
 
 def judge_structure(part: Part, before: Part, values: Mapping[Key, float]) -> Leftover:

@@ -114,7 +114,7 @@ class Search:
         self._measured: dict[frozenset[str], Response] = {}
         self._floored: dict[frozenset[str], Response] = {}
         self._floor: np.ndarray = np.zeros(bench.valid.shape)
-        self.start = self._settle(frozenset(), {}, frozenset())
+        self.start = self._settle(frozenset(), {}, self._rubbing(frozenset()))
 
     def linearise(
         self,
@@ -214,13 +214,18 @@ class Search:
         and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
         polished; derivatives by effects that are not freed are kept.
         """
-        loose = self._polish(fit, self._respond(frozenset(), {}, None))
+        loose = self._polish(fit, self.gliding_response)
         rubbing = self._rubbing(fit.effects)
         if not rubbing:
             return loose
         tight = self._polish(fit, self._respond(rubbing, fit.values, fit.likelihood.gust))
         chosen = tight if tight.cost < loose.cost + YIELDING else loose
         return replace(chosen, cost=min(tight.cost, loose.cost))
+
+    @property
+    def gliding_response(self) -> Response:
+        """The response of the nominal twin without dry friction."""
+        return self._respond(frozenset(), self.bench.gliding, None)
 
     def _respond(self, rubbing: frozenset[str], values: Mapping[Key, float], gust: np.ndarray | None) -> Response:
         """The response of a twin with these effects of dry friction, no measurement believed better than the floor."""
@@ -278,7 +283,7 @@ class Search:
         What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
         Costs before and after cannot be compared.
         """
-        tight = fit.likelihood.response is not self._respond(frozenset(), {}, None)
+        tight = fit.likelihood.response is not self.gliding_response
         return self._settle(fit.effects, fit.values, self._rubbing(fit.effects) if tight else frozenset())
 
     def _settle(self, effects: frozenset[str], values: Mapping[Key, float], rubbing: frozenset[str]) -> Fit:
@@ -317,8 +322,9 @@ class Search:
         return bool(self._rubbing(effects))
 
     def _rubbing(self, effects: frozenset[str]) -> frozenset[str]:
-        """Those of the effects that make dry friction."""
-        return frozenset(u.effect.id for u in self.unknowns if u.effect.stage is Stage.FRICTION) & effects
+        """Those of the effects, and of the nominal twin's, that make dry friction."""
+        on = effects | {effect for effect, _ in self.bench.gliding}
+        return frozenset(u.effect.id for u in self.unknowns if u.effect.stage is Stage.FRICTION) & on
 
     def rank(self, fit: Fit, barred: frozenset[str] = frozenset()) -> list[Start]:
         """Where to start refitting every other effect beside those of a fit, by linearisation, most promising first."""

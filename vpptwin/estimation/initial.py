@@ -9,6 +9,8 @@ from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.estimation.measurements import Measurements, Series
 
+SAMPLES = 8.0
+"""Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
 HORIZON = 0.15
 """Measurements used on either side of an instant [s]."""
 SLOPE_STD = 0.3
@@ -138,7 +140,10 @@ def fit_local(
     Returns:
         Positions (K,) and velocities (K,).
     """
-    index, near = select_samples(series.time, times, HORIZON, causal)
+    horizon = HORIZON
+    if moved is None and not series.white:
+        horizon = min(HORIZON, SAMPLES * float(np.median(np.diff(series.time)))) if len(series.time) > 1 else HORIZON
+    index, near = select_samples(series.time, times, horizon, causal)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
     if moved is not None:
@@ -148,7 +153,7 @@ def fit_local(
     rows, target = [np.where(near[..., None], columns, 0.0) / series.std], [np.where(near, value, 0.0) / series.std]
     if rate is not None:
         first, stop = (
-            np.searchsorted(rate.time, times + reach, side="right") for reach in (-HORIZON, 0.0 if causal else HORIZON)
+            np.searchsorted(rate.time, times + reach, side="right") for reach in (-horizon, 0.0 if causal else horizon)
         )
         index, near = list_samples(first, stop, len(rate.time))
         t = rate.time[index] - times[:, None]
