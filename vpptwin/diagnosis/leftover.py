@@ -16,8 +16,10 @@ from vpptwin.diagnosis.wrench import WrenchPlot, missing_wrench
 
 NO_EFFECT = 0.72
 """Mean square of the innovations of unmodelled force on sessions without an effect (benchmarks/hidden_effects.py)."""
-FORCE_LEVEL = 1.0
-"""The same that none of those sessions has exceeded."""
+FORCE_LEVEL = 1.2
+"""The same from which something is unexplained; flights of those sessions, and of twins that lack nothing, stay below."""
+ASTRAY = 6.0
+"""A window counts for at most this many times the median of its flight: a slip that comes early is no effect."""
 CHANNEL_LEVEL = 1.6
 """The same for the whitened residual of a channel."""
 FITTED = 10**6
@@ -112,9 +114,10 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     if search.bench.spec.vehicle is None:
         return judge_structure(parts[1], before[1], tolerant)
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
-    force = np.concatenate([part.squares_of_force() for part in parts])
-    channels = np.concatenate([part.squares_of_channels() for part in parts], axis=1)
     names = np.unique(flights)
+    force = clip_astray(np.concatenate([part.squares_of_force() for part in parts]), flights)
+    rows = np.concatenate([part.squares_of_channels() for part in parts], axis=1)
+    channels = np.array([clip_astray(row, flights) for row in rows])
     levels = np.array([force[flights == name].mean() for name in names])
     errors = np.array([force[flights == name].std() / np.sqrt((flights == name).sum()) for name in names])
     of_channels = np.array([[row[flights == name].mean() for name in names] for row in channels])
@@ -131,6 +134,12 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     found = find_dependence(parts[index], before[index], tolerant)
     channel = search.bench.channels[int(loud)].name
     return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
+
+
+def clip_astray(squares: np.ndarray, flights: np.ndarray) -> np.ndarray:
+    """Squares of windows, (K,), none above so many times the median of its flight."""
+    most = {flight: ASTRAY * float(np.median(squares[flights == flight])) for flight in np.unique(flights)}
+    return np.minimum(squares, [most[flight] for flight in flights])
 
 
 def quieter(part: Part, response: Response) -> Part:
