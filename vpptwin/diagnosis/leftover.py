@@ -17,7 +17,7 @@ from vpptwin.diagnosis.wrench import WrenchPlot, missing_wrench
 NO_EFFECT = 0.72
 """Mean square of the innovations of unmodelled force on sessions without an effect (benchmarks/hidden_effects.py)."""
 FORCE_LEVEL = 1.2
-"""The same from which something is unexplained: flights of those sessions, and of twins that lack nothing, are below."""
+"""The same from which something is unexplained: those sessions, and flights of twins that lack nothing, are below."""
 ASTRAY = 6.0
 """A window counts for at most this many times the median of its flight: a slip that comes early is no effect."""
 CHANNEL_LEVEL = 1.6
