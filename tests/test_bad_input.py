@@ -184,7 +184,7 @@ def test_a_wrong_command_line_is_refused(
 def test_a_failing_disk_is_one_line_too(refusals: Refusals, monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of the file system that no check foresaw."""
 
-    def fail(name: str) -> None:
+    def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device", "/data/out")
 
     monkeypatch.setattr("vpptwin.twin.spec.load_twin", fail)

@@ -183,6 +183,8 @@ def test_every_effect_changes_the_flight() -> None:
     for effects in hidden:
         if "alien.mass_drop" in effects:
             effects["alien.mass_drop"]["time"] = 2.0
+        if "clock.drift" in effects:  # grows with time, and this flight is half as long as those it is drawn for
+            effects["clock.drift"]["drift"] *= 2.0
     # Seed 52 turns upside down and passes low within its first 8.5 s.
     flights = [{"effects": e, "manoeuvre": "mixed", "duration": 8.5, "seed": 52} for e in [{}, *hidden]]
     plain, *others = fly_many(flights)

@@ -14,6 +14,8 @@ BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
 LEAD = 0.05
 """Start of a window in which poses are not compared: a delayed pose would reach back before it [s]."""
+TRAIL = 0.02
+"""End of such a window likewise: a pose stamped too early shows what comes after it [s]."""
 MODEL_FLOOR = {"position": 0.0, "velocity": 0.02, "specific force": 0.1}
 """Roughness below which no rigid-body twin is believed [m or rad, rad/s, m/s²], added to the sensors' noise: stick-slip
 that switches a few milliseconds early, vibration, blades between two samples."""
@@ -69,6 +71,8 @@ def bin_channel(
     inside = np.arange(samples) < count[..., None]
     if delayed:
         inside &= (BIN * np.arange(bins) >= lead - 1e-9)[None, :, None]
+        if lead > 0.0:
+            inside &= (BIN * np.arange(1, bins + 1) <= length - TRAIL + 1e-9)[None, :, None]
     index = np.clip(index, 0, len(series.time) - 1)
     number = inside.sum(axis=2)
     weight = inside / np.maximum(number, 1)[..., None]
