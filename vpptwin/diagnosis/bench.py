@@ -79,20 +79,31 @@ class Bench:
         self._starts: dict[tuple[float, ...], Windows] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
 
-    @property
+    @cached_property
     def measured(self) -> np.ndarray:
         """All channels side by side, (K, C B)."""
         return np.concatenate([c.value for c in self.channels], axis=1)
 
-    @property
+    @cached_property
     def std(self) -> np.ndarray:
         """Sensor noise of `measured`, (K, C B); huge where nothing was measured."""
         return np.concatenate([c.std for c in self.channels], axis=1)
 
-    @property
+    @cached_property
     def valid(self) -> np.ndarray:
         """Where something was measured, (K, C B)."""
         return np.concatenate([c.weight.sum(axis=2) > 0 for c in self.channels], axis=1)
+
+    @cached_property
+    def columns(self) -> list[slice]:
+        """Where every channel lies in a row of `measured`."""
+        ends = np.cumsum([c.value.shape[1] for c in self.channels])
+        return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(self.channels, ends)]
+
+    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
+        """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured."""
+        predicted = self.predict([Variation(dict(values))], values)[0]
+        return np.where(self.valid, self.measured - predicted, 0.0)
 
     def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
         """The channels in every variation, (V, K, C B).

@@ -50,7 +50,10 @@ class HeldOut:
     def __init__(self, short: Bench, long: Bench) -> None:
         self.short, self.long = short, long
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
-        self._pose = np.concatenate([np.full(c.value.shape[1], c.kind == "position") for c in short.channels])
+        self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
+        self._pose = np.zeros(short.valid.shape[1], dtype=bool)
+        for channel, columns in zip(short.channels, short.columns):
+            self._pose[columns] = channel.kind == "position"
 
     def response(self, values: Mapping[Key, float]) -> Response:
         """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
@@ -85,8 +88,10 @@ class HeldOut:
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""
-        predicted = self.short.predict([Variation(dict(values))], values)[0]
-        return np.where(self.short.valid, self.short.measured - predicted, 0.0)
+        key = frozenset(values.items())
+        if key not in self._residuals:
+            self._residuals[key] = self.short.residual(values)
+        return self._residuals[key]
 
     def chi2(self, values: Mapping[Key, float]) -> float:
         """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""

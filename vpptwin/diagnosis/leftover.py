@@ -15,13 +15,13 @@ from vpptwin.diagnosis.verdict import Unexplained
 from vpptwin.diagnosis.wrench import WrenchPlot, missing_wrench
 
 NO_EFFECT = 0.72
-"""Mean square of the innovations of unmodelled force on sessions without an effect (benchmarks/hidden_effects.py)."""
+"""Mean square of the innovations of unmodelled force on sessions of tests/reality without an effect (0.68 to 0.75)."""
 FORCE_LEVEL = 1.2
 """The same from which something is unexplained: those sessions, and flights of twins that lack nothing, are below."""
-ASTRAY = 6.0
-"""A window counts for at most this many times the median of its flight: a slip that comes early is no effect."""
 CHANNEL_LEVEL = 1.6
 """The same for the whitened residual of a channel."""
+ASTRAY = 6.0
+"""A window counts for at most this many times the median of its flight: a slip that comes early is no effect."""
 FITTED = 10**6
 """Tells fitted windows of a flight from its held-out ones."""
 DEPENDS = 0.1
@@ -57,7 +57,7 @@ class Part:
         """Mean square of the whitened residual of every channel in every window, (C, K)."""
         plain = couple_gusts(self.bench, self.response, np.ones(self.bench.spec.model.nv))
         white, found = plain.whiten(self.residual), []
-        for columns in slice_channels(self.bench):
+        for columns in self.bench.columns:
             number = np.maximum(self.bench.valid[:, columns].sum(axis=1), 1)
             found.append((white[:, columns] ** 2).sum(axis=1) / number)
         return np.array(found)
@@ -68,18 +68,12 @@ class Part:
         Zero where it was not measured.
         """
         segments = self.bench.segments
-        for channel, columns in zip(self.bench.channels, slice_channels(self.bench)):
+        for channel, columns in zip(self.bench.channels, self.bench.columns):
             if (channel.kind, channel.axis) == (kind, dof):
                 valid = np.array_split(self.bench.valid[:, columns], segments, axis=1)
                 missed = np.array_split(self.residual[:, columns], segments, axis=1)
                 return np.stack([m.sum(axis=1) / np.maximum(v.sum(axis=1), 1) for m, v in zip(missed, valid)], axis=1)
         return np.zeros((len(self.bench.windows), segments))
-
-
-def slice_channels(bench: Bench) -> list[slice]:
-    """Where every channel lies in a row of measurements."""
-    ends = np.cumsum([c.value.shape[1] for c in bench.channels])
-    return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(bench.channels, ends)]
 
 
 @dataclass(frozen=True)
@@ -99,9 +93,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     """
     limits = {u.key for u in search.unknowns if u.is_limit}
     tolerant = {key: value for key, value in fit.tolerated.items() if key not in limits} | fit.values
-    missed = Variation(tolerant)
-    fitted = np.where(search.bench.valid, search.bench.measured - search.bench.predict([missed], tolerant)[0], 0.0)
-    judged = held_out.residual(tolerant)
+    fitted, judged = search.bench.residual(tolerant), held_out.residual(tolerant)
     looser = search.gliding_response, held_out.response(held_out.short.gliding)
     parts = [
         quieter(Part(search.bench, fit.likelihood.response, fitted), looser[0]),

@@ -238,12 +238,10 @@ class Search:
 
     def _raise_floor(self, missed: np.ndarray) -> None:
         """Set the floor from what a twin misses, (K, M): a part of it is beyond what linearisation can follow."""
-        floor, begin = np.empty_like(missed), 0
-        for channel in self.bench.channels:
-            part = slice(begin, begin + channel.value.shape[1])
-            number = np.maximum(self.bench.valid[:, part].sum(axis=1, keepdims=True), 1)
-            floor[:, part] = NONLINEAR * np.sqrt((missed[:, part] ** 2).sum(axis=1, keepdims=True) / number)
-            begin = part.stop
+        floor = np.empty_like(missed)
+        for columns in self.bench.columns:
+            number = np.maximum(self.bench.valid[:, columns].sum(axis=1, keepdims=True), 1)
+            floor[:, columns] = NONLINEAR * np.sqrt((missed[:, columns] ** 2).sum(axis=1, keepdims=True) / number)
         self._floor, self._floored = floor, {}
 
     def _polish(self, fit: Fit, response: Response) -> Fit:

@@ -151,6 +151,7 @@ def reach(function: Function, reached: dict[FunctionType, str]) -> None:
     """Add to `reached` a function and those that it calls, with the closure's and the globals' values that they use.
 
     Those are frozen into machine code, and a function made for one rig may have others than the same for the next.
+    The module's name goes with it: numba keeps it, and a user's file has another in another place.
     """
     plain = getattr(inspect.unwrap(function), "py_func", inspect.unwrap(function))
     if not isinstance(plain, FunctionType) or plain in reached or plain.__module__.split(".")[0] in ("numpy", "numba"):
@@ -159,7 +160,7 @@ def reach(function: Function, reached: dict[FunctionType, str]) -> None:
     held = {**used.globals, **used.nonlocals}
     values = {name: value for name, value in held.items() if isinstance(value, (int, float, complex, str, tuple))}
     arrays = {name: value.tobytes().hex() for name, value in held.items() if isinstance(value, np.ndarray)}
-    reached[plain] = f"{plain.__qualname__} {sorted((values | arrays).items())!r}"
+    reached[plain] = f"{plain.__module__} {plain.__qualname__} {sorted((values | arrays).items())!r}"
     for value in held.values():
         if callable(value) and not isinstance(value, type):
             reach(value, reached)
