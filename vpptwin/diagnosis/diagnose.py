@@ -28,7 +28,8 @@ from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
 SOBER = 0.5
-"""Confidence is halved where more than half of the missing force stays unexplained: the true cause may be unknown."""
+"""Share of confidence that is left where half of the error, or of the missing force, stays unexplained: the true cause
+may be an unknown one."""
 
 Stage = Callable[[str], None]
 
@@ -184,7 +185,8 @@ def conclude(
     search, held_out, fit = material.search, material.held_out, selection.fit
     nominal: dict[Key, float] = {}
     before, after = held_out.score(nominal), held_out.score(fit.values)
-    sober = SOBER if unexplained.significant and unexplained.share > 0.5 else 1.0
+    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
+    sober = 1.0 - (1.0 - SOBER) * min(2.0 * left, 1.0)
     causes = []
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from vpptwin.diagnosis.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.channels import BIN
@@ -16,6 +18,10 @@ from vpptwin.estimation.windows import Windows
 BLOCK = 1.5
 """Windows within this time [s] count as one when errors are resampled."""
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
+WATCHED = 0.25
+"""No cause may make the error up to this horizon [s] worse."""
+WORSE = 0.1
+"""Share by which an error may grow: of the effects that are there none costs more."""
 
 
 @dataclass(frozen=True)
@@ -67,24 +73,83 @@ class HeldOut:
         strength = np.ones(self.short.spec.model.nv) if gust is None else gust
         return couple_gusts(self.short, self.response(values), strength)
 
-    def surprise(self, fit: Fit, scale: float, sticks: bool) -> np.ndarray:
+    def surprise(self, fit: Fit, scale: float, sticks: bool, gust: np.ndarray | None = None) -> np.ndarray:
         """Twice the negative log of the density that a fit predicts for every short window, (K,).
 
         Args:
             fit: effects with their values, and the strength of the gusts beside them.
             scale: variance of the whitened residual.
-            sticks: one of them is dry friction. Then the response of the nominal twin counts where it is likelier: a
-                real slider yields a little where the twin's stands still.
+            sticks: one of them is dry friction. Then every window may have the response of the nominal twin as well as
+                the fit's own: a real slider slips a little earlier or later than the twin's.
+            gust: strength of the gusts, (nv,); None for the fit's own.
         """
-        residual, found = self.residual(fit.values), []
+        residual, found = self.residual(fit.likeliest), []
         for values in (self.short.gliding, fit.values) if sticks else ({},):
-            likelihood = self.likelihood(values, fit.likelihood.gust)
+            likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
             square = (likelihood.whiten(residual) ** 2).sum(axis=1) / scale
             usual = 3.0 * float(np.median(square))
             # As in the fit, a window that goes astray must not outvote the others.
             square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
             found.append(square + likelihood.logdet)
-        return min(found, key=lambda surprise: float(surprise.sum()))
+        return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+
+    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool], scale: float) -> tuple[float, float]:
+        """Drop in surprise from one fit to another and its standard error.
+
+        Both are tried with the gusts of either and judged with those that suit them: how strongly it blew on the
+        flights that were fitted must not decide about these.
+
+        Args:
+            before: a fit, and whether it sticks.
+            after: another.
+            scale: variance of the whitened residual.
+        """
+        gusts = [fit.likelihood.gust for fit, _ in (before, after)]
+        found = [
+            min((self.surprise(fit, scale, sticks, gust) for gust in gusts), key=lambda surprise: float(surprise.sum()))
+            for fit, sticks in (before, after)
+        ]
+        return improvement(found[0], found[1])
+
+    def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether an error of the pose up to `WATCHED` ahead grows by more than `WORSE` and by a standard error."""
+        near = HORIZONS_S.index(WATCHED) + 1
+        ratios = self.error_ratios(before, after)
+        grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
+        return any(bool(np.any((mean > np.log1p(WORSE)) & (mean > error))) for mean, error in grown)
+
+    def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
+        """By how many standard errors the errors over all horizons favour `after`."""
+        ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
+        mean, error = tell_apart(np.nanmean(ratios, axis=0)[:, None])
+        return float(-mean[0] / max(error[0], 1e-12))
+
+    def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
+
+        Root mean squares of blocks are compared, noise of the sensors added to both: no single slip decides.
+        """
+        first, second, noise = self.squares(before), self.squares(after), self._noise
+        blocks = blocks_of(self.long.windows)
+        found = {}
+        for name in first:
+            measured = sum_blocks(np.isfinite(first[name]).astype(float), blocks)
+            sums = [sum_blocks(np.nan_to_num(part[name]), blocks) + noise[name] * measured for part in (first, second)]
+            with np.errstate(invalid="ignore"):  # a block without measurements is NaN
+                found[name] = 0.5 * np.log(sums[1] / sums[0])
+        return found
+
+    @cached_property
+    def _noise(self) -> dict[str, float]:
+        """Variance of the sensors as `squares` names them."""
+        rotary = rotary_dofs(self.long.spec)
+        found: dict[str, float] = {}
+        for channel in self.long.channels:
+            if channel.kind in ("position", "velocity"):
+                unit = "rad" if rotary[channel.axis] else "m"
+                name = channel.name if channel.kind == "velocity" else unit
+                found[name] = found.get(name, 0.0) + channel.sensor_std**2
+        return found
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""
@@ -205,6 +270,14 @@ def resample(sums: np.ndarray, times: int = 500) -> np.ndarray:
     draws = np.random.default_rng(0).integers(blocks, size=(times, blocks))
     counts = np.stack([np.bincount(draw, minlength=blocks) for draw in draws])
     return np.einsum("tb,vbh->tvh", counts, sums)
+
+
+def tell_apart(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over blocks (B, H) and its standard error, (H,) each; infinite from fewer than two blocks."""
+    number = np.isfinite(rows).sum(axis=0)
+    mean = np.nansum(rows, axis=0) / np.maximum(number, 1)
+    square = np.nansum((rows - mean) ** 2, axis=0) / np.maximum(number - 1, 1)
+    return mean, np.where(number > 1, np.sqrt(square / np.maximum(number, 1)), np.inf)
 
 
 def improvement(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:

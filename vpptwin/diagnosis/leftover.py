@@ -91,9 +91,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     channel with the largest whitened mean square may still tell of a sensor. `share` is what remains of the force that
     the twin missed before.
     """
-    limits = {u.key for u in search.unknowns if u.is_limit}
-    tolerant = {key: value for key, value in fit.tolerated.items() if key not in limits} | fit.values
-    fitted, judged = search.bench.residual(tolerant), held_out.residual(tolerant)
+    fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
     looser = search.gliding_response, held_out.response(held_out.short.gliding)
     parts = [
         quieter(Part(search.bench, fit.likelihood.response, fitted), looser[0]),
@@ -104,7 +102,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         Part(held_out.short, held_out.response({}), held_out.residual({})),
     ]
     if search.bench.spec.vehicle is None:
-        return judge_structure(parts[1], before[1], tolerant)
+        return judge_structure(parts[1], before[1], fit.likeliest)
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     names = np.unique(flights)
     force = clip_astray(np.concatenate([part.squares_of_force() for part in parts]), flights)
@@ -123,7 +121,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     loud, where = np.unravel_index(np.argmax(of_channels), of_channels.shape)
     flight = names[worst if levels[worst] > FORCE_LEVEL else where]
     index = int(flight >= FITTED)
-    found = find_dependence(parts[index], before[index], tolerant)
+    found = find_dependence(parts[index], before[index], fit.likeliest)
     channel = search.bench.channels[int(loud)].name
     return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
 

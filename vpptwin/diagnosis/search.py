@@ -67,6 +67,11 @@ class Fit:
     likelihood: Likelihood
     tolerated: dict[Key, float]
 
+    @property
+    def likeliest(self) -> dict[Key, float]:
+        """Every parameter where it is likeliest: those of the effects, the others within their tolerance."""
+        return self.tolerated | self.values
+
 
 @dataclass(frozen=True)
 class Step:
@@ -270,7 +275,7 @@ class Search:
         for i, unknown in enumerate(self.unknowns):
             if unknown.effect.id in effects:
                 std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
-            else:
+            elif not unknown.is_limit:  # a limit has no tolerance about its nominal, which is far away
                 tolerated[unknown.key] = float(unknown.parameter.clip(about.at[i] + solution.deviation[i]))
         cost += float(likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
         return Fit(effects, point, std, cost, about, likelihood, tolerated)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.diagnosis.holdout import HeldOut, improvement
+from vpptwin.diagnosis.holdout import HeldOut
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
 from vpptwin.diagnosis.verdict import Rival
 from vpptwin.effects import Stage as EffectStage
@@ -19,11 +19,13 @@ RIVAL_SIGMA = 3.0
 SIGMAS_HELD_OUT = 2.0
 """Standard errors by which a cause must improve the held-out windows."""
 STRONG = 8.0 * BAR
-"""Evidence on fitted windows beyond which any improvement is enough: a few held-out windows cannot outvote that, but
-they must not speak against it."""
+"""Evidence on fitted windows beyond which held-out ones must not speak against a cause by more than their standard
+error: whether a slider slips a little earlier decides much in a few windows, and those cannot outvote that."""
 POWERLESS = 25.0
 """Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
 then named on twice the evidence, unless they speak against it."""
+HINT, BARS_TOGETHER = 0.8, 1.2
+"""Bars that fitted windows alone must bring, and that they and the held-out ones must bring together."""
 TOLERANCES = 2.5
 """Build tolerances that a parameter must leave its nominal by before its effect is named."""
 KINSHIP = 0.05
@@ -80,13 +82,20 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             continue
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
-        better = find_better(fit, replaced) if swaps < MOST_SWAPS else None
+        leads = {
+            effect: {rival: lead(search, held_out, fit, tried) for rival, tried in step.tried.items()}
+            for effect, step in replaced.items()
+        }
+        better = find_better(leads, replaced) if swaps < MOST_SWAPS else None
         if better is None:
-            rivals = {effect: weigh_rivals(fit, step) for effect, step in replaced.items()}
+            rivals = {effect: weigh_rivals(row) for effect, row in leads.items()}
             evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             return Selection(fit, first, rivals, instead, evidence)
-        fit = search.drop_superfluous(search.adopt(better))
+        replaced_cause, fit = better
+        if trusts_errors(search):  # what they voted out does not come back on evidence
+            barred |= {replaced_cause}
+        fit = search.drop_superfluous(search.adopt(fit))
         swaps += 1
 
 
@@ -111,18 +120,49 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought
     """
     tried, drop = step.tried[effect], step.drop(effect)
     kin = [drop for other, drop in brought.items() if other in tried.effects and look_alike(search, effect, other)]
-    if drop < BAR + KINSHIP * max(kin, default=0.0):
+    if drop < HINT * BAR + KINSHIP * max(kin, default=0.0):
         return False
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
         return False
-    before, after = (held_out.surprise(f, search.scale, search.sticks(f.effects)) for f in (step.before, tried))
-    gain, error = improvement(before, after)
+    gain, error = compare(search, held_out, step.before, tried)
     likelihood = held_out.likelihood({}, tried.likelihood.gust)
-    changed = likelihood.whiten(held_out.residual(step.before.values) - held_out.residual(tried.values))
+    changed = likelihood.whiten(held_out.residual(step.before.likeliest) - held_out.residual(tried.likeliest))
     if (changed**2).sum() < POWERLESS:
         return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
-    return gain > (0.0 if drop > STRONG else SIGMAS_HELD_OUT) * error
+    if gain <= (-1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error:
+        return False
+    if drop + gain < BARS_TOGETHER * BAR or held_out.worsens(step.before.values, tried.values):
+        return False
+    return not trusts_errors(search) or held_out.prefer(step.before.values, tried.values) > 0.0
+
+
+def trusts_errors(search: Search) -> bool:
+    """Whether errors on held-out flights have the last word.
+
+    How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
+    """
+    return search.bench.spec.vehicle is None
+
+
+def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:
+    """Drop in held-out surprise from one fit to another, and its standard error."""
+    fits = [(fit, search.sticks(fit.effects)) for fit in (before, after)]
+    return held_out.weigh(fits[0], fits[1], search.scale)
+
+
+def lead(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
+    """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
+
+    Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors.
+    """
+    gain, error = compare(search, held_out, rival, fit)
+    evidence = rival.cost - fit.cost + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+    if trusts_errors(search):
+        sigmas = held_out.prefer(rival.values, fit.values)
+        if abs(sigmas) > SIGMAS_HELD_OUT:
+            return float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
+    return evidence
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
@@ -139,17 +179,20 @@ def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
     return search.extend(search.complete(search.without(fit, effect)), against=effect, values=fit.values)
 
 
-def find_better(fit: Fit, replaced: dict[str, Step]) -> Fit | None:
-    """The fit with a rival in the place of a cause that the evidence prefers most; None if it prefers none."""
-    tried = [step.tried[step.ordered[0]] for step in replaced.values() if step.tried]
-    best = min(tried, key=lambda found: found.cost, default=None)
-    return best if best is not None and best.cost < fit.cost - BETTER else None
+def find_better(leads: Mapping[str, Mapping[str, float]], replaced: Mapping[str, Step]) -> tuple[str, Fit] | None:
+    """The cause that a rival should take the place of, and the fit with that; None if the evidence prefers none."""
+    behind = [(found, effect, rival) for effect, row in leads.items() for rival, found in row.items()]
+    least, effect, rival = min(behind, default=(0.0, "", ""))
+    return (effect, replaced[effect].tried[rival]) if least < -BETTER else None
 
 
-def weigh_rivals(fit: Fit, step: Step) -> list[Rival]:
-    """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first."""
-    gaps = {name: max(step.tried[name].cost - fit.cost, 0.0) / TEMPER for name in step.tried}
-    close = {name: gap for name, gap in gaps.items() if gap < RIVAL_SIGMA**2}
+def weigh_rivals(leads: Mapping[str, float]) -> list[Rival]:
+    """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
+
+    Args:
+        leads: rival → evidence for the cause against it.
+    """
+    close = {name: gap for name, found in leads.items() if (gap := max(found, 0.0) / TEMPER) < RIVAL_SIGMA**2}
     weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
     total = 1.0 + sum(weights.values())
     ordered = sorted(close, key=lambda name: close[name])
