@@ -186,6 +186,41 @@ def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
     np.testing.assert_allclose(rubbing.surprise(guess({}), 4.0, False), square / 4.0 + logdet, rtol=1e-6)
 
 
+def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
+    """With friction the density is the mean of two: with the response of the twin that sticks, and that of none."""
+    own, residual, parts = guess(TRUTH), rubbing.residual(TRUTH), []
+    for values in ({}, TRUTH):
+        likelihood = rubbing.likelihood(values)
+        square = (likelihood.whiten(residual) ** 2).sum(axis=1)
+        usual = 3.0 * np.median(square)
+        square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
+        parts.append(square + likelihood.logdet)
+    least = np.minimum(*parts)
+    mean = least - 2.0 * np.log(0.5 * sum(np.exp(-0.5 * (part - least)) for part in parts))
+    np.testing.assert_allclose(rubbing.surprise(own, 1.0, True), mean)
+    assert np.all((mean > least) & (mean < least + 2.0 * np.log(2.0) + 1e-9))
+
+
+def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> None:
+    """Two fits that differ in gusts alone are as good as each other; one that is better stays so."""
+    calm, windy = guess({}), guess({})
+    windy.likelihood.gust = np.full(1, 5.0)  # type: ignore[misc]
+    assert rubbing.surprise(calm, 1.0, False).sum() != rubbing.surprise(windy, 1.0, False).sum()
+    assert rubbing.weigh((calm, False), (windy, False), 1.0)[0] == 0.0
+    gain, error = rubbing.weigh((windy, False), (guess(TRUTH), True), 1.0)
+    assert gain > 3.0 * error
+
+
+def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
+    """The true friction makes no error worse and is favoured over none and twice as much; those are not over it."""
+    for other in ({}, DOUBLE):
+        assert rubbing.prefer(other, TRUTH) > 2.0
+        assert rubbing.prefer(TRUTH, other) == pytest.approx(-rubbing.prefer(other, TRUTH))
+        assert rubbing.worsens(TRUTH, other)
+        assert not rubbing.worsens(other, TRUTH)
+    assert not rubbing.worsens(TRUTH, TRUTH)
+
+
 def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldOut) -> None:
     """One 30 times worse than it was: beyond u, thrice the median square, its square s counts as u (1 + ln s/u)."""
     factor = np.ones(10)
