@@ -110,8 +110,8 @@ def judge(
     judges: Judges,
     drop: float,
     brought: dict[str, float] | None = None,
-    search: Any = SEARCH,
-    **values: float,  # noqa: ANN401
+    search: Any = SEARCH,  # noqa: ANN401
+    **values: float,
 ) -> bool:
     """Whether the last of the values is a cause beside the others, beside which it brings a drop in cost."""
     tried = fit(50.0 - drop, **values)
@@ -180,7 +180,7 @@ def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
     ],
 )
 def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> None:
-    """By two standard errors; less is enough where the evidence is overwhelming, but nothing that they contradict by one."""
+    """By two standard errors; less is enough where evidence is overwhelming, but nothing that they contradict by one."""
     assert judge(Judges(gain), drop, a_coulomb=0.5) is named
 
 
