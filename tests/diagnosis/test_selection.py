@@ -180,7 +180,7 @@ def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
     ],
 )
 def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> None:
-    """By two standard errors; less is enough where evidence is overwhelming, but nothing that they contradict by one."""
+    """By two standard errors; less is enough where evidence is overwhelming, but not what they contradict by one."""
     assert judge(Judges(gain), drop, a_coulomb=0.5) is named
 
 
