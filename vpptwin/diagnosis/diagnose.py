@@ -31,6 +31,11 @@ SOBER = 0.5
 """Share of confidence that is left where half of the error, or of the missing force, stays unexplained: the true cause
 may be an unknown one."""
 
+CONTRADICTED = (
+    "held-out poses are predicted worse with these causes than without: one set of parameters may not fit all of "
+    "these flights; diagnose them one by one"
+)
+
 Stage = Callable[[str], None]
 
 
@@ -187,6 +192,7 @@ def conclude(
     before, after = held_out.score(nominal), held_out.score(fit.values)
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
     sober = 1.0 - (1.0 - SOBER) * min(2.0 * left, 1.0)
+    contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
     causes = []
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
@@ -195,7 +201,7 @@ def conclude(
         causes.append(
             Cause(
                 effect,
-                sober * selection.confidence(effect),
+                (SOBER if contradicted else sober) * selection.confidence(effect),
                 {u.parameter.name: estimate(u, fit) for u in own},
                 gain,
                 selection.rivals[effect],
@@ -219,7 +225,8 @@ def conclude(
         cleared=cleared,
         unseen=unseen,
         improvement=held_out.change(nominal, fit.values) if causes else {},
-        warnings=[
+        warnings=[CONTRADICTED] * contradicted
+        + [
             f"{flight.path.name}: {warning}"
             for flight, measured in zip(flights, material.measurements)
             for warning in (*flight.warnings, *measured.warnings)

@@ -154,15 +154,17 @@ def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple
 def lead(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
     """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
 
-    Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors.
+    Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors; and a rival that
+    makes them grow is never better.
     """
     gain, error = compare(search, held_out, rival, fit)
     evidence = rival.cost - fit.cost + float(np.sign(gain) * max(abs(gain) - error, 0.0))
-    if trusts_errors(search):
-        sigmas = held_out.prefer(rival.values, fit.values)
-        if abs(sigmas) > SIGMAS_HELD_OUT:
-            return float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
-    return evidence
+    if not trusts_errors(search):
+        return evidence
+    sigmas = held_out.prefer(rival.values, fit.values)
+    if abs(sigmas) > SIGMAS_HELD_OUT:
+        evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
+    return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
