@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vpptwin.diagnosis.search import Fit, Search
-from vpptwin.diagnosis.suspects import Unknown, solve_hypothesis
+from vpptwin.diagnosis.suspects import Unknown, scatter_by_stretch, solve_hypothesis
 from vpptwin.diagnosis.verdict import Cleared, Unseen
 from vpptwin.effects import Effect
 
@@ -43,7 +43,8 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
         return Unseen(effect.id, f"it only changes {' or '.join(lacking)}, which is not there")
     i = next(i for i, u in enumerate(search.unknowns) if u.key == strength.key)
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects | {effect.id}, search.scale)
-    std = float(np.sqrt(solution.covariance[i, i]))
+    scatter = scatter_by_stretch(fit.about, solution, search.bench, search.scale)
+    std = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
     # The range that was looked through counts as prior knowledge; it must not pass for something seen.
     if std > 0.5 * strength.width or parameter.size < SEEN * std:
         return Unseen(effect.id, describe_blindness(effect, parameter.size / max(std, 1e-12), search))
