@@ -82,13 +82,13 @@ def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
     if options.json and options.json.exists():
         if (seed := read_results(options.json)["seed"]) != options.seed:
             sys.exit(f"{options.json} holds sessions of seed {seed}, not {options.seed}: name another file")
-        known = (case for case in load_cases([options.json]) if not case.error)
-        done = {c.plan.number: c for c in known if c.baselines or c.plan.number not in compared}
+        done = {c.plan.number: c for c in load_cases([options.json]) if not c.error}
     head = {"seed": options.seed, "date": datetime.now(UTC).isoformat(timespec="seconds"), **describe_machine()}
-    left = [plan for plan in plans if plan.number not in done]
+    bare = {number for number in compared & set(done) if not done[number].baselines}
+    left = [plan for plan in plans if plan.number not in done or plan.number in bare]
     with tempfile.TemporaryDirectory() as folder:
         home = options.keep or Path(folder)
-        cases = run_campaign(left, home, options.jobs, options.oracle, compared, options.keep is not None)
+        cases = run_campaign(left, home, options.jobs, options.oracle, compared, options.keep is not None, done)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
             done[case.plan.number] = case
             for line in list_failures([case]):

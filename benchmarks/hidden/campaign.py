@@ -6,7 +6,7 @@ import json
 import multiprocessing
 import os
 import shutil
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,7 +48,13 @@ def take_core(cores: Any) -> None:  # noqa: ANN401 (a queue of the context has n
 
 
 def run_campaign(
-    plans: Sequence[Plan], folder: Path, jobs: int, oracle: bool, compared: Set[int], keep: bool
+    plans: Sequence[Plan],
+    folder: Path,
+    jobs: int,
+    oracle: bool,
+    compared: Set[int],
+    keep: bool,
+    known: Mapping[int, Case],
 ) -> Iterator[Case]:
     """Fly and diagnose sessions; yields each as it is done, in no order.
 
@@ -59,6 +65,7 @@ def run_campaign(
         oracle: fit the true structure too.
         compared: numbers of the sessions that the other methods are tried on too.
         keep: leave the logs in `folder`.
+        known: what earlier runs found, by number; those sessions are not diagnosed again.
     """
     waiting = iter([plans[i : i + BATCH] for i in range(0, len(plans), BATCH)])
     flying: dict[Future, Sequence[Plan]] = {}
@@ -76,7 +83,8 @@ def run_campaign(
                 if (batch := flying.pop(future, None)) is not None:
                     fly_next(pool)  # ahead of this batch's diagnoses, so that there is always something to do
                     for plan, logs in zip(batch, future.result()):
-                        job = pool.submit(run_session, plan, logs, oracle, plan.number in compared)
+                        also = plan.number in compared
+                        job = pool.submit(run_session, plan, logs, oracle, also, known.get(plan.number))
                         running[job] = plan
                 else:
                     plan = running.pop(future)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hidden.case import Case, Finding, Named
@@ -41,17 +42,30 @@ def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
     return logs
 
 
-def run_session(plan: Plan, logs: Sequence[Path], oracle: bool, baselines: bool) -> Case:
-    """Diagnose a session's logs; a diagnosis that fails is a result too."""
+def run_session(plan: Plan, logs: Sequence[Path], oracle: bool, baselines: bool, known: Case | None = None) -> Case:
+    """Diagnose a session's logs; a diagnosis that fails is a result too.
+
+    Args:
+        plan: what was hidden.
+        logs: of its flights.
+        oracle: fit the true structure too.
+        baselines: try the other methods too.
+        known: what an earlier run found; then only these are tried.
+    """
     try:
         flights = [read_flight(log) for log in logs]
-        found = find(flights)
-        best = None
-        if oracle and plan.known:  # a diagnosis that named all of them and nothing else has fitted that structure
-            best = found if set(found.named) == plan.known else find(flights, plan.known)
+        case = known or diagnose_session(plan, flights, oracle)
     except Exception as error:
         return Case(plan, None, error=f"{type(error).__name__}: {error}")
-    return Case(plan, found, best, name_by_baselines(flights) if baselines else {})
+    return replace(case, baselines=name_by_baselines(flights)) if baselines else case
+
+
+def diagnose_session(plan: Plan, flights: Sequence[Flight], oracle: bool) -> Case:
+    """Diagnose flights, and fit the truth to them."""
+    found, best = find(flights), None
+    if oracle and plan.known:  # a diagnosis that named all of them and nothing else has fitted that structure
+        best = found if set(found.named) == plan.known else find(flights, plan.known)
+    return Case(plan, found, best)
 
 
 def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
