@@ -126,15 +126,20 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
         return False
     gain, error = compare(search, held_out, step.before, tried)
-    likelihood = held_out.likelihood({}, tried.likelihood.gust)
-    changed = likelihood.whiten(held_out.residual(step.before.likeliest) - held_out.residual(tried.likeliest))
-    if (changed**2).sum() < POWERLESS:
-        return drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
-    if gain <= (-1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error:
+    agreed = gain > (-1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error and drop + gain > BARS_TOGETHER * BAR
+    undecided = drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
+    if not agreed and not (undecided and is_powerless(held_out, step.before, tried)):
         return False
-    if drop + gain < BARS_TOGETHER * BAR or held_out.worsens(step.before.values, tried.values):
+    if held_out.worsens(step.before.values, tried.values):
         return False
-    return not trusts_errors(search) or held_out.prefer(step.before.values, tried.values) > 0.0
+    return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > 0.0
+
+
+def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
+    """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
+    likelihood = held_out.likelihood({}, after.likelihood.gust)
+    changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
+    return bool((changed**2).sum() < POWERLESS)
 
 
 def trusts_errors(search: Search) -> bool:
