@@ -112,18 +112,21 @@ def inertia_of(verdict: dict) -> float:
     return INERTIA + values_of(verdict).get("pitch.inertia.inertia", 0.0)
 
 
+@pytest.mark.slow
 def test_the_centre_of_mass_is_below_the_pivot(pivot: dict) -> None:
     """A restoring moment is named under which the drone swings at 2.95 rad/s, as it does; the lab has none."""
     stiffness = values_of(pivot)["pitch.spring.stiffness"]
     assert (stiffness / inertia_of(pivot)) ** 0.5 == pytest.approx(2.95, rel=0.05)
 
 
+@pytest.mark.slow
 def test_idle_rotors_give_a_third_of_the_nominal_moment(pivot: dict) -> None:
     """A fit by hand finds 118 to 132 rad/s² per command: no rotor gives less than nothing."""
     gain = GAIN * values_of(pivot).get("moment.gain.gain", 1.0) * INERTIA / inertia_of(pivot)
     assert gain == pytest.approx(125.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_command_acts_late(pivot: dict) -> None:
     """A delay or a lag of some 20 ms is named, or both; where it is one, the other may as well be."""
     values = values_of(pivot)
@@ -136,6 +139,7 @@ def test_the_command_acts_late(pivot: dict) -> None:
         assert "moment.delay" in named["moment.lag"]
 
 
+@pytest.mark.slow
 def test_the_pivot_is_predicted_better(pivot: dict) -> None:
     """On blocks that no fit has seen, the angle's error half a second ahead falls by more than half."""
     before, after = pivot["before"]["angle_rmse_rad"], pivot["after"]["angle_rmse_rad"]

@@ -92,6 +92,7 @@ def test_the_file_says_where_it_comes_from(tmp_path: Path) -> None:
     assert (high - low) / 2 == pytest.approx(1.645 * force.std, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_twin_with_the_right_friction_lacks_nothing_on_the_demo_flights(tmp_path: Path) -> None:
     """Given what the demo's rig hides, nothing more is named: about 20 s of a core."""
     twin = tmp_path / "twin.yaml"

@@ -112,12 +112,21 @@ def test_view_follows_the_craft(browser: Browser) -> None:
     browser.evaluate("view.value = 'flight'; view.dispatchEvent(new Event('change')); 0")
 
 
+def hear_interrupts() -> None:
+    """A shell starts what runs in the background deaf to Ctrl-C, and its children are so too."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
     imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live"
     program = f"{imports}; play_live(make_flight())"
     server = subprocess.Popen(
-        [sys.executable, "-u", "-c", program], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
+        [sys.executable, "-u", "-c", program],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+        preexec_fn=hear_interrupts,
     )
     assert server.stdout is not None
     try:
