@@ -31,7 +31,6 @@ from vpptwin.twin.spec import TwinSpec
 SOBER = 0.5
 """Share of confidence that is left where half of the error, or of the missing force, stays unexplained: the true cause
 may be an unknown one."""
-
 INEXACT, INEXACT_FRICTION = 0.02, 0.05
 """What the law of an effect, and of dry friction, may be wrong by, as a share of its strength: with this nine in ten
 90 % intervals held the truth in sessions of benchmarks/hidden_effects.py (seed 8001)."""

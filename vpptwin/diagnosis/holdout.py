@@ -57,6 +57,7 @@ class HeldOut:
         self.short, self.long = short, long
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
+        self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -187,6 +188,12 @@ class HeldOut:
 
     def squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Squared errors of every long window near every horizon, (K, H): of slides "m", hinges "rad", and rates."""
+        key = frozenset(values.items())
+        if key not in self._squares:
+            self._squares[key] = self._measure_squares(values)
+        return self._squares[key]
+
+    def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
         rotary = rotary_dofs(self.long.spec)
         sensors = self.long.sensors(values)

@@ -39,7 +39,7 @@ def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[C
         for _ in range(2 if keep else 0):
             try:
                 return cfunc(signature, cache=True, **options)(function)
-            except (UnpicklingError, EOFError, ImportError):  # cut off, or its module is gone: once more
+            except (UnpicklingError, EOFError):  # a file was cut off: once more, without it
                 drop_cache(function)
             except (RuntimeError, OSError):  # no folder that can be written, a full disk
                 break
