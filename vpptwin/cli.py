@@ -108,11 +108,17 @@ def build_parser() -> argparse.ArgumentParser:
     train.set_defaults(run=lambda options: run_train([]))
 
     evaluate = commands.add_parser("evaluate", help="measure a trained policy")
-    evaluate.add_argument("checkpoint", type=Path, help="a checkpoint or a run's folder")
-    evaluate.add_argument("--task", default="hover")
-    evaluate.add_argument("--tracks", type=int, default=1000)
-    evaluate.add_argument("--seed", type=int, default=0)
-    evaluate.add_argument("--twin", default="nominal")
+    evaluate.add_argument("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
+    evaluate.add_argument("--task", help="what to fly (default: the task of training)")
+    evaluate.add_argument("--tracks", type=int, default=1000, help="flights (default 1000)")
+    evaluate.add_argument("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
+    evaluate.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    evaluate.add_argument("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
+    evaluate.add_argument(
+        "--randomize", default="paper", metavar="NAMES",
+        help="effects drawn from their priors, separated by commas, or paper (default), all, none",
+    )  # fmt: skip
+    evaluate.add_argument("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
     add_effects(evaluate)
     evaluate.add_argument("--json", type=Path)
     evaluate.set_defaults(run=run_evaluate)
@@ -258,10 +264,15 @@ def run_train(overrides: Sequence[str]) -> None:
 
 def run_evaluate(options: argparse.Namespace) -> None:
     """`vpptwin evaluate`."""
+    from vpptwin.train.evaluate import Conditions
     from vpptwin.train.evaluate import run_evaluate as evaluate
 
-    own = [str(file) for file in options.effects]
-    result = evaluate(options.checkpoint, options.task, options.tracks, options.seed, options.twin, options.json, own)
+    names = [name for name in options.randomize.split(",") if name not in ("", "none")]
+    conditions = Conditions(
+        options.task, options.tracks, options.seed, options.twin, options.noise, names, options.thrust_to_weight,
+        [str(file) for file in options.effects],
+    )  # fmt: skip
+    result = evaluate(options.checkpoint, conditions, options.json)
     print(json.dumps(result, indent=2))
 
 

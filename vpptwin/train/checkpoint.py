@@ -13,14 +13,15 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 import vpptwin
 from vpptwin.errors import InputError
+from vpptwin.resources import models_dir
 from vpptwin.train.config import TrainConfig, to_config, to_plain
 from vpptwin.train.env import VppEnv
 from vpptwin.train.networks import Policy
-from vpptwin.train.observe import observation_size
 from vpptwin.train.snapshot import take_snapshot
 
-KIND, FORMAT = "vpptwin policy", 2
-FILE_NAME = "checkpoint.pt"
+KIND, FORMAT = "vpptwin policy", 3
+FILE_NAME, BEST_NAME = "checkpoint.pt", "best.pt"
+"""Of the last state, which resuming needs, and of the best policy so far, which flies."""
 RECORDED = ("vpptwin", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 TRAIN_AGAIN = "train one with `vpptwin train task=hover`"
 
@@ -64,14 +65,39 @@ def write_checkpoint(
         temporary.unlink(missing_ok=True)
 
 
-def read_checkpoint(path: Path | str) -> dict[str, Any]:
-    """Content of a checkpoint file, or of the one in a run's folder.
+def find_checkpoint(path: Path | str, flying: bool = True) -> Path:
+    """The file that a name stands for: itself, one of a run's folder, or a policy that ships with the project.
+
+    Args:
+        path: file, folder of a run, or name such as `flip`.
+        flying: the best policy of a folder is wanted, not the last state of training.
+    """
+    given = Path(path)
+    if given.is_dir():
+        best = given / BEST_NAME
+        return best if flying and best.is_file() else given / FILE_NAME
+    if not given.exists() and given.name == str(path) and not given.suffix:
+        return shipped_policies().get(given.name, given)
+    return given
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Policies that ship with the project, by name."""
+    folder = models_dir() / "policies"
+    return {file.stem: file for file in sorted(folder.glob("*.pt"))}
+
+
+def read_checkpoint(path: Path | str, flying: bool = True) -> dict[str, Any]:
+    """Content of a checkpoint.
+
+    Args:
+        path: as `find_checkpoint`.
+        flying: as `find_checkpoint`.
 
     Raises:
         InputError: if there is none, it is damaged, something else, or of another format.
     """
-    file = Path(path)
-    file = file / FILE_NAME if file.is_dir() else file
+    file = find_checkpoint(path, flying)
     if not file.is_file():
         raise InputError(f"no checkpoint {file}", "a checkpoint or the folder of a run", TRAIN_AGAIN)
     try:
@@ -105,7 +131,7 @@ def build_policy(content: dict[str, Any], source: object) -> tuple[Policy, Train
 
 def make_policy(config: TrainConfig) -> Policy:
     """An untrained policy of the configured size."""
-    return Policy(observation_size(config.paper_inputs), (config.hidden[0], config.hidden[1]))
+    return Policy(config.sight, (config.hidden[0], config.hidden[1]))
 
 
 class SaveCheckpoint(TrainerHookBase):
@@ -114,7 +140,7 @@ class SaveCheckpoint(TrainerHookBase):
     Args:
         path: of the file.
         config: of the run.
-        policy: what is trained.
+        policy: what flies, the average of what is trained.
         env: whose simulations are saved too, so that a resumed run continues as if never interrupted.
     """
 

@@ -9,6 +9,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
+from vpptwin.train.observe import SETUPS, Sight
 from vpptwin.train.tasks import Task, check_task
 
 HELP = "`vpptwin train --help` lists every option"
@@ -38,11 +39,44 @@ class Ramp:
 
 
 @dataclass
+class Curriculum:
+    """What gets harder in the course of training (paper, Curriculum Learning).
+
+    Attributes:
+        enabled: whether anything does; else difficulty is 1 throughout.
+        difficulty: multiplies sensor noise and the distance of randomized parameters from nominal.
+        single_below: below this difficulty an episode is judged by its position or by its angle, not both.
+    """
+
+    enabled: bool = True
+    difficulty: Ramp = field(default_factory=lambda: Ramp(0.0, 1.0, finish=0.5))
+    single_below: float = 0.4
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A curriculum and the number of policy steps that it spans.
+
+    Attributes:
+        curriculum: the schedule.
+        steps: policy steps of all training, over all simulations of one environment.
+    """
+
+    curriculum: Curriculum
+    steps: int
+
+    def difficulty_at(self, flown: int) -> float:
+        """Difficulty after so many policy steps."""
+        return self.curriculum.difficulty.at(flown / self.steps)
+
+
+@dataclass
 class TrainConfig:
     """Everything that decides how a run goes. The lines below are also the help of `vpptwin train`.
 
     Attributes:
         task: what to fly.
+        preset: values to start from; `paper` for the paper's networks and schedules, `fast` for what trains quickest.
         twin: `nominal` or a twin YAML.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
@@ -52,11 +86,17 @@ class TrainConfig:
         num_envs: simulations flown side by side.
         rollout: policy steps of every simulation between two updates.
         noise: sensor noise in the observation; 1 for that of vehicle.yaml.
-        randomize: effects drawn from their priors at every reset, e.g. '[servo.lag,air.drag]'; all for every one.
-        paper_inputs: observe the paper's nine inputs, without the target's angle.
+        randomize: effects drawn from their priors at every reset, e.g. '[servo.lag,air.drag]'; paper or all for groups.
+        setup: the policy's inputs, VA, TA, PI or All: angle in radians or as sine and cosine, integral or none.
+        paper_inputs: observe the paper's inputs, without the target's angle.
+        curriculum: what gets harder in the course of training.
         desynchronize: start the first episodes at random clock times.
         hidden: actor, units of the ReLU layer and of the tanh layer.
-        critic_hidden: critic, units of its tanh layers.
+        lipschitz: bound of the actor's Lipschitz constant, inputs scaled; null for none.
+        critic: mlp, or lstm over the last five steps and then the layers of critic_hidden.
+        critic_hidden: critic, units of its layers.
+        critic_lstm: critic, units of its LSTM.
+        privileged: the critic sees true states, actuators and randomized parameters instead of the observation.
         epochs: passes over every batch.
         minibatch: samples per gradient step.
         gamma: discount per policy step.
@@ -66,27 +106,40 @@ class TrainConfig:
         max_grad_norm: gradients are clipped to this norm.
         learning_rate: over the course of training.
         exploration: standard deviation of the action before its squashing, over the course of training.
+        average: share of the averaged weights, those that fly, that stays at every update; 0 for no averaging.
         checkpoint_every: policy steps between checkpoints.
+        exam_every: policy steps between evaluations on a fixed set, whose best policy is kept; 0 for none.
+        exam_tracks: flights of that set.
+        loggers: csv and tensorboard, or one of them.
+        collector: local, or ray for workers that Ray starts.
+        workers: Ray workers, which share the simulations.
         sim_threads: cores for the simulation.
         torch_threads: cores for the networks; small ones are fastest on one.
         progress: show a progress bar.
     """
 
     task: Task = MISSING
+    preset: str = "fast"
     twin: str = "nominal"
     effects: list[str] = field(default_factory=list)
     out: str | None = None
     resume: str | None = None
     seed: int = 0
-    total_steps: int = 800_000
-    num_envs: int = 256
+    total_steps: int = 3_000_000
+    num_envs: int = 512
     rollout: int = 32
-    noise: float = 0.0
-    randomize: list[str] = field(default_factory=list)
+    noise: float = 1.0
+    randomize: list[str] = field(default_factory=lambda: ["paper"])
+    setup: str = "All"
     paper_inputs: bool = False
+    curriculum: Curriculum = field(default_factory=Curriculum)
     desynchronize: bool = True
     hidden: list[int] = field(default_factory=lambda: [96, 64])
+    lipschitz: float | None = 8.0
+    critic: str = "mlp"
     critic_hidden: list[int] = field(default_factory=lambda: [128, 128])
+    critic_lstm: int = 64
+    privileged: bool = True
     epochs: int = 5
     minibatch: int = 1024
     gamma: float = 0.99
@@ -96,12 +149,38 @@ class TrainConfig:
     max_grad_norm: float = 1.0
     learning_rate: Ramp = field(default_factory=lambda: Ramp(1e-3, 9e-5))
     exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.1, finish=0.9))
+    average: float = 0.95
     checkpoint_every: int = 100_000
+    exam_every: int = 200_000
+    exam_tracks: int = 200
+    loggers: list[str] = field(default_factory=lambda: ["csv", "tensorboard"])
+    collector: str = "local"
+    workers: int = 2
     sim_threads: int = 2
     torch_threads: int = 1
     progress: bool = True
 
+    @property
+    def sight(self) -> Sight:
+        """What the policy is shown."""
+        return Sight(self.setup, not self.paper_inputs)
 
+    @property
+    def critic_memory(self) -> int:
+        """Steps that the critic is shown."""
+        return MEMORY if self.critic == "lstm" else 1
+
+
+MEMORY = 5
+"""Steps that the LSTM of the critic sees (paper, Asymmetric Network Structure)."""
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "paper": {
+        "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 6_000_000,
+        "learning_rate": {"start": 3e-4, "end": 9e-5, "begin": 0.1, "finish": 0.7}, "torch_threads": 2,
+    },
+}  # fmt: skip
+"""What each preset changes."""
 RESUMABLE = ("resume", "total_steps", "sim_threads", "torch_threads", "progress")
 """What may be given besides `resume`; the rest comes from the run that is continued."""
 
@@ -134,7 +213,8 @@ def check_values(config: TrainConfig) -> None:
     Raises:
         InputError: naming the first.
     """
-    for name in ("total_steps", "num_envs", "rollout", "epochs", "minibatch", "max_grad_norm", "checkpoint_every"):
+    positive = ("total_steps", "num_envs", "rollout", "epochs", "minibatch", "max_grad_norm", "checkpoint_every")
+    for name in (*positive, "exam_tracks", "critic_lstm", "workers"):
         if getattr(config, name) <= 0:
             raise InputError(f"{name}={getattr(config, name)}", "a number above 0", HELP)
     for name in ("sim_threads", "torch_threads"):
@@ -147,7 +227,18 @@ def check_values(config: TrainConfig) -> None:
         ramp = getattr(config, name)
         if not (ramp.start > 0.0 and ramp.end > 0.0):
             raise InputError(f"{name} from {ramp.start} to {ramp.end}", "numbers above 0", HELP)
-    for name in ("noise", "seed"):
+    if not 0.0 <= config.average < 1.0:
+        raise InputError(f"average={config.average}", "from 0 to below 1", HELP)
+    if config.lipschitz is not None and not config.lipschitz > 0.0:
+        raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)
+    choices = {"setup": SETUPS, "critic": ("mlp", "lstm"), "collector": ("local", "ray"), "preset": tuple(PRESETS)}
+    for name, known in choices.items():
+        if getattr(config, name) not in known:
+            raise InputError(f"{name}={getattr(config, name)}", f"one of {', '.join(known)}", HELP)
+    unknown = set(config.loggers) - {"csv", "tensorboard"}
+    if unknown:
+        raise InputError(f"loggers={config.loggers}", "csv, tensorboard or both", HELP)
+    for name in ("noise", "seed", "exam_every"):
         if not getattr(config, name) >= 0:
             raise InputError(f"{name}={getattr(config, name)}", "0 or more", HELP)
     if len(config.hidden) != 2 or not config.critic_hidden or min(config.hidden + config.critic_hidden) < 1:

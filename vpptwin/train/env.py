@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,27 +13,31 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import TrainConfig
+from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.episodes import Episodes
-from vpptwin.train.observe import accumulate_error, observation_size, observe
-from vpptwin.train.randomize import ALL, Priors, randomize
-from vpptwin.train.reward import compute_reward
+from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
+from vpptwin.train.privileged import privileged_size, see_everything
+from vpptwin.train.randomize import Priors, name_effects, randomize
+from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.tasks import Task
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
 from vpptwin.twin.sensors import read_sensors, sensor_noise
-from vpptwin.twin.spec import check_effects
+from vpptwin.twin.spec import TwinSpec, check_effects
 
 Rows = np.ndarray | slice
 """Which simulations: their numbers, or a slice of all."""
 EVERY = slice(None)
+NEAR = 0.3
+"""Largest angle from the target at the start of an episode that is judged by its position only, rad."""
 
 
 class VppEnv(EnvBase):
     """N drones on their rails flying one task, at the policy rate.
 
-    Besides observation, reward and the done flags every step reports `position_error` [m] and `episode_return`, (N, 1).
+    Besides observation, reward and the done flags every step reports `position_error` [m], `success` (of an episode
+    that ended there) and `episode_return`, (N, 1), and, for a critic, `critic_observation` (N, memory, width).
     An action (thrust, rate) in [-1, 1] is scaled with the vehicle's believed limits.
 
     The observation comes from the sensors (`vpptwin.twin.sensors`), with the twin's errors of them: position, angle and
@@ -45,8 +50,11 @@ class VppEnv(EnvBase):
         seed: of initial states, targets, noise and randomization.
         noise: multiplies the standard deviations of the vehicle's sensors; 0 for perfect ones.
         randomized: ids of effects whose parameters are drawn from their priors at every reset.
-        paper_inputs: observe the paper's nine inputs, without the target's angle.
+        sight: what the policy is shown; by default everything of SPEC 6.
         desynchronize: start at random clock times when all are reset at once, so that not all end together.
+        lesson: the curriculum; None for full difficulty.
+        memory: steps that are shown to a critic; 0 for none at all.
+        privileged: a critic sees `privileged.py`'s state instead of the policy's observation.
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
 
     Attributes:
@@ -54,6 +62,7 @@ class VppEnv(EnvBase):
         sensors: of the motion capture, which may show the past.
         episodes: what evolves besides.
         rng: source of every random number here.
+        flown: policy steps of each simulation so far, by which the curriculum goes.
         restored: the next full reset hands out the present observation instead of drawing new episodes.
         faults: number of simulations so far that diverged and were started afresh.
     """
@@ -67,41 +76,48 @@ class VppEnv(EnvBase):
         seed: int = 0,
         noise: float = 0.0,
         randomized: Sequence[str] = (),
-        paper_inputs: bool = False,
+        sight: Sight | None = None,
         desynchronize: bool = False,
+        lesson: Lesson | None = None,
+        memory: int = 0,
+        privileged: bool = True,
         fault_folder: Path | None = None,
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
-        self.twin, self.task, self.faults, self.restored = twin, task, 0, False
-        self.noise, self.randomized, self.paper_inputs = noise, tuple(randomized), paper_inputs
-        self.desynchronize, self.fault_folder = desynchronize, fault_folder
+        self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
+        self.noise, self.randomized, self.sight = noise, tuple(randomized), sight or Sight()
+        self.desynchronize, self.lesson, self.fault_folder = desynchronize, lesson, fault_folder
+        self.privileged = privileged
         control = twin.vehicle.control
         self._scale = np.array([control.thrust_max, control.rate_max])
         self._period = 1.0 / control.policy_rate
         self._noise_std = noise * np.stack(sensor_noise(twin.vehicle))
         self._priors = Priors.of(twin.effects[effect] for effect in self.randomized)
         self.rng = np.random.default_rng(seed)
-        n = twin.num_sims
+        n, parameters = twin.num_sims, len(self._priors.keys)
         self.state = twin.initial_state()
         self._before = self.state.copy()
         self._depth = history_depth(twin.effects.values(), self._period, task.episode)
         self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
-        observation = np.zeros((n, observation_size(paper_inputs)), np.float32)
-        self.episodes = Episodes(
-            np.zeros((n, 3)), np.zeros((n, 2)), np.zeros(n), np.full(n, np.inf), np.zeros(n), observation
-        )
+        width = privileged_size(parameters) if privileged else len(self.sight.names)
+        self.episodes = Episodes.allocate(n, len(self.sight.names), parameters, memory, width if memory else 0)
         self._make_specs(n)
+
+    @property
+    def difficulty(self) -> float:
+        """Level of the curriculum, 0 to 1."""
+        return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.twin.num_sims)
 
     def _make_specs(self, n: int) -> None:
         def scalar(dtype: torch.dtype) -> Unbounded:
             return Unbounded(shape=(n, 1), dtype=dtype)
 
-        self.observation_spec = Composite(
-            observation=Unbounded(shape=(n, observation_size(self.paper_inputs)), dtype=torch.float32),
-            position_error=scalar(torch.float32),
-            episode_return=scalar(torch.float32),
-            shape=(n,),
-        )
+        shapes = {"observation": self.episodes.observation.shape}
+        if self.episodes.seen.size:
+            shapes["critic_observation"] = self.episodes.seen.shape
+        shown = {key: Unbounded(shape=shape, dtype=torch.float32) for key, shape in shapes.items()}
+        told = {key: scalar(torch.float32) for key in ("position_error", "success", "episode_return")}
+        self.observation_spec = Composite(**shown, **told, shape=(n,))
         self.action_spec = Bounded(-1.0, 1.0, shape=(n, 2), dtype=torch.float32)
         self.reward_spec = scalar(torch.float32)
         flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
@@ -120,21 +136,42 @@ class VppEnv(EnvBase):
         self._begin(ids)
         if self.desynchronize and mask is None:
             self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.task.episode, len(ids))
-            self.episodes.switch[ids] += self.episodes.elapsed[ids]
+            self._schedule(ids)
         return self._pack(false, false)
 
     def _begin(self, ids: np.ndarray) -> None:
         """Start new episodes in the rows `ids`; the other rows stay as they are."""
-        rng, episodes, task = self.rng, self.episodes, self.task
-        randomize(self.twin, self._priors, ids, rng)
-        target = task.target.draw(rng, len(ids))
+        rng, episodes, task, count = self.rng, self.episodes, self.task, len(ids)
+        drawn = randomize(self.twin, self._priors, ids, rng, self.difficulty)
+        target = task.target.draw(rng, count)
         pose, velocity = task.start.draw(rng, target)
+        criterion = self._draw_criteria(count)
+        near = criterion == POSITION
+        pose[near, 2] = target[near, 2] + rng.uniform(-NEAR, NEAR, int(near.sum()))
         self.state.write_rows(ids, self.twin.initial_state(pose, velocity, ids=ids))
         self.sensors.write_rows(ids, start_sensors(pose, velocity, self._depth, self._period))
-        episodes.target[ids] = target
-        episodes.switch[ids] = task.target.draw_dwell(rng, len(ids))
-        episodes.integral[ids] = episodes.elapsed[ids, None] = episodes.total[ids] = 0.0
+        episodes.target[ids], episodes.criterion[ids] = target, criterion
+        episodes.turn[ids] = episodes.elapsed[ids] = episodes.total[ids] = episodes.stage[ids] = 0
+        episodes.integral[ids] = episodes.action[ids] = 0.0
+        episodes.closest[ids], episodes.missed[ids] = np.inf, False
+        self._schedule(ids)
+        if episodes.seen.size:
+            episodes.drawn[ids] = np.clip(self._priors.standardize(drawn), -5.0, 5.0)
         self._measure(ids)
+        episodes.seen[ids] = episodes.seen[ids, -1:]
+
+    def _draw_criteria(self, count: int) -> np.ndarray:
+        """What new episodes are judged by, (count,): below the lesson's level one criterion each."""
+        if self.lesson is None or self.difficulty >= self.lesson.curriculum.single_below:
+            return np.full(count, BOTH)
+        return self.rng.choice([POSITION, ANGLE], count)
+
+    def _schedule(self, ids: np.ndarray) -> None:
+        """Draw when the next triggers come; none in an episode judged by its position, nor near an end."""
+        episodes, target = self.episodes, self.task.target
+        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
+        late = time > self.task.episode - target.quiet
+        episodes.switch[ids] = np.where(late | (episodes.criterion[ids] == POSITION), np.inf, time)
 
     def _measure(self, rows: Rows = EVERY) -> None:
         """Advance the integral and take a fresh observation."""
@@ -144,22 +181,36 @@ class VppEnv(EnvBase):
             self._period,
         )  # fmt: skip
         if self.noise:
-            pose += self._noise_std[0] * self.rng.standard_normal(pose.shape)
-            velocity += self._noise_std[1] * self.rng.standard_normal(velocity.shape)
+            level = self.difficulty
+            pose += level * self._noise_std[0] * self.rng.standard_normal(pose.shape)
+            velocity += level * self._noise_std[1] * self.rng.standard_normal(velocity.shape)
         target = episodes.target[rows]
         integral = accumulate_error(episodes.integral[rows], (target - pose)[:, :2])
         episodes.integral[rows] = integral
-        episodes.observation[rows] = observe(pose, velocity, target, integral, self.paper_inputs)
+        episodes.observation[rows] = observe(pose, velocity, target, integral, self.sight)
+        if episodes.seen.size:
+            # One step on: what was the second becomes the first.
+            episodes.seen[rows, :-1] = episodes.seen[rows, 1:]
+            now = (
+                see_everything(state, episodes, self.twin.vehicle, rows)
+                if self.privileged
+                else episodes.observation[rows]
+            )
+            episodes.seen[rows, -1] = now
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = np.clip(tensordict.get("action").detach().numpy().astype(np.float64), -1.0, 1.0)
         broken = self._fly(action * self._scale)
         episodes, task = self.episodes, self.task
+        episodes.action[:] = action
         episodes.elapsed += self._period
-        self._switch_targets()
+        self.flown += 1
+        self._move_targets()
         self._measure(np.flatnonzero(~broken) if broken.any() else EVERY)
         pose, velocity = self.state.qpos, self.state.qvel
-        reward = compute_reward(task.weights, episodes.target - pose, velocity, episodes.integral)
+        delta = episodes.target - pose
+        np.minimum(episodes.closest, np.abs(wrap_angle(delta[:, 2])), out=episodes.closest)
+        reward = compute_reward(task.weights, delta, velocity, episodes.integral, episodes.criterion)
         reward[broken] = 0.0
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
@@ -182,28 +233,48 @@ class VppEnv(EnvBase):
             self._begin(ids)
         return broken
 
-    def _switch_targets(self) -> None:
+    def _move_targets(self) -> None:
+        """Turn the targets that are turning, and let triggers come."""
         episodes, target = self.episodes, self.task.target
+        if target.turns:
+            reach = target.turn_rate * self._period
+            step = np.clip(episodes.turn, -reach, reach)
+            episodes.target[:, 2] += step
+            episodes.turn -= step
         ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
-        if len(ids):
-            episodes.target[ids, 2] = target.draw_other_angle(self.rng, episodes.target[ids, 2])
-            episodes.switch[ids] += target.draw_dwell(self.rng, len(ids))
+        if not len(ids):
+            return
+        episodes.missed[ids] |= episodes.closest[ids] > (self.task.success.reach or np.inf)
+        episodes.closest[ids] = np.inf
+        episodes.stage[ids] += 1
+        now = wrap_angle(episodes.target[ids, 2])
+        turn = target.draw_turn(self.rng, len(ids))
+        other = target.draw_other_angle(self.rng, now, episodes.stage[ids])
+        episodes.turn[ids] = turn
+        episodes.target[ids, 2] = np.where(turn == 0.0, other, now)
+        self._schedule(ids)
 
     def _pack(self, terminated: np.ndarray, truncated: np.ndarray, reward: np.ndarray | None = None) -> TensorDict:
         """Fresh tensors of what an agent sees now, with the reward after a step."""
-        delta = self.episodes.target - self.state.qpos
-        seen = {
-            "observation": torch.from_numpy(self.episodes.observation.copy()),
-            "position_error": as_column(np.hypot(delta[:, 0], delta[:, 1])),
-            "episode_return": as_column(self.episodes.total),
+        episodes, wanted = self.episodes, self.task.success
+        delta = episodes.target - self.state.qpos
+        distance = np.hypot(delta[:, 0], delta[:, 1])
+        there = (distance <= wanted.position) & (np.abs(wrap_angle(delta[:, 2])) <= wanted.angle) & ~episodes.missed
+        told = {
+            "observation": torch.from_numpy(episodes.observation.copy()),
+            "position_error": as_column(distance),
+            "success": as_column(there & truncated),
+            "episode_return": as_column(episodes.total),
             "terminated": torch.from_numpy(terminated[:, None].copy()),
             "truncated": torch.from_numpy(truncated[:, None].copy()),
             "done": torch.from_numpy((terminated | truncated)[:, None]),
         }
+        if episodes.seen.size:
+            told["critic_observation"] = torch.from_numpy(episodes.seen.copy())
         if reward is not None:
-            seen["reward"] = as_column(reward)
+            told["reward"] = as_column(reward)
         # TorchRL would copy it all once more if it did not say where it is.
-        return TensorDict(seen, batch_size=self.batch_size, device=self.device)
+        return TensorDict(told, batch_size=self.batch_size, device=self.device)
 
 
 def as_column(values: np.ndarray) -> torch.Tensor:
@@ -211,8 +282,13 @@ def as_column(values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(values.astype(np.float32)[:, None])
 
 
-def make_env(config: TrainConfig, fault_folder: Path | None = None) -> VppEnv:
+def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Lesson | None = None) -> VppEnv:
     """The environment of a run.
+
+    Args:
+        config: of the run.
+        fault_folder: where simulations that diverged are written; None to only count them.
+        lesson: the curriculum; None for full difficulty.
 
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
@@ -220,10 +296,23 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None) -> VppEnv:
     spec = load_twin(config.twin, config.effects)
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
-    randomized = [e.id for e in spec.catalogue] if ALL in config.randomize else config.randomize
+    randomized = name_effects(config.randomize, spec.catalogue)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
+    spec = strengthen(spec, config.task.thrust_to_weight)
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
-        twin, config.task, config.seed, config.noise, randomized, config.paper_inputs, config.desynchronize,
-        fault_folder,
+        twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
+        config.critic_memory, config.privileged, fault_folder,
     )  # fmt: skip
+
+
+def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:
+    """A twin whose rotors, and what is believed of them, give this thrust-to-weight ratio; itself for None."""
+    vehicle = spec.vehicle
+    if thrust_to_weight is None or vehicle is None:
+        return spec
+    weight = (vehicle.airframe.mass + vehicle.rig.slider_mass) * vehicle.gravity
+    factor = thrust_to_weight * weight / vehicle.control.thrust_max
+    rotor = vehicle.rotor.model_copy(update={"k_t": vehicle.rotor.k_t * factor})
+    control = vehicle.control.model_copy(update={"thrust_max": vehicle.control.thrust_max * factor})
+    return replace(spec, vehicle=vehicle.model_copy(update={"rotor": rotor, "control": control}))

@@ -13,16 +13,44 @@ class Episodes:
 
     Attributes:
         target: x, z, θ, (N, 3) m, m, rad.
+        turn: angle that the target has still to turn through, (N,) rad.
+        stage: number of triggers so far, (N,) int.
+        criterion: what is rewarded, one of `reward.BOTH`, `POSITION`, `ANGLE`, (N,) int.
+        closest: smallest angle error since the last trigger, (N,) rad.
+        missed: whether a target's angle was left before it was met, (N,) bool.
         integral: Γ, (N, 2) m.
         elapsed: (N,) s.
-        switch: when the target's angle changes next, (N,) s.
+        switch: when the next trigger comes, (N,) s.
         total: sum of rewards so far, (N,).
-        observation: last one given out, (N, 11) or (N, 9).
+        action: last one taken, (N, 2) in [-1, 1].
+        drawn: values of the randomized parameters, as the critic is told them, (N, K).
+        observation: last one given out, (N, inputs).
+        seen: what the critic was shown in the last steps, oldest first, (N, memory, width).
     """
 
     target: np.ndarray
+    turn: np.ndarray
+    stage: np.ndarray
+    criterion: np.ndarray
+    closest: np.ndarray
+    missed: np.ndarray
     integral: np.ndarray
     elapsed: np.ndarray
     switch: np.ndarray
     total: np.ndarray
+    action: np.ndarray
+    drawn: np.ndarray
     observation: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def allocate(cls, count: int, inputs: int, parameters: int, memory: int, width: int) -> Episodes:
+        """Arrays for `count` simulations, all zero, without a trigger."""
+        return cls(
+            target=np.zeros((count, 3)), turn=np.zeros(count), stage=np.zeros(count, int),
+            criterion=np.zeros(count, int), closest=np.full(count, np.inf), missed=np.zeros(count, bool),
+            integral=np.zeros((count, 2)), elapsed=np.zeros(count), switch=np.full(count, np.inf),
+            total=np.zeros(count), action=np.zeros((count, 2)), drawn=np.zeros((count, parameters)),
+            observation=np.zeros((count, inputs), np.float32),
+            seen=np.zeros((count, memory, width), np.float32),
+        )  # fmt: skip

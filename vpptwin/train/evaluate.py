@@ -1,4 +1,4 @@
-"""`vpptwin evaluate`: fly a policy from many random initial states at once and measure."""
+"""`vpptwin evaluate`: fly a policy from many random initial states, in randomized twins, at once and measure."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from tensordict import TensorDict
 
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.env import make_env
+from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
-from vpptwin.train.tasks import TASKS
+from vpptwin.train.randomize import PAPER
+from vpptwin.train.tasks import TASKS, check_task
 
 
 def load_policy(checkpoint: Path | str) -> Policy:
-    """The policy of a checkpoint: a torch module from observations (N, 11 or 9) to actions (N, 2) in [-1, 1].
+    """The policy of a checkpoint: a torch module from observations (N, inputs) to actions (N, 2) in [-1, 1].
 
     Raises:
         InputError: if the file is no checkpoint of this version.
@@ -31,87 +31,85 @@ def load_policy(checkpoint: Path | str) -> Policy:
     return build_policy(read_checkpoint(checkpoint), checkpoint)[0]
 
 
-@torch.no_grad()
-def fly_tracks(env: VppEnv, policy: Policy) -> dict[str, np.ndarray]:
-    """Fly one episode in every simulation with the policy's most likely actions.
+@dataclass(frozen=True)
+class Conditions:
+    """What a policy is measured under.
 
-    Returns:
-        Per track: `position_error` [m] and `angle_error` [rad], means over the last window of the task, and `failed`.
+    Attributes:
+        task: name; None, or that of training, for the task of training with its overrides.
+        tracks: number of flights, one episode each.
+        seed: of initial states, targets, noise and twins.
+        twin: `nominal` or a twin YAML; None for that of training.
+        noise: sensor noise, 1 = that of vehicle.yaml.
+        randomize: effects, or groups of them, drawn from their priors for every flight.
+        thrust_to_weight: None for the task's.
+        effects: Python files with effects of the user's own; those of training come with the twin of training.
     """
-    task, n = env.task, env.twin.num_sims
-    period = 1.0 / env.twin.vehicle.control.policy_rate
-    steps, window = round(task.episode / period), round(task.success.window / period)
-    failed = np.zeros(n, dtype=bool)
-    distance, angle = np.zeros((steps, n)), np.zeros((steps, n))
-    now = env.reset()
-    for k in range(steps):
-        now = env.step(TensorDict({"action": policy(now["observation"])}, batch_size=[n]))["next"]
-        failed |= now["terminated"].numpy()[:, 0]
-        delta = env.episodes.target - env.state.qpos
-        distance[k] = np.linalg.norm(delta[:, :2], axis=1)
-        angle[k] = np.abs((delta[:, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-    return {
-        "position_error": distance[-window:].mean(axis=0), "angle_error": angle[-window:].mean(axis=0), "failed": failed
-    }  # fmt: skip
+
+    task: str | None = None
+    tracks: int = 100
+    seed: int = 1_000_000
+    twin: str | None = None
+    noise: float = 1.0
+    randomize: Sequence[str] = (PAPER,)
+    thrust_to_weight: float | None = None
+    effects: Sequence[str] = ()
 
 
-def evaluate(
-    checkpoint: Path | str,
-    task: str | None = None,
-    tracks: int = 100,
-    seed: int = 1_000_000,
-    twin: str | None = None,
-    noise: float = 0.0,
-    effects: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Measure a policy on random initial states.
+def evaluate(checkpoint: Path | str, conditions: Conditions | None = None) -> dict[str, Any]:
+    """Measure a policy on random initial states, with noise, in randomized twins.
 
     Args:
-        checkpoint: file, or folder of a run.
-        task: by default, and if it is the same, the task of training with its overrides.
-        tracks: number of flights, one episode each.
-        seed: of the initial states.
-        twin: `nominal` or a twin YAML; by default that of training.
-        noise: sensor noise, 1 = that of vehicle.yaml.
-        effects: Python files with effects of the user's own; those of training come with the twin of training.
+        checkpoint: file, folder of a run, or name of a shipped policy.
+        conditions: by default 100 flights of the task of training.
 
     Returns:
-        Plain data: position errors [m] of the flights that did not fail, fail rate, success share and provenance.
+        Plain data: position errors [m] of the flights that did not fail, upright and inverted, fail rate, success
+        share, full turns made, and provenance.
 
     Raises:
         InputError: if the checkpoint, the task or the twin is not what it should be.
     """
-    if tracks < 1:
-        raise InputError(f"tracks={tracks}", "at least 1", "ask for more, e.g. --tracks 100")
+    given = conditions or Conditions()
+    if given.tracks < 1:
+        raise InputError(f"tracks={given.tracks}", "at least 1", "ask for more, e.g. --tracks 100")
     content = read_checkpoint(checkpoint)
     policy, trained = build_policy(content, checkpoint)
-    config = configure_flights(trained, task, tracks, seed, twin, noise)
-    env = make_env(replace(config, effects=[*(config.effects if twin is None else ()), *effects]))
-    measured = fly_tracks(env, policy)
-    flown = measured["position_error"][~measured["failed"]]
-    limits = env.task.success
-    success = ~measured["failed"] & (measured["position_error"] <= limits.position)
-    success &= measured["angle_error"] <= limits.angle
+    env = make_env(configure_flights(trained, given))
+    flown = fly_tracks(env, policy)
+    limits, kept = env.task.success, ~flown.failed
     return {
-        "task": env.task.name, "twin": twin or trained.twin, "tracks": tracks, "seed": seed, "noise": noise,
+        "task": env.task.name, "twin": given.twin or trained.twin, "tracks": given.tracks, "seed": given.seed,
+        "noise": given.noise, "randomized": list(env.randomized), "thrust_to_weight": env.task.thrust_to_weight,
         "window_s": limits.window, "success_distance_m": limits.position, "success_angle_rad": limits.angle,
-        "fail_rate": float(measured["failed"].mean()), "success_share": float(success.mean()),
-        "position_error_m": summarize(flown),
+        "fail_rate": float(flown.failed.mean()), "success_share": float(flown.success.mean()),
+        "position_error_m": summarize(flown.position_error[kept]),
+        "upright_error_m": summarize(flown.position_error[kept & ~flown.inverted]),
+        "inverted_error_m": summarize(flown.position_error[kept & flown.inverted]),
+        "angle_error_rad": summarize(flown.angle_error[kept]),
+        "full_turns": {"asked": flown.turns, "made": flown.turned},
+        "lipschitz": policy.lipschitz(),
         "checkpoint": {"path": str(checkpoint), "steps": content["steps"], "commit": content["commit"]},
         "commit": find_commit(), "versions": find_versions(), "evaluated": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }  # fmt: skip
 
 
-def configure_flights(
-    trained: TrainConfig, task: str | None, tracks: int, seed: int, twin: str | None, noise: float
-) -> TrainConfig:
-    """The configuration of training with everything that evaluation decides for itself."""
-    if task is not None and task not in TASKS:
-        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
-    chosen = trained.task if task in (None, trained.task.name) else TASKS[str(task)]
+def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
+    """The configuration of training with everything that evaluation decides for itself.
+
+    Raises:
+        InputError: on an unknown task.
+    """
+    if given.task is not None and given.task not in TASKS:
+        raise InputError(f"unknown task {given.task!r}", f"one of {', '.join(TASKS)}", "check the name")
+    task = trained.task if given.task in (None, trained.task.name) else TASKS[str(given.task)]
+    if given.thrust_to_weight is not None:
+        task = replace(task, thrust_to_weight=given.thrust_to_weight)
+        check_task(task)
+    own = trained.effects if given.twin is None else []
     return replace(
-        trained, task=chosen, num_envs=tracks, seed=seed, twin=twin or trained.twin, noise=noise,
-        randomize=[], desynchronize=False,
+        trained, task=task, num_envs=given.tracks, seed=given.seed, twin=given.twin or trained.twin, noise=given.noise,
+        randomize=list(given.randomize), desynchronize=False, effects=[*own, *given.effects],
     )  # fmt: skip
 
 
@@ -122,16 +120,13 @@ def summarize(errors: np.ndarray) -> dict[str, float | None]:
     return {"median": float(np.median(errors)), "mean": float(errors.mean()), "worst": float(errors.max())}
 
 
-def run_evaluate(
-    checkpoint: Path | str, task: str | None, tracks: int, seed: int, twin: str | None, json_path: Path | str | None,
-    effects: Sequence[str] = (),
-) -> dict[str, Any]:  # fmt: skip
+def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path | str | None) -> dict[str, Any]:
     """`evaluate`, and write the result as JSON unless `json_path` is None.
 
     Raises:
         InputError: as `evaluate`, and if the file cannot be written.
     """
-    result = evaluate(checkpoint, task, tracks, seed, twin, effects=effects)
+    result = evaluate(checkpoint, conditions)
     if json_path is not None:
         path = Path(json_path)
         temporary = path.with_name(f".{path.name}.{os.getpid()}")

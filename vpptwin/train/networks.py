@@ -2,57 +2,104 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 
-INPUT_SCALE = (0.5, 0.5, 2.0, 2.0, 1.0, 1.0, 5.0, 2.0, 2.0, 1.0, 1.0)
-"""Typical size of every input of `observe.OBSERVATION` [m, m, m/s, m/s, 1, 1, rad/s, m, m, 1, 1]."""
+from vpptwin.train.observe import Sight
+
+INPUT_SCALE = {
+    "delta_x": 0.5, "delta_z": 0.5, "velocity_x": 2.0, "velocity_z": 2.0, "rate": 5.0,
+    "integral_x": 2.0, "integral_z": 2.0,
+}  # fmt: skip
+"""Typical size of inputs [m, m, m/s, m/s, rad/s, m, m]; the others, angles and their functions, are of order 1."""
 
 
 class ScaleInputs(nn.Module):
-    """Divides observations by their typical sizes, so that the exported network takes SI units."""
+    """Divides inputs by their typical sizes, so that the exported network takes SI units.
+
+    Args:
+        names: of the inputs.
+    """
 
     scale: torch.Tensor
 
-    def __init__(self, num_inputs: int) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         super().__init__()
-        self.register_buffer("scale", torch.tensor(INPUT_SCALE[:num_inputs]))
+        self.register_buffer("scale", torch.tensor([INPUT_SCALE.get(name, 1.0) for name in names]))
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Scaled observation, (..., num_inputs)."""
-        return observation / self.scale
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Scaled inputs, (..., len(names))."""
+        return inputs / self.scale
 
 
 class Policy(nn.Module):
-    """The deterministic policy: observation (..., 11 or 9) to action (..., 2) in [-1, 1].
+    """The deterministic policy: observation (..., inputs) to action (..., 2) in [-1, 1].
 
     Args:
-        num_inputs: length of the observation.
+        sight: what it is shown.
         hidden: units of the ReLU layer and of the tanh layer.
     """
 
-    def __init__(self, num_inputs: int, hidden: tuple[int, int] = (96, 64)) -> None:
+    def __init__(self, sight: Sight, hidden: tuple[int, int] = (96, 64)) -> None:
         super().__init__()
         first, second = hidden
         last = nn.Linear(second, 2)
         with torch.no_grad():
             last.weight.mul_(0.1)
             last.bias.zero_()
+        scale, inputs = ScaleInputs(sight.names), len(sight.names)
         self.body = nn.Sequential(
-            ScaleInputs(num_inputs), nn.Linear(num_inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last
-        )
+            scale, nn.Linear(inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last
+        )  # fmt: skip
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Action in [-1, 1]."""
         return torch.tanh(self.body(observation))
 
+    def layers(self) -> Iterator[nn.Linear]:
+        """Its linear layers, first to last."""
+        return (layer for layer in self.body if isinstance(layer, nn.Linear))
+
+    @torch.no_grad()
+    def lipschitz(self) -> float:
+        """Upper bound of ‖a(s₁) - a(s₂)‖ / ‖s₁ - s₂‖ for scaled inputs s: the product of the layers' spectral norms.
+
+        ReLU and tanh are 1-Lipschitz. In SI units the bound is this divided by the smallest input scale.
+        """
+        bound = 1.0
+        for layer in self.layers():
+            bound *= float(spectral_norm(layer.weight))
+        return bound
+
+
+@torch.no_grad()
+def spectral_norm(weight: torch.Tensor) -> torch.Tensor:
+    """Largest singular value of a matrix, from the eigenvalues of its smaller Gram matrix."""
+    gram = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
+    return torch.linalg.eigvalsh(gram)[-1].clamp_min(0.0).sqrt()
+
+
+@torch.no_grad()
+def bound_layers(policy: Policy, lipschitz: float) -> None:
+    """Scale down every layer whose spectral norm exceeds its share of a bound of the whole network.
+
+    Every layer's share is the third root. The paper's spectral normalization, as a projection after each gradient step:
+    a layer may be flatter than its bound, which a division by the norm would not allow.
+    """
+    layers = list(policy.layers())
+    share = lipschitz ** (1.0 / len(layers))
+    for layer in layers:
+        layer.weight.mul_((share / spectral_norm(layer.weight).clamp_min(1e-12)).clamp_max(1.0))
+
 
 class Exploration(nn.Module):
     """A policy's outputs before the squashing as location and scale of the exploring distribution.
 
-    The scale is scheduled from outside, not learned: see `ppo.ExplorationRamp`.
+    The scale is scheduled from outside, not learned: see `updates.ExplorationRamp`.
     """
 
     std: torch.Tensor
@@ -80,11 +127,35 @@ def make_actor(exploration: Exploration) -> ProbabilisticActor:
     )
 
 
-def make_critic(num_inputs: int, hidden: tuple[int, ...]) -> ValueOperator:
-    """A small critic on the same inputs: tanh layers of the given sizes."""
-    layers: list[nn.Module] = [ScaleInputs(num_inputs)]
-    width = num_inputs
-    for units in hidden:
-        layers += [nn.Linear(width, units), nn.Tanh()]
-        width = units
-    return ValueOperator(nn.Sequential(*layers, nn.Linear(width, 1)), in_keys=["observation"])
+class Critic(nn.Module):
+    """Value of what a critic is shown, (..., memory, width) to (..., 1).
+
+    Args:
+        names: of the inputs that come in SI units, first; what follows is of order 1.
+        width: number of all inputs of one step.
+        hidden: units of the layers.
+        lstm: units of an LSTM over the steps that comes first; 0 for none, and the last step only.
+    """
+
+    def __init__(self, names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0) -> None:
+        super().__init__()
+        self.scale = ScaleInputs([*names, *[""] * (width - len(names))])
+        self.lstm = nn.LSTM(width, lstm, batch_first=True) if lstm else None
+        units = lstm or width
+        layers: list[nn.Module] = []
+        for size in hidden:
+            layers += [nn.Linear(units, size), nn.Tanh()]
+            units = size
+        self.body = nn.Sequential(*layers, nn.Linear(units, 1))
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        """Value, (..., 1)."""
+        if self.lstm is None:
+            return self.body(self.scale(seen[..., -1, :]))
+        steps, _ = self.lstm(self.scale(seen).flatten(0, -3))
+        return self.body(steps[:, -1]).unflatten(0, seen.shape[:-2])
+
+
+def make_critic(names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0) -> ValueOperator:
+    """A critic for `critic_observation`; arguments as `Critic`."""
+    return ValueOperator(Critic(names, width, hidden, lstm), in_keys=["critic_observation"])

@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 OBSERVATION = (
     "delta_x", "delta_z", "velocity_x", "velocity_z", "sin_delta_theta", "cos_delta_theta", "rate",
     "integral_x", "integral_z", "sin_target_theta", "cos_target_theta",
 )  # fmt: skip
-"""Name of every input; the paper's nine come first."""
+"""Name of every input of the setup `All`; the paper's nine come first."""
 
-PAPER_INPUTS = 9
-"""Length of the ablation that does not see the target's angle."""
+SETUPS = ("VA", "TA", "PI", "All")
+"""The paper's four: the angle in radians, or as sine and cosine (TA, All); with the integral (PI, All), or without."""
 
 INTEGRAL_DECAY = 0.9
 """Per policy step (paper, Task Formulation)."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a policy is shown.
+
+    Attributes:
+        setup: one of `SETUPS`.
+        target_angle: show the target's angle, which the paper's inputs lack.
+    """
+
+    setup: str = "All"
+    target_angle: bool = True
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Name of every input, in order; `delta_theta` and `target_theta` are radians within ±π."""
+        trigonometric, integral = self.setup in ("TA", "All"), self.setup in ("PI", "All")
+        shown = ["delta_x", "delta_z", "velocity_x", "velocity_z"]
+        shown += ["sin_delta_theta", "cos_delta_theta"] if trigonometric else ["delta_theta"]
+        shown += ["rate"] + (["integral_x", "integral_z"] if integral else [])
+        if self.target_angle:
+            shown += ["sin_target_theta", "cos_target_theta"] if trigonometric else ["target_theta"]
+        return tuple(shown)
 
 
 def accumulate_error(integral: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -30,33 +57,40 @@ def accumulate_error(integral: np.ndarray, error: np.ndarray) -> np.ndarray:
     return INTEGRAL_DECAY * integral + error
 
 
+def wrap_angle(angle: np.ndarray) -> np.ndarray:
+    """The same angle within [-π, π), rad; any shape."""
+    wrapped: np.ndarray = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped
+
+
 def observe(
-    pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray, paper_inputs: bool = False
+    pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray, sight: Sight | None = None
 ) -> np.ndarray:
-    """What the policy sees, in the order of `OBSERVATION`.
+    """What the policy sees, in the order of `sight.names`.
 
     Args:
         pose: x, z, θ of the craft, (N, 3) m, m, rad.
         velocity: v_x, v_z, q, (N, 3) m/s, m/s, rad/s.
         target: x, z, θ to reach, (N, 3) m, m, rad.
         integral: Γ_t, (N, 2) m.
-        paper_inputs: leave out the target's angle.
+        sight: what it is shown; by default `OBSERVATION`.
 
     Returns:
-        (N, 11) float32, or (N, 9) with `paper_inputs`.
+        (N, len(sight.names)) float32.
     """
     delta = target - pose
     angle, target_angle = delta[:, 2], target[:, 2]
-    columns = (
-        delta[:, 0], delta[:, 1], velocity[:, 0], velocity[:, 1], np.sin(angle), np.cos(angle), velocity[:, 2],
-        integral[:, 0], integral[:, 1], np.sin(target_angle), np.cos(target_angle),
-    )  # fmt: skip
-    seen = np.empty((len(pose), observation_size(paper_inputs)), np.float32)
-    for i in range(seen.shape[1]):
-        seen[:, i] = columns[i]
+    ways = {
+        "delta_x": lambda: delta[:, 0], "delta_z": lambda: delta[:, 1],
+        "velocity_x": lambda: velocity[:, 0], "velocity_z": lambda: velocity[:, 1],
+        "sin_delta_theta": lambda: np.sin(angle), "cos_delta_theta": lambda: np.cos(angle),
+        "delta_theta": lambda: wrap_angle(angle), "rate": lambda: velocity[:, 2],
+        "integral_x": lambda: integral[:, 0], "integral_z": lambda: integral[:, 1],
+        "sin_target_theta": lambda: np.sin(target_angle), "cos_target_theta": lambda: np.cos(target_angle),
+        "target_theta": lambda: wrap_angle(target_angle),
+    }  # fmt: skip
+    names = OBSERVATION if sight is None else sight.names
+    seen = np.empty((len(pose), len(names)), np.float32)
+    for column, name in enumerate(names):
+        seen[:, column] = ways[name]()
     return seen
-
-
-def observation_size(paper_inputs: bool = False) -> int:
-    """Length of the observation."""
-    return PAPER_INPUTS if paper_inputs else len(OBSERVATION)

@@ -16,14 +16,14 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import HELP, Ramp, TrainConfig, to_config
+from vpptwin.train.config import HELP, PRESETS, Curriculum, Ramp, TrainConfig, to_config
 from vpptwin.train.tasks import HOVER, TASKS
 
 EXAMPLES = """\
 Numbers inside a task or a ramp go by dotted names, for example:
 
   task.episode=8   'task.start.theta=[-3,3]'   task.weights.integral=0.4
-  learning_rate.start=3e-4   exploration.finish=0.9"""
+  learning_rate.start=3e-4   exploration.finish=0.9   curriculum.difficulty.finish=0.4"""
 
 
 def compose_config(overrides: Sequence[str]) -> TrainConfig:
@@ -35,7 +35,9 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
     given = [write_list(override) for override in parse_overrides(overrides).values()]
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainConfig)
-    store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, "_self_"]})
+    store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, {"preset": "fast"}, "_self_"]})
+    for name, changes in PRESETS.items():
+        store.store(group="preset", name=name, package="_global_", node=changes | {"preset": name})
     for task in TASKS.values():
         store.store(group="task", name=task.name, node=task)
     try:
@@ -64,13 +66,15 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
             raise InputError(f"unknown option {override.input_line!r}", f"one such as {', '.join(close)}", HELP)
         if key == "task" and override.value() not in TASKS:
             raise InputError(f"unknown task {override.value()!r}", f"one of {', '.join(TASKS)}", HELP)
+        if key == "preset" and override.value() not in PRESETS:
+            raise InputError(f"unknown preset {override.value()!r}", f"one of {', '.join(PRESETS)}", HELP)
     return {override.key_or_group: override for override in parsed}
 
 
 def write_list(override: Override) -> str:
     """The text of an override, a single name given for a list as a list of one: `randomize=all`."""
     text, value, key = str(override.input_line), override.value(), override.key_or_group
-    return f"{key}=[{value}]" if key in ("randomize", "effects") and isinstance(value, str) else text
+    return f"{key}=[{value}]" if key in ("randomize", "effects", "loggers") and isinstance(value, str) else text
 
 
 def list_options(node: object = None, prefix: str = "") -> list[str]:
@@ -98,7 +102,15 @@ def describe_options() -> str:
             shown, texts[f.name] = HOVER.name, f"{texts[f.name].rstrip('.')}: {', '.join(TASKS)}."
         elif isinstance(value, Ramp):
             shown = f"{value.start:g}→{value.end:g}"
+        elif isinstance(value, Curriculum):
+            shown = f"{value.difficulty.start:g}→{value.difficulty.end:g}"
         else:
             shown = "null" if value is None else str(value).replace(" ", "")
         lines.append(f"  {f.name + '=' + shown:<30} {texts[f.name]}")
-    return "\n".join([*lines, "", EXAMPLES])
+    changed = ", ".join(f"{key}={describe_value(value)}" for key, value in PRESETS["paper"].items())
+    return "\n".join([*lines, "", f"preset=paper changes {changed}", "", EXAMPLES])
+
+
+def describe_value(value: object) -> str:
+    """A preset's value as it is shown in the help."""
+    return f"{value['start']:g}→{value['end']:g}" if isinstance(value, dict) else str(value).replace(" ", "")

@@ -37,16 +37,7 @@ class PolicyPilot:
         self.ticks = round(check_duration(max(task.episode, SHORTEST) if duration is None else duration) / period)
         self.policy, self.trained = policy, trained
         self._limit = np.array([vehicle.control.thrust_max, vehicle.control.rate_max])
-        rng = np.random.default_rng(seed)
-        target = task.target.draw(rng, 1)
-        switch = task.target.draw_dwell(rng, 1)
-        self._targets = np.empty((self.ticks, 1, 3))
-        for tick in range(self.ticks):
-            if tick * period >= switch[0]:
-                target = target.copy()
-                target[:, 2] = task.target.draw_other_angle(rng, target[:, 2])
-                switch = switch + task.target.draw_dwell(rng, 1)
-            self._targets[tick] = target
+        self._targets = plan_targets(task, self.ticks, period, np.random.default_rng(seed))
 
     def target(self, tick: int) -> np.ndarray:
         """Target x, z, θ of a tick, (1, 3) m, m, rad; before the first tick the first target."""
@@ -60,9 +51,29 @@ class PolicyPilot:
         """Thrust [N] and rate [rad/s], (1, 2), from estimates (1, 3), and Γ, (1, 2) m, for the next tick."""
         target = self.target(tick)
         integral = accumulate_error(memory, (target - pose)[:, :2])
-        seen = observe(pose, velocity, target, integral, self.trained.paper_inputs)
+        seen = observe(pose, velocity, target, integral, self.trained.sight)
         action = self.policy(torch.from_numpy(seen)).numpy().astype(np.float64)
         return np.clip(action, -1.0, 1.0) * self._limit, integral
+
+
+def plan_targets(task: Task, ticks: int, period: float, rng: np.random.Generator) -> np.ndarray:
+    """Targets x, z, θ of every tick of one flight, triggers and full turns included, (ticks, 1, 3) m, m, rad."""
+    wanted, stage = task.target, np.zeros(1, int)
+    now = wanted.draw(rng, 1)
+    switch, turn = wanted.draw_dwell(rng, stage), np.zeros(1)
+    planned = np.empty((ticks, 1, 3))
+    for tick in range(ticks):
+        step = np.clip(turn, -wanted.turn_rate * period, wanted.turn_rate * period)
+        now[:, 2] += step
+        turn -= step
+        if tick * period >= switch[0]:
+            stage += 1
+            turn = wanted.draw_turn(rng, 1)
+            if not turn[0]:
+                now[:, 2] = wanted.draw_other_angle(rng, now[:, 2], stage)
+            switch = switch + wanted.draw_dwell(rng, stage)
+        planned[tick] = now
+    return planned
 
 
 def load_pilot(checkpoint: Path, task: str | None, vehicle: Vehicle, duration: float | None, seed: int) -> PolicyPilot:

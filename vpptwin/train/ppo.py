@@ -10,19 +10,19 @@ from typing import Any
 import torch
 from torchrl.collectors import Collector
 from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
-from torchrl.record import CSVLogger
 from torchrl.trainers import LRSchedulerHook
 from torchrl.trainers.algorithms import PPOTrainer
 
 from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, make_policy
-from vpptwin.train.config import TrainConfig
+from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.exam import Exam
+from vpptwin.train.loggers import make_logger
 from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
-from vpptwin.train.observe import observation_size
+from vpptwin.train.observe import OBSERVATION
 from vpptwin.train.progress import EpisodeStatistics, ProgressBar
 from vpptwin.train.snapshot import restore_snapshot
-from vpptwin.train.updates import Advantages, ExplorationRamp, Minibatches
+from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, LipschitzBound, Minibatches
 
 FAULTS = "faults"
 """Folder in that of a run for simulations that diverged."""
@@ -62,11 +62,14 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     """
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
-    env = make_env(config, folder / FAULTS)
+    lesson = Lesson(config.curriculum, config.total_steps) if config.curriculum.enabled else None
+    env = make_env(config, folder / FAULTS, lesson)
     policy = make_policy(config)
     exploration = Exploration(policy, config.exploration.at(0.0))
     actor = make_actor(exploration)
-    critic = make_critic(observation_size(config.paper_inputs), tuple(config.critic_hidden))
+    names = OBSERVATION if config.privileged else config.sight.names
+    lstm = config.critic_lstm if config.critic == "lstm" else 0
+    critic = make_critic(names, env.episodes.seen.shape[-1], config.critic_hidden, lstm)
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
         restore_snapshot(env, saved["training"]["env"])
@@ -79,23 +82,29 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     optimizer = torch.optim.Adam(loss.parameters(), lr=config.learning_rate.start)
     ramp, batches = config.learning_rate, -(-config.total_steps // batch)
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: ramp.at(n / batches) / ramp.start)
-    gae = GAE(gamma=config.gamma, lmbda=config.lmbda, value_network=critic, average_gae=True, vectorized=False)
+    reward_scale = (1.0 - config.gamma) * VALUE_SCALE / config.task.weights.best
+    advantages = Advantages(critic.module, config.gamma, config.lmbda, reward_scale)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PPOTrainer announces that it is a prototype
         trainer = PPOTrainer(
             collector=collector, total_frames=config.total_steps, frame_skip=1, optim_steps_per_batch=None,
             loss_module=loss, optimizer=optimizer, num_epochs=config.epochs, clip_norm=config.max_grad_norm,
-            gae=Advantages(gae, (1.0 - config.gamma) * VALUE_SCALE / config.task.weights.best),
-            logger=CSVLogger("log", log_dir=str(folder)), log_interval=0, enable_logging=False, progress_bar=False,
+            gae=advantages,
+            logger=make_logger(config.loggers, folder), log_interval=0, enable_logging=False, progress_bar=False,
         )  # fmt: skip
     statistics = EpisodeStatistics(env)
     bar = ProgressBar(statistics, batches * batch, config.progress)
+    averaging = Averaging(policy, config.average)
+    exam = Exam(config, averaging.averaged, folder)
     Minibatches(config.minibatch).register(trainer)
+    LipschitzBound(policy, config.lipschitz).register(trainer)
     statistics.register(trainer)
     LRSchedulerHook(scheduler).register(trainer)
     ExplorationRamp(exploration, config.exploration).register(trainer)
+    averaging.register(trainer)
     bar.register(trainer)
-    SaveCheckpoint(folder / FILE_NAME, config, policy, env).register(trainer)
+    exam.register(trainer)
+    SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, env).register(trainer)
     if saved is not None:
         trainer.load_state_dict(saved["training"]["trainer"])
         exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))

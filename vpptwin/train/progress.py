@@ -22,7 +22,8 @@ class EpisodeStatistics(TrainerHookBase):
     """Running means over the last finished episodes, logged with every batch.
 
     Logs `reward` (per step of the batch), `return` (sum over an episode), `error_m` (distance at the end of episodes
-    that did not fail), `failures` (share) and `faults` (simulations that diverged since the start).
+    that did not fail), `failures` and `success` (shares), `difficulty` (of the curriculum) and `faults` (simulations
+    that diverged since the start).
 
     Args:
         env: whose faults are reported.
@@ -33,6 +34,7 @@ class EpisodeStatistics(TrainerHookBase):
         self.returns: deque[float] = deque(maxlen=MEMORY)
         self.errors: deque[float] = deque(maxlen=MEMORY)
         self.failed: deque[float] = deque(maxlen=MEMORY)
+        self.success: deque[float] = deque(maxlen=MEMORY)
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
         """Statistics up to and including the batch (N, T)."""
@@ -40,12 +42,15 @@ class EpisodeStatistics(TrainerHookBase):
         done, terminated = last["done"], last["terminated"]
         self.returns.extend(last["episode_return"][done].tolist())
         self.failed.extend(terminated[done].float().tolist())
+        self.success.extend(last["success"][done].tolist())
         self.errors.extend(last["position_error"][done & ~terminated].tolist())
         return {
             "reward": float(last["reward"].mean()),
             "return": mean(self.returns),
             "error_m": mean(self.errors),
             "failures": mean(self.failed),
+            "success": mean(self.success),
+            "difficulty": self.env.difficulty,
             "faults": float(self.env.faults),
         }
 
@@ -56,7 +61,7 @@ class EpisodeStatistics(TrainerHookBase):
 
     def state_dict(self) -> dict[str, Any]:
         """The episodes remembered."""
-        return {key: list(getattr(self, key)) for key in ("returns", "errors", "failed")}
+        return {key: list(getattr(self, key)) for key in ("returns", "errors", "failed", "success")}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Remember the episodes of a saved run."""
@@ -65,7 +70,7 @@ class EpisodeStatistics(TrainerHookBase):
 
 
 class ProgressBar(TrainerHookBase):
-    """One line on stderr: steps, return, position error, failures, steps per second, time left.
+    """One line on stderr: steps, steps per second, time left, return, success, position error, difficulty.
 
     Args:
         statistics: where the numbers come from.
@@ -91,10 +96,9 @@ class ProgressBar(TrainerHookBase):
         assert self.bar is not None
         assert self.trainer is not None
         known = self.statistics
-        error, failures = mean(known.errors) * 100.0, mean(known.failed)
-        self.bar.set_postfix_str(
-            f"return {mean(known.returns):.0f}, error {error:.1f} cm, failures {failures:.0%}", False
-        )
+        shown = f"return {mean(known.returns):.0f}, success {mean(known.success):.0%}"
+        shown += f", error {mean(known.errors) * 100.0:.1f} cm, difficulty {known.env.difficulty:.2f}"
+        self.bar.set_postfix_str(shown, False)
         self.bar.update(self.trainer.collected_frames - self.bar.n)
 
     def close(self) -> None:

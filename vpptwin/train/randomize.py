@@ -12,6 +12,14 @@ from vpptwin.effects import Effect
 
 ALL = "all"
 """Stands for every effect of the twin's catalogue."""
+PAPER = "paper"
+"""Stands for `IDENTIFIED`."""
+IDENTIFIED = (
+    "airframe.mass", "airframe.inertia", "airframe.com", "carriage.mass", "air.drag", "rotor.thrust_gain",
+    "rotor.asymmetry", "rotor.drag", "servo.lag", "servo.trim", "servo.backlash", "command.delay", "mocap.delay",
+    "gyro.bias", "rail_x.coulomb", "rail_z.coulomb", "rail_x.viscous", "rail_z.viscous", "pitch.viscous",
+)  # fmt: skip
+"""What the paper identifies and then randomizes (Domain Randomization): vehicle, actuators, latencies, air, the rig."""
 
 
 class Parametrized(Protocol):
@@ -35,6 +43,7 @@ class Priors:
         halved: which are half-normal, (K,) bool.
         low: physical bounds, (K,).
         high: likewise.
+        off: values without the effects, (K,).
     """
 
     keys: tuple[tuple[str, str], ...]
@@ -44,6 +53,7 @@ class Priors:
     halved: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    off: np.ndarray
 
     @classmethod
     def of(cls, effects: Iterable[Effect]) -> Priors:
@@ -58,17 +68,38 @@ class Priors:
             halved=np.array([p.kind == "halfnormal" for p in priors], dtype=bool),
             low=np.array([p.low for _, p in pairs]),
             high=np.array([p.high for _, p in pairs]),
+            off=np.array([p.off for _, p in pairs]),
         )
 
-    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Draw every parameter inside its bounds, (count, K)."""
+    def draw(self, rng: np.random.Generator, count: int, difficulty: float = 1.0) -> np.ndarray:
+        """Draw every parameter inside its bounds, its distance from off times `difficulty`, (count, K)."""
         draw = rng.standard_normal((count, len(self.keys)))
         draw[:, self.uniform] = rng.uniform(size=(count, int(self.uniform.sum())))
         draw[:, self.halved] = np.abs(draw[:, self.halved])
-        return np.clip(self.start + self.width * draw, self.low, self.high)
+        drawn = np.clip(self.start + self.width * draw, self.low, self.high)
+        return drawn if difficulty == 1.0 else self.off + difficulty * (drawn - self.off)
+
+    def standardize(self, values: np.ndarray) -> np.ndarray:
+        """Values (..., K) from their means in standard deviations, for a critic that is told."""
+        spread = self.width * np.where(self.uniform, 12.0**-0.5, np.where(self.halved, (1.0 - 2.0 / np.pi) ** 0.5, 1.0))
+        mean = self.start + self.width * np.where(self.uniform, 0.5, np.where(self.halved, (2.0 / np.pi) ** 0.5, 0.0))
+        return (values - mean) / spread
 
 
-def randomize(twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.random.Generator) -> None:
+def name_effects(names: Sequence[str], catalogue: Sequence[Effect]) -> list[str]:
+    """Effect ids that `names`, ids or the names of groups, stand for, each once, in the order of the catalogue.
+
+    An unknown name is passed on, for whoever checks ids to refuse.
+    """
+    everything = [effect.id for effect in catalogue]
+    groups = {ALL: everything, PAPER: list(IDENTIFIED)}
+    wanted = [effect for name in names for effect in groups.get(name, [name])]
+    return sorted(set(wanted), key=lambda id_: (everything.index(id_) if id_ in everything else -1, id_))
+
+
+def randomize(
+    twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.random.Generator, difficulty: float = 1.0
+) -> np.ndarray:
     """Give the simulations `ids` (n,) fresh parameters.
 
     Every draw comes from the prior, which is centred on the nominal vehicle, whatever was drawn before.
@@ -78,5 +109,11 @@ def randomize(twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.rando
         priors: of the parameters to draw.
         ids: simulations to change, (n,) int.
         rng: source of the draws.
+        difficulty: multiplies how far the draws are from off.
+
+    Returns:
+        What was drawn, (n, K).
     """
-    twin.set_parameters(priors.keys, priors.draw(rng, len(ids)), ids)
+    drawn = priors.draw(rng, len(ids), difficulty)
+    twin.set_parameters(priors.keys, drawn, ids)
+    return drawn

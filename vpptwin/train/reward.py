@@ -31,24 +31,44 @@ class RewardWeights:
         return self.position + self.orientation + self.velocity + self.rate + self.integral
 
 
-def compute_reward(weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray) -> np.ndarray:
+BOTH, POSITION, ANGLE = 0, 1, 2
+"""What an episode is judged by: everything, its position only, or its angle only."""
+
+
+def compute_reward(
+    weights: RewardWeights,
+    delta: np.ndarray,
+    velocity: np.ndarray,
+    integral: np.ndarray,
+    criterion: np.ndarray | None = None,
+) -> np.ndarray:
     """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i.
 
-    As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.
+    As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R. An episode judged by its
+    position lacks the term of w_o, one judged by its angle gets w_o r_o + w_ω / (1 + ω²); both are scaled to the same
+    best value (our reading of the paper's "only one reward criterion per episode").
 
     Args:
         weights: of the task.
         delta: target - state: Δx, Δz, Δθ, (N, 3) m, m, rad.
         velocity: v_x, v_z, q, (N, 3) m/s, m/s, rad/s.
         integral: Γ, (N, 2) m.
+        criterion: `BOTH`, `POSITION` or `ANGLE` of every episode, (N,); None for both.
 
     Returns:
         (N,), between 0 and `weights.best`.
     """
     r_p = 1.0 / (1.0 + 10.0 * (delta[:, 0] ** 2 + delta[:, 1] ** 2))
     r_o = 0.5 * (1.0 + np.cos(delta[:, 2]))
+    calm = 1.0 / (1.0 + velocity[:, 2] ** 2)
     r_v = r_p / (1.0 + velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
-    r_w = r_p / (1.0 + velocity[:, 2] ** 2)
+    r_w = r_p * calm
     r_i = 1.0 / (1.0 + integral[:, 0] ** 2 + integral[:, 1] ** 2)
-    shaped = weights.orientation * r_o + weights.velocity * r_v + weights.rate * r_w
-    return weights.position * r_p + r_p * shaped + weights.integral * r_i
+    place = weights.position * r_p + weights.integral * r_i + r_p * (weights.velocity * r_v + weights.rate * r_w)
+    reward: np.ndarray = place + r_p * weights.orientation * r_o
+    if criterion is not None and criterion.any():
+        best, angle = weights.best, weights.orientation * r_o + weights.rate * calm
+        place_best, angle_best = best - weights.orientation, weights.orientation + weights.rate
+        reward = np.where(criterion == POSITION, place * (best / max(place_best, 1e-9)), reward)
+        reward = np.where(criterion == ANGLE, angle * (best / max(angle_best, 1e-9)), reward)
+    return reward

@@ -64,7 +64,7 @@ def read_run(config: TrainConfig, given: Collection[str]) -> tuple[TrainConfig, 
     if others:
         found = f"resume together with {', '.join(others)}"
         raise InputError(found, f"only {', '.join(RESUMABLE)}", "drop it, or start another run")
-    content = read_checkpoint(str(config.resume))
+    content = read_checkpoint(str(config.resume), flying=False)
     if content["training"] is None:
         raise InputError(f"{config.resume} holds a policy only", "a run's folder", "start another run")
     changes = {key: getattr(config, key) for key in given}

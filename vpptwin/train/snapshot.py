@@ -28,6 +28,7 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
         "faults": env.faults,
+        "flown": env.flown,
     }
 
 
@@ -40,7 +41,7 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
     env.sensors = SensorState.from_arrays(to_arrays(snapshot["sensors"]))
     env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
     env.rng.bit_generator.state = json.loads(snapshot["random"])
-    env.faults, env.restored = snapshot["faults"], True
+    env.faults, env.flown, env.restored = snapshot["faults"], snapshot["flown"], True
 
 
 def to_tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.train.observe import wrap_angle
 from vpptwin.train.reward import RewardWeights
 from vpptwin.vehicle import Vehicle
 
@@ -55,48 +56,77 @@ class Target:
         x: uniform distribution of the position, m; drawn once per episode.
         z: likewise.
         angles: angles to choose from, each as likely as the other, rad.
-        dwell: uniform distribution of the time after which another angle is drawn, s; null for never.
+        in_order: take the angles from first to last, once, instead of at random.
+        dwell: uniform distribution of the time until the next trigger, s; null for no trigger.
+        hold: in order, the same for the angles between first and last, s; null for as long as `dwell`.
+        turns: share of triggers that ask for a full turn instead of another angle.
+        turn_rate: of the target's angle during a full turn, in either direction, rad/s.
+        quiet: no trigger in so much of the end of an episode, s.
     """
 
     x: Range = (-0.4, 0.4)
     z: Range = (1.0, 1.5)
     angles: list[float] = field(default_factory=lambda: [0.0])
+    in_order: bool = False
     dwell: Range | None = None
+    hold: Range | None = None
+    turns: float = 0.0
+    turn_rate: float = 12.0
+    quiet: float = 2.0
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Targets x, z, θ, (count, 3) m, m, rad."""
         low, high = np.array([self.x, self.z]).T
-        return np.column_stack([rng.uniform(low, high, (count, 2)), rng.choice(self.angles, count)])
+        place = rng.uniform(low, high, (count, 2))
+        angle = np.full(count, self.angles[0]) if self.in_order else rng.choice(self.angles, count)
+        return np.column_stack([place, angle])
 
-    def draw_dwell(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Times until the next change of the angle, (count,) s; infinite when it never changes."""
-        return np.full(count, math.inf) if self.dwell is None else rng.uniform(*self.dwell, count)
+    def draw_dwell(self, rng: np.random.Generator, stage: np.ndarray) -> np.ndarray:
+        """Times until the next trigger after so many (n,), (n,) s; infinite when there is none."""
+        if self.dwell is None:
+            return np.full(len(stage), math.inf)
+        time = rng.uniform(*self.dwell, len(stage))
+        if not self.in_order:
+            return time
+        if self.hold is not None:
+            time = np.where(stage > 0, rng.uniform(*self.hold, len(stage)), time)
+        return np.where(stage < len(self.angles) - 1, time, math.inf)
 
-    def draw_other_angle(self, rng: np.random.Generator, angle: np.ndarray) -> np.ndarray:
-        """For each current angle (n,) another of the choices, (n,) rad."""
+    def draw_other_angle(self, rng: np.random.Generator, angle: np.ndarray, stage: np.ndarray) -> np.ndarray:
+        """The angles that follow on `angle` at trigger number `stage`, each (n,): the next in order, or any other."""
         choices = np.asarray(self.angles)
-        now = np.argmin(np.abs(choices[None, :] - angle[:, None]), axis=1)
+        if self.in_order:
+            return choices[stage]
+        now = np.argmin(np.abs(wrap_angle(choices[None, :] - angle[:, None])), axis=1)
         return choices[(now + rng.integers(1, len(choices), len(angle))) % len(choices)]
+
+    def draw_turn(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Angles that triggers ask to turn through before anything else: 2π, -2π or 0, (count,) rad."""
+        turning = rng.uniform(size=count) < self.turns
+        return np.where(turning, rng.choice([-2.0 * np.pi, 2.0 * np.pi], count), 0.0)
 
 
 @dataclass
 class Limits:
-    """States that end an episode as a failure; leaving the rig's travel is always one.
+    """States that end an episode as a failure.
 
     Attributes:
         speed: m/s.
         rate: rad/s.
         floor: height of the lower arm tip, m; high enough that a bounce between two steps is not missed.
+        ends: reaching the ends of the horizontal rail is a failure; reaching those of the vertical guide always is.
     """
 
     speed: float = 8.0
     rate: float = 40.0
     floor: float = 0.05
+    ends: bool = True
 
     def exceeded(self, vehicle: Vehicle, pose: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Which rows of pose and velocity, both (N, 3), have failed, (N,) bool."""
         travel = np.array([vehicle.rig.travel_x, vehicle.rig.travel_z])
-        at_stop = ((pose[:, :2] <= travel[:, 0]) | (pose[:, :2] >= travel[:, 1])).any(axis=1)
+        over = (pose[:, :2] <= travel[:, 0]) | (pose[:, :2] >= travel[:, 1])
+        at_stop = over.any(axis=1) if self.ends else over[:, 1]
         tip = pose[:, 1] - vehicle.airframe.half_length * np.abs(np.sin(pose[:, 2]))
         too_fast = (np.hypot(velocity[:, 0], velocity[:, 1]) > self.speed) | (np.abs(velocity[:, 2]) > self.rate)
         return at_stop | (tip < self.floor) | too_fast
@@ -104,17 +134,20 @@ class Limits:
 
 @dataclass
 class Success:
-    """When an episode that did not fail counts as a success, from means over its last `window`.
+    """When an episode that did not fail counts as a success.
 
     Attributes:
-        position: largest mean distance, m.
-        angle: largest mean angle error, rad.
+        position: largest mean distance over the last `window`, m.
+        angle: largest mean angle error over the last `window`, rad.
         window: s.
+        reach: every angle that was asked for has to be met within this at some time while it was, rad; null for no such
+            condition.
     """
 
     position: float = 0.05
     angle: float = 0.2
     window: float = 1.0
+    reach: float | None = None
 
 
 @dataclass
@@ -124,6 +157,8 @@ class Task:
     Attributes:
         name: as on the command line.
         episode: length, s.
+        thrust_to_weight: largest commanded thrust over the weight of craft and slider; null for the vehicle's own. The
+            rotors are made stronger by as much.
         start: initial states.
         target: what to reach.
         weights: reward.
@@ -133,6 +168,7 @@ class Task:
 
     name: str
     episode: float = 5.0
+    thrust_to_weight: float | None = None
     start: Start = field(default_factory=Start)
     target: Target = field(default_factory=Target)
     weights: RewardWeights = field(default_factory=RewardWeights)
@@ -140,8 +176,36 @@ class Task:
     success: Success = field(default_factory=Success)
 
 
+WIDE = Start(
+    z=(0.9, 1.9), theta=(-math.pi, math.pi), velocity_x=(-1.0, 1.0), velocity_z=(-1.0, 1.0), rate=(-4.0, 4.0)
+)  # fmt: skip
+"""Any attitude, moving and turning: what a craft can just recover from above the floor."""
+
 HOVER = Task("hover")
-TASKS: dict[str, Task] = {task.name: task for task in (HOVER,)}
+FLIP = Task(
+    "flip",
+    episode=6.0,
+    start=WIDE,
+    target=Target(angles=[0.0, math.pi], dwell=(0.8, 3.0), turns=0.2),
+)
+WALL_BACKTRACK = Task(
+    "wall-backtrack",
+    episode=6.0,
+    thrust_to_weight=2.5,
+    start=Start(x=(0.95, 1.3), z=(1.0, 1.5), theta=(-0.5, 0.5)),
+    target=Target(
+        x=(1.15, 1.25),
+        z=(1.2, 1.3),
+        angles=[0.0, 0.5 * math.pi, 0.0],
+        in_order=True,
+        dwell=(1.0, 2.0),
+        hold=(0.4, 0.7),
+    ),
+    weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1),
+    limits=Limits(ends=False),
+    success=Success(reach=math.radians(15.0)),
+)
+TASKS: dict[str, Task] = {task.name: task for task in (HOVER, FLIP, WALL_BACKTRACK)}
 """Every task by name."""
 
 
@@ -151,16 +215,24 @@ def check_task(task: Task) -> None:
     Raises:
         InputError: naming the first.
     """
-    for part, ranges in (("start", task.start), ("target", task.target)):
+    target = task.target
+    for part, ranges in (("start", task.start), ("target", target)):
         for f in fields(ranges):
             value = getattr(ranges, f.name)
-            if f.name != "angles" and value is not None and (len(value) != 2 or value[0] > value[1]):
+            if isinstance(value, (list, tuple)) and f.name != "angles" and (len(value) != 2 or value[0] > value[1]):
                 raise InputError(f"task.{part}.{f.name}={list(value)}", "[low, high]", "correct the range")
     if task.episode < task.success.window or task.success.window <= 0.0:
         found = f"task.episode={task.episode} task.success.window={task.success.window}"
         raise InputError(found, "a positive window within the episode", "lengthen the episode")
-    if len(task.target.angles) < (1 if task.target.dwell is None else 2):
-        found = f"task.target.angles={list(task.target.angles)} task.target.dwell={task.target.dwell}"
+    if len(target.angles) < (1 if target.dwell is None else 2):
+        found = f"task.target.angles={list(target.angles)} task.target.dwell={target.dwell}"
         raise InputError(found, "one angle, or two and more to change between", "add angles, or set dwell=null")
-    if task.target.dwell is not None and task.target.dwell[0] <= 0.0:
-        raise InputError(f"task.target.dwell={list(task.target.dwell)}", "times above 0", "correct the range")
+    for name in ("dwell", "hold"):
+        times = getattr(target, name)
+        if times is not None and times[0] <= 0.0:
+            raise InputError(f"task.target.{name}={list(times)}", "times above 0", "correct the range")
+    if not 0.0 <= target.turns <= 1.0 or target.turn_rate <= 0.0 or target.quiet < 0.0:
+        found = f"task.target.turns={target.turns} turn_rate={target.turn_rate} quiet={target.quiet}"
+        raise InputError(found, "a share from 0 to 1, a rate above 0, a time from 0", "correct it")
+    if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
+        raise InputError(f"task.thrust_to_weight={task.thrust_to_weight}", "more than 1, at most 10", "correct it")

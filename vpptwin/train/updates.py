@@ -1,4 +1,4 @@
-"""Hooks of the PPO update: advantages once per batch, minibatches, and the schedule of the exploration."""
+"""Hooks of the PPO update: advantages once per batch, minibatches, exploration, Lipschitz bound, averaged weights."""
 
 from __future__ import annotations
 
@@ -6,39 +6,59 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.objectives.value import GAE
+from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torchrl.objectives.value.functional import generalized_advantage_estimate
 from torchrl.trainers import Trainer, TrainerHookBase
 
+from vpptwin.errors import InputError
 from vpptwin.train.config import Ramp
-from vpptwin.train.networks import Exploration
+from vpptwin.train.networks import Exploration, Policy, bound_layers
 
 
 class Advantages:
     """Value estimates of a collected batch, with rewards scaled so that a return is of order one.
 
-    TorchRL's trainer calls its estimator before every epoch; the result of the first call is kept for the others.
+    TorchRL's trainer calls its estimator before every epoch; the result of the first call is kept for the others. Its
+    `GAE` would run the critic twice over every step; here values of following steps are looked up where they exist.
 
     Args:
-        gae: TorchRL's estimator.
+        critic: from `critic_observation` to values.
+        gamma: discount per step.
+        lmbda: λ.
         reward_scale: multiplies rewards, for the critic's sake.
     """
 
-    def __init__(self, gae: GAE, reward_scale: float) -> None:
-        self.gae, self.reward_scale = gae, reward_scale
+    def __init__(self, critic: nn.Module, gamma: float, lmbda: float, reward_scale: float) -> None:
+        self.critic, self.gamma, self.lmbda, self.reward_scale = critic, gamma, lmbda, reward_scale
         self._done: tuple[TensorDictBase, TensorDictBase] | None = None
 
     @torch.no_grad()
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
-        """What the loss needs of the batch (N, T), advantages included."""
+        """What the loss needs of the batch (N, T), normalized advantages included."""
         if self._done is not None and self._done[0] is batch:
             return self._done[1]
-        wanted = ("observation", "action", "action_log_prob")
-        following = batch["next"].select("observation", "reward", "done", "terminated")
-        work = batch.select(*wanted).set("next", following)
-        work["next", "reward"] = work["next", "reward"] * self.reward_scale
-        result = self.gae(work).select(*wanted, "advantage", "value_target")
+        last = batch["next"]
+        value, following = self._estimate(batch)
+        advantage, target = generalized_advantage_estimate(
+            self.gamma, self.lmbda, value, following, last["reward"] * self.reward_scale, last["done"],
+            last["terminated"],
+        )  # fmt: skip
+        result = batch.select("observation", "critic_observation", "action", "action_log_prob")
+        result["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-5)
+        result["value_target"] = target
         self._done = (batch, result)
         return result
+
+    def _estimate(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
+        """Values (N, T, 1) of every step and of the one after it, which inside an episode is the next one's."""
+        seen = batch["critic_observation"]
+        value = self.critic(seen)
+        ends = batch["next", "done"][..., 0].clone()
+        ends[:, -1] = True
+        following = torch.roll(value, -1, 1)
+        following[ends] = self.critic(batch["next", "critic_observation"][ends])
+        return value, following
 
 
 class Minibatches(TrainerHookBase):
@@ -116,3 +136,79 @@ class ExplorationRamp(TrainerHookBase):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Nothing to restore."""
+
+
+class LipschitzBound(TrainerHookBase):
+    """Keeps the actor within its Lipschitz bound after every gradient step (paper, Spectral Normalization).
+
+    Args:
+        policy: what is bound.
+        lipschitz: for scaled inputs; None for no bound.
+    """
+
+    def __init__(self, policy: Policy, lipschitz: float | None) -> None:
+        self.policy, self.lipschitz = policy, lipschitz
+
+    def __call__(self) -> None:
+        """Project the weights."""
+        if self.lipschitz is not None:
+            bound_layers(self.policy, self.lipschitz)
+
+    def register(self, trainer: Trainer, name: str = "lipschitz_bound") -> None:
+        """Run after every gradient step."""
+        self()
+        trainer.register_op("post_optim", self)
+        trainer.register_module(name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing to remember."""
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Nothing to restore."""
+
+
+class Averaging(TrainerHookBase):
+    """Averages the policy's weights over updates: the average flies better, and differs less from one to the next.
+
+    An average of layers within a norm is within it too, so that it keeps the Lipschitz bound.
+
+    Args:
+        policy: what is trained.
+        share: of the average that stays at every update.
+    """
+
+    def __init__(self, policy: Policy, share: float) -> None:
+        self.policy = policy
+        self.model = AveragedModel(policy, multi_avg_fn=get_ema_multi_avg_fn(share))
+
+    @property
+    def averaged(self) -> Policy:
+        """The policy to fly."""
+        module = self.model.module
+        assert isinstance(module, Policy)
+        return module
+
+    def __call__(self) -> None:
+        """Take in the weights of now.
+
+        Raises:
+            InputError: if they are not finite.
+        """
+        if not all(bool(torch.isfinite(value).all()) for value in self.policy.parameters()):
+            expected = "finite ones; the last checkpoint is sound"
+            raise InputError("weights that are not finite", expected, "lower learning_rate.start or max_grad_norm")
+        self.model.update_parameters(self.policy)
+
+    def register(self, trainer: Trainer, name: str = "averaging") -> None:
+        """Run after the updates of every batch."""
+        trainer.register_op("post_steps", self)
+        trainer.register_module(name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The average."""
+        return dict(self.model.state_dict())
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Go on from a saved one."""
+        self.model.load_state_dict(state_dict)

@@ -1,0 +1,39 @@
+"""What an asymmetric critic may see and a policy may not: the truth, the actuators, and what was randomized."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.train.episodes import Episodes
+from vpptwin.train.observe import OBSERVATION, observe
+from vpptwin.train.reward import ANGLE, POSITION
+from vpptwin.twin import TwinState
+from vpptwin.vehicle import Vehicle
+
+STATE = (
+    *OBSERVATION, "action_thrust", "action_rate", "blade_pitch_1", "blade_pitch_2", "rotor_speed_1", "rotor_speed_2",
+    "position_only", "angle_only", "turn",
+)  # fmt: skip
+"""What is shown before the randomized parameters; the observation is the true one, in SI units, the rest of order 1."""
+SPEED_SPAN = 50.0
+"""Typical deviation of the rotor speed from nominal, rad/s."""
+
+
+def privileged_size(parameters: int) -> int:
+    """Length of what is shown of one step when so many parameters are randomized."""
+    return len(STATE) + parameters
+
+
+def see_everything(state: TwinState, episodes: Episodes, vehicle: Vehicle, rows: np.ndarray | slice) -> np.ndarray:
+    """The privileged state of the simulations `rows` (n), in the order of `STATE`, then the parameters, (n, width)."""
+    criterion = episodes.criterion[rows]
+    return np.column_stack([
+        observe(state.qpos[rows], state.qvel[rows], episodes.target[rows], episodes.integral[rows]),
+        episodes.action[rows],
+        state.blade_pitch[rows] / vehicle.rotor.pitch_max,
+        (state.rotor_speed[rows] - vehicle.rotor.speed) / SPEED_SPAN,
+        criterion == POSITION,
+        criterion == ANGLE,
+        episodes.turn[rows] / (2.0 * np.pi),
+        episodes.drawn[rows],
+    ])  # fmt: skip
