@@ -109,6 +109,7 @@ class TrainConfig:
         average: share of the averaged weights, those that fly, that stays at every update; 0 for no averaging.
         checkpoint_every: policy steps between checkpoints.
         exam_every: policy steps between evaluations on a fixed set, whose best policy is kept; 0 for none.
+        exam_from: share of training before the first of them.
         exam_tracks: flights of that set.
         loggers: csv and tensorboard, or one of them.
         collector: local, or ray for workers that Ray starts.
@@ -151,8 +152,9 @@ class TrainConfig:
     exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.1, finish=0.9))
     average: float = 0.95
     checkpoint_every: int = 100_000
-    exam_every: int = 200_000
-    exam_tracks: int = 200
+    exam_every: int = 250_000
+    exam_from: float = 0.5
+    exam_tracks: int = 100
     loggers: list[str] = field(default_factory=lambda: ["csv", "tensorboard"])
     collector: str = "local"
     workers: int = 2

@@ -48,7 +48,8 @@ class Exam(TrainerHookBase):
         assert self.trainer is not None
         steps = self.trainer.collected_frames
         over = steps >= self.trainer.total_frames
-        if not self.config.exam_every or (steps - self.taken < self.config.exam_every and not over):
+        early = steps < self.config.exam_from * self.trainer.total_frames
+        if not self.config.exam_every or ((early or steps - self.taken < self.config.exam_every) and not over):
             return None
         self.taken = steps
         flown = self._fly()

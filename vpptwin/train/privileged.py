@@ -12,11 +12,13 @@ from vpptwin.vehicle import Vehicle
 
 STATE = (
     *OBSERVATION, "action_thrust", "action_rate", "blade_pitch_1", "blade_pitch_2", "rotor_speed_1", "rotor_speed_2",
-    "position_only", "angle_only", "turn",
+    "position_only", "angle_only", "turn", "trigger_soon",
 )  # fmt: skip
 """What is shown before the randomized parameters; the observation is the true one, in SI units, the rest of order 1."""
 SPEED_SPAN = 50.0
 """Typical deviation of the rotor speed from nominal, rad/s."""
+FORESIGHT = 0.5
+"""How far ahead a trigger is shown, as exp(-time / FORESIGHT), s: a value that did not know would jump at every one."""
 
 
 def privileged_size(parameters: int) -> int:
@@ -35,5 +37,6 @@ def see_everything(state: TwinState, episodes: Episodes, vehicle: Vehicle, rows:
         criterion == POSITION,
         criterion == ANGLE,
         episodes.turn[rows] / (2.0 * np.pi),
+        np.exp((episodes.elapsed[rows] - episodes.switch[rows]) / FORESIGHT),
         episodes.drawn[rows],
     ])  # fmt: skip

@@ -1,0 +1,106 @@
+"""Running and evaluating: one folder a run, finished ones are kept, so that a campaign can be interrupted."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[2]
+SETUPS = {name: [f"setup={name}"] for name in ("VA", "TA", "PI", "All")}
+"""The paper's four."""
+ABLATIONS = {
+    "no spectral normalization": ["lipschitz=null"],
+    "no curriculum": ["curriculum.enabled=false"],
+    "MLP critic": ["critic=mlp", "critic_hidden=[512,512]"],
+    "LSTM critic": ["critic=lstm", "critic_hidden=[128,128]"],
+    "critic without privileges": ["privileged=false"],
+    "nine inputs": ["paper_inputs=true"],
+    "no randomization": ["randomize=[]"],
+    "no averaging": ["average=0"],
+}
+"""One thing left out or exchanged, the rest as `All`."""
+VARIANTS = SETUPS | ABLATIONS
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of training.
+
+    Attributes:
+        variant: a name of `VARIANTS`.
+        seed: of training.
+        folder: of the campaign.
+        options: overrides that all runs of the campaign share.
+    """
+
+    variant: str
+    seed: int
+    folder: Path
+    options: tuple[str, ...]
+
+    @property
+    def out(self) -> Path:
+        """Folder of the run."""
+        return self.folder / f"{self.variant.replace(' ', '_')}-{self.seed}"
+
+    @property
+    def overrides(self) -> list[str]:
+        """Everything given to `vpptwin train`."""
+        own = [f"seed={self.seed}", f"out={self.out}", "progress=false"]
+        return [*self.options, *VARIANTS[self.variant], *own]
+
+
+def run_campaign(runs: list[Run], jobs: int, tracks: int) -> list[dict]:
+    """Train and evaluate every run, `jobs` at a time; results in the order of `runs`."""
+    with ThreadPoolExecutor(jobs) as pool, tqdm(total=len(runs), unit="run") as bar:
+
+        def do(run: Run) -> dict:
+            result = finish(run, tracks)
+            bar.update()
+            return result
+
+        return list(pool.map(do, runs))
+
+
+def finish(run: Run, tracks: int) -> dict:
+    """Train a run unless that is done, evaluate it, and add its curve."""
+    timing = run.out / "timing.json"
+    if not timing.exists():
+        resumed = (run.out / "checkpoint.pt").exists()
+        began = time.monotonic()
+        overrides = [f"resume={run.out}", "progress=false"] if resumed else run.overrides
+        call(["train", *overrides], run.folder / f"{run.out.name}.log")
+        spent = {"wall_s": time.monotonic() - began, "resumed": resumed, "load": os.getloadavg()[0]}
+        timing.write_text(json.dumps(spent))
+    judged = run.out / f"evaluation_{tracks}.json"
+    if not judged.exists():
+        call(["evaluate", str(run.out), "--tracks", str(tracks), "--json", str(judged)], run.folder / "evaluate.log")
+    result = json.loads(judged.read_text())
+    curve = {name: read_curve(run.out, name) for name in ("return", "exam_error_m", "exam_failures")}
+    return {"variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text()), **result}
+
+
+def call(arguments: list[str], log: Path) -> None:
+    """Run vpptwin, everything it says into a file; raise with the end of it if it fails."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with log.open("a") as file:
+        command = [sys.executable, "-m", "vpptwin.cli", *arguments]
+        done = subprocess.run(command, cwd=ROOT, env=environment, stdout=file, stderr=subprocess.STDOUT)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(arguments)}: exit {done.returncode}\n{log.read_text()[-800:]}")
+
+
+def read_curve(out: Path, name: str, points: int = 60) -> list[list[float]]:
+    """A logged scalar as [steps, values], averaged to at most `points` points."""
+    rows = np.loadtxt(out / "log" / "scalars" / f"{name}.csv", delimiter=",", ndmin=2)
+    parts = np.array_split(rows, min(points, len(rows)))
+    return [[round(float(p[:, 0].mean())) for p in parts], [float(np.nanmean(p[:, 1])) for p in parts]]
