@@ -78,8 +78,10 @@ class Policy(nn.Module):
 
 @torch.no_grad()
 def spectral_norm(weight: torch.Tensor) -> torch.Tensor:
-    """Largest singular value of a matrix, from the eigenvalues of its smaller Gram matrix."""
+    """Largest singular value of a matrix, from the eigenvalues of its smaller Gram matrix; NaN if that overflows."""
     gram = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
+    if not bool(torch.isfinite(gram).all()):
+        return gram.new_tensor(torch.nan)  # eigvalsh would raise; `updates.Averaging` tells what happened
     return torch.linalg.eigvalsh(gram)[-1].clamp_min(0.0).sqrt()
 
 
