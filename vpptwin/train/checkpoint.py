@@ -141,10 +141,11 @@ class SaveCheckpoint(TrainerHookBase):
         path: of the file.
         config: of the run.
         policy: what flies, the average of what is trained.
-        env: whose simulations are saved too, so that a resumed run continues as if never interrupted.
+        env: whose simulations are saved too, so that a resumed run continues as if never interrupted; None if they
+            are elsewhere, and new episodes begin.
     """
 
-    def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: VppEnv) -> None:
+    def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: VppEnv | None) -> None:
         self.path, self.config, self.policy, self.env = path, config, policy, env
         self.trainer: Trainer | None = None
         self.saved = 0
@@ -156,9 +157,8 @@ class SaveCheckpoint(TrainerHookBase):
         if steps - self.saved < self.config.checkpoint_every and steps < self.trainer.total_frames:
             return
         self.saved = steps
-        training = {
-            "trainer": self.trainer.state_dict(), "env": take_snapshot(self.env), "torch_random": torch.get_rng_state(),
-        }  # fmt: skip
+        env = None if self.env is None else take_snapshot(self.env)
+        training = {"trainer": self.trainer.state_dict(), "env": env, "torch_random": torch.get_rng_state()}
         write_checkpoint(self.path, self.config, self.policy, steps, training)
 
     def register(self, trainer: Trainer, name: str = "save_checkpoint") -> None:

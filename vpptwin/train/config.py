@@ -67,7 +67,11 @@ class Lesson:
 
     def difficulty_at(self, flown: int) -> float:
         """Difficulty after so many policy steps."""
-        return self.curriculum.difficulty.at(flown / self.steps)
+        return self.curriculum.difficulty.at(flown / self.steps) if self.curriculum.enabled else 1.0
+
+    def single(self, flown: int) -> bool:
+        """Whether episodes are judged by one criterion each."""
+        return self.curriculum.enabled and self.difficulty_at(flown) < self.curriculum.single_below
 
 
 @dataclass
@@ -80,7 +84,7 @@ class TrainConfig:
         twin: `nominal` or a twin YAML.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
-        resume: folder of a run to continue; besides it only total_steps, the threads and progress can be given.
+        resume: folder of a run to continue; only total_steps, workers, threads and progress can be given besides.
         seed: the same seed gives the same run.
         total_steps: policy steps (0.01 s each) to collect, over all simulations.
         num_envs: simulations flown side by side.
@@ -172,6 +176,10 @@ class TrainConfig:
         """Steps that the critic is shown."""
         return MEMORY if self.critic == "lstm" else 1
 
+    def lesson(self, workers: int = 1) -> Lesson:
+        """The curriculum over the share of the run that one of so many workers flies."""
+        return Lesson(self.curriculum, max(self.total_steps // workers, 1))
+
 
 MEMORY = 5
 """Steps that the LSTM of the critic sees (paper, Asymmetric Network Structure)."""
@@ -183,7 +191,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """What each preset changes."""
-RESUMABLE = ("resume", "total_steps", "sim_threads", "torch_threads", "progress")
+RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads", "progress")
 """What may be given besides `resume`; the rest comes from the run that is continued."""
 
 
@@ -249,4 +257,7 @@ def check_values(config: TrainConfig) -> None:
     if config.minibatch > config.num_envs * config.rollout:
         batch = config.num_envs * config.rollout
         raise InputError(f"minibatch={config.minibatch}", f"at most num_envs * rollout = {batch}", "lower it")
+    if config.collector == "ray" and config.num_envs % config.workers:
+        found = f"num_envs={config.num_envs} for workers={config.workers}"
+        raise InputError(found, "as many simulations for each worker", f"make num_envs a multiple of {config.workers}")
     check_task(config.task)

@@ -8,20 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torchrl.collectors import Collector
 from torchrl.objectives import ClipPPOLoss
 from torchrl.trainers import LRSchedulerHook
 from torchrl.trainers.algorithms import PPOTrainer
 
 from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, make_policy
-from vpptwin.train.config import Lesson, TrainConfig
-from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.collect import make_collector, open_env
+from vpptwin.train.config import TrainConfig
 from vpptwin.train.exam import Exam
 from vpptwin.train.loggers import make_logger
 from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
 from vpptwin.train.observe import OBSERVATION
-from vpptwin.train.progress import EpisodeStatistics, ProgressBar
-from vpptwin.train.snapshot import restore_snapshot
+from vpptwin.train.progress import EpisodeStatistics, ProgressBar, Simulations
 from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, LipschitzBound, Minibatches
 
 FAULTS = "faults"
@@ -36,14 +34,14 @@ class Training:
 
     Attributes:
         trainer: TorchRL's trainer, ready to `train()`.
-        env: what it collects from.
+        simulations: what it collects from.
         policy: what it trains.
         statistics: running means of finished episodes.
         bar: the progress bar.
     """
 
     trainer: PPOTrainer
-    env: VppEnv
+    simulations: Simulations
     policy: Policy
     statistics: EpisodeStatistics
     bar: ProgressBar
@@ -62,19 +60,15 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     """
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
-    lesson = Lesson(config.curriculum, config.total_steps) if config.curriculum.enabled else None
-    env = make_env(config, folder / FAULTS, lesson)
+    env = open_env(config, folder / FAULTS, saved)
     policy = make_policy(config)
     exploration = Exploration(policy, config.exploration.at(0.0))
     actor = make_actor(exploration)
     names = OBSERVATION if config.privileged else config.sight.names
     lstm = config.critic_lstm if config.critic == "lstm" else 0
     critic = make_critic(names, env.episodes.seen.shape[-1], config.critic_hidden, lstm)
-    if saved is not None:
-        # Before the collector exists, which resets the environment as it is made.
-        restore_snapshot(env, saved["training"]["env"])
+    collection = make_collector(config, actor, env, folder / FAULTS, saved["steps"] if saved else 0)
     batch = config.num_envs * config.rollout
-    collector = Collector(env, actor, frames_per_batch=batch, total_frames=-1, auto_register_policy_transforms=False)
     loss = ClipPPOLoss(
         actor, critic, clip_epsilon=config.clip, entropy_bonus=False, critic_coeff=config.critic_weight,
         loss_critic_type="l2", functional=False,
@@ -87,12 +81,12 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PPOTrainer announces that it is a prototype
         trainer = PPOTrainer(
-            collector=collector, total_frames=config.total_steps, frame_skip=1, optim_steps_per_batch=None,
+            collector=collection.collector, total_frames=config.total_steps, frame_skip=1, optim_steps_per_batch=None,
             loss_module=loss, optimizer=optimizer, num_epochs=config.epochs, clip_norm=config.max_grad_norm,
             gae=advantages,
             logger=make_logger(config.loggers, folder), log_interval=0, enable_logging=False, progress_bar=False,
         )  # fmt: skip
-    statistics = EpisodeStatistics(env)
+    statistics = EpisodeStatistics(collection.simulations)
     bar = ProgressBar(statistics, batches * batch, config.progress)
     averaging = Averaging(policy, config.average)
     exam = Exam(config, averaging.averaged, folder)
@@ -104,9 +98,9 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     averaging.register(trainer)
     bar.register(trainer)
     exam.register(trainer)
-    SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, env).register(trainer)
+    SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, collection.env).register(trainer)
     if saved is not None:
         trainer.load_state_dict(saved["training"]["trainer"])
         exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))
         torch.set_rng_state(saved["training"]["torch_random"])
-    return Training(trainer, env, policy, statistics, bar)
+    return Training(trainer, collection.simulations, policy, statistics, bar)

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 from tqdm import tqdm
 
-from vpptwin.train.env import VppEnv
-
 MEMORY = 200
 """Episodes that the running statistics cover."""
 
 LAYOUT = "{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {remaining}{postfix}]"
+
+
+class Simulations(Protocol):
+    """What is reported of the simulations that are trained on, wherever they are.
+
+    Attributes:
+        faults: number of simulations so far that diverged and were started afresh.
+    """
+
+    faults: int
+
+    @property
+    def difficulty(self) -> float:
+        """Level of the curriculum, 0 to 1."""
 
 
 class EpisodeStatistics(TrainerHookBase):
@@ -26,11 +38,11 @@ class EpisodeStatistics(TrainerHookBase):
     that diverged since the start).
 
     Args:
-        env: whose faults are reported.
+        simulations: whose faults and difficulty are reported.
     """
 
-    def __init__(self, env: VppEnv) -> None:
-        self.env = env
+    def __init__(self, simulations: Simulations) -> None:
+        self.simulations = simulations
         self.returns: deque[float] = deque(maxlen=MEMORY)
         self.errors: deque[float] = deque(maxlen=MEMORY)
         self.failed: deque[float] = deque(maxlen=MEMORY)
@@ -50,8 +62,8 @@ class EpisodeStatistics(TrainerHookBase):
             "error_m": mean(self.errors),
             "failures": mean(self.failed),
             "success": mean(self.success),
-            "difficulty": self.env.difficulty,
-            "faults": float(self.env.faults),
+            "difficulty": self.simulations.difficulty,
+            "faults": float(self.simulations.faults),
         }
 
     def register(self, trainer: Trainer, name: str = "episode_statistics") -> None:
@@ -97,7 +109,7 @@ class ProgressBar(TrainerHookBase):
         assert self.trainer is not None
         known = self.statistics
         shown = f"return {mean(known.returns):.0f}, success {mean(known.success):.0%}"
-        shown += f", error {mean(known.errors) * 100.0:.1f} cm, difficulty {known.env.difficulty:.2f}"
+        shown += f", error {mean(known.errors) * 100.0:.1f} cm, difficulty {known.simulations.difficulty:.2f}"
         self.bar.set_postfix_str(shown, False)
         self.bar.update(self.trainer.collected_frames - self.bar.n)
 

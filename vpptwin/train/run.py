@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
-from vpptwin.train.config import RESUMABLE, TrainConfig, to_config, to_plain
+from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
+from vpptwin.train.memory import check_run, explain_exhaustion
 from vpptwin.train.ppo import FAULTS, build_training
 
 
@@ -28,28 +29,34 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
         The run's folder, which holds checkpoint.pt, config.yaml and log/scalars/*.csv.
 
     Raises:
-        InputError: if a run cannot be resumed, the folder not be written, or the twin not be made.
+        InputError: if a run cannot be resumed, does not fit into memory, the folder not be written, or the twin not be
+            made.
     """
     saved = None
     if config.resume is not None:
         config, saved = read_run(config, given)
+    check_run(config)
     folder = open_folder(config)
-    training = build_training(config, folder, saved)
+    with explain_exhaustion(config):
+        training = build_training(config, folder, saved)
     trim_logs(folder, saved["steps"] if saved else 0)
     OmegaConf.save(OmegaConf.create(to_plain(config)), folder / "config.yaml")
     started, begun = time.monotonic(), training.trainer.collected_frames
     try:
-        training.trainer.train()
+        with explain_exhaustion(config):
+            training.trainer.train()
     except KeyboardInterrupt:
         training.bar.close()
         if (folder / FILE_NAME).exists():
             print(f"continue with `vpptwin train resume={folder}`", file=sys.stderr)
         raise
+    finally:
+        training.trainer.collector.shutdown()
     seconds = time.monotonic() - started
     steps = training.trainer.collected_frames - begun
     print(f"{steps} steps in {seconds:.0f} s, checkpoint {folder / FILE_NAME}", file=sys.stderr)
-    if training.env.faults:
-        found = f"{training.env.faults} simulations diverged; the first are in {folder / FAULTS}"
+    if training.simulations.faults:
+        found = f"{training.simulations.faults} simulations diverged; the first are in {folder / FAULTS}"
         print(f"{found}, `python -m vpptwin.twin.health FILE` replays one", file=sys.stderr)
     return folder
 
@@ -71,6 +78,7 @@ def read_run(config: TrainConfig, given: Collection[str]) -> tuple[TrainConfig, 
     run = Path(str(config.resume))
     folder = run.parent if run.is_file() else run
     resumed = replace(to_config(content["config"]), out=str(folder), **changes)
+    check_values(resumed)
     if content["steps"] >= resumed.total_steps:
         found = f"{config.resume} has finished its {content['steps']} steps"
         raise InputError(found, "an unfinished run", f"give more, e.g. total_steps={2 * content['steps']}")

@@ -1,0 +1,74 @@
+"""Who flies the simulations of a run: this process, or workers that Ray starts, here or on other machines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors import BaseCollector, Collector
+
+from vpptwin.train.config import TrainConfig
+from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.progress import Simulations
+from vpptwin.train.snapshot import restore_snapshot
+from vpptwin.train.workers import OPTIONS, require_ray, start_workers
+
+
+@dataclass(frozen=True)
+class Collection:
+    """What a trainer collects from.
+
+    Attributes:
+        collector: gives batches (num_envs, rollout).
+        simulations: what the hooks report of them.
+        env: the environment, if its simulations are in this process, where a checkpoint can take them in.
+    """
+
+    collector: BaseCollector
+    simulations: Simulations
+    env: VppEnv | None
+
+
+def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None) -> VppEnv:
+    """The environment of this process: all simulations, as they were saved, or a single one to look at with Ray.
+
+    Args:
+        config: of the run.
+        fault_folder: where simulations that diverged are written.
+        saved: content of the checkpoint to continue from.
+
+    Raises:
+        InputError: as `make_env`, and if workers are wanted and Ray is not installed.
+    """
+    if config.collector == "ray":
+        require_ray()
+        return make_env(replace(config, num_envs=1, sim_threads=1))
+    env = make_env(config, fault_folder, config.lesson())
+    if saved is not None:
+        # Before the collector exists, which resets the environment as it is made.
+        restore_snapshot(env, saved["training"]["env"])
+    return env
+
+
+def make_collector(
+    config: TrainConfig, actor: TensorDictModuleBase, env: VppEnv, fault_folder: Path, begun: int = 0
+) -> Collection:
+    """The collector of a run.
+
+    Args:
+        config: of the run.
+        actor: explores; its weights and its exploration are those of the moment in every batch.
+        env: from `open_env`.
+        fault_folder: where simulations that diverged are written.
+        begun: steps that were collected before, by the run that is continued.
+
+    Raises:
+        InputError: if Ray cannot be reached, has too few cores, or a worker cannot make its environment.
+    """
+    if config.collector == "ray":
+        workers = start_workers(config, actor, fault_folder, begun)
+        return Collection(workers, workers, None)
+    batch = config.num_envs * config.rollout
+    return Collection(Collector(env, actor, frames_per_batch=batch, total_frames=-1, **OPTIONS), env, env)

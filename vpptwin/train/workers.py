@@ -1,0 +1,232 @@
+"""Simulations flown by Ray's workers, on this machine or on a cluster, with TorchRL's collector for it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors.distributed import RayCollector
+
+from vpptwin.errors import InputError
+from vpptwin.train.config import TrainConfig
+from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.memory import check_share
+
+INSTALL = "pip install 'vpptwin[ray]'"
+CONTINUE = "see that they have the memory and files they need; `vpptwin train resume=RUN` goes on from the checkpoint"
+OPTIONS = {"auto_register_policy_transforms": False}
+"""Of every collector: the policy holds no state that an environment would have to reset."""
+
+
+@dataclass(frozen=True)
+class WorkerEnv:
+    """Makes one worker's environment, in that worker.
+
+    Attributes:
+        config: of the run.
+        worker: number of the worker, 0 the first.
+        begun: steps that the whole run had collected before.
+        fault_folder: of the run; each worker writes into a folder of its own in it, on its machine.
+    """
+
+    config: TrainConfig
+    worker: int
+    begun: int
+    fault_folder: Path
+
+    @property
+    def seed(self) -> int:
+        """Of this worker, another one after every resume: no episode is flown twice."""
+        return int(np.random.SeedSequence((self.config.seed, self.worker, self.begun)).generate_state(1)[0])
+
+    def __call__(self) -> VppEnv:
+        """The environment with this worker's share of the simulations."""
+        config = self.config
+        torch.set_num_threads(config.torch_threads)
+        torch.manual_seed(self.seed)
+        check_share(config)
+        share = replace(config, num_envs=config.num_envs // config.workers, seed=self.seed)
+        folder = self.fault_folder / f"worker-{self.worker}"
+        env = make_env(share, folder, config.lesson(config.workers))
+        env.flown = self.begun // config.num_envs
+        return env
+
+
+class RayWorkers(RayCollector):
+    """TorchRL's Ray collector, synchronous: every worker flies its simulations with the same weights.
+
+    Batches are (num_envs, rollout), the first worker's simulations first.
+
+    Args:
+        config: of the run.
+        actor: whose weights and exploration go out before every batch.
+        makers: of the workers' environments.
+        started: Ray was started for this run and stops with it.
+
+    Attributes:
+        faults: number of simulations that diverged since the workers started.
+    """
+
+    def __init__(
+        self, config: TrainConfig, actor: TensorDictModuleBase, makers: list[WorkerEnv], started: bool
+    ) -> None:
+        self.faults, self.started = 0, started
+        self.begun, self.lesson = makers[0].begun, config.lesson()
+        super().__init__(
+            makers, actor, frames_per_batch=config.num_envs * config.rollout, total_frames=sys.maxsize, sync=True,
+            update_after_each_batch=True, weight_sync_schemes={}, postproc=merge_workers,
+            collector_kwargs=[dict(OPTIONS) for _ in makers], remote_configs={"num_cpus": config.sim_threads},
+        )  # fmt: skip
+        self._weight_sync_initialized = True  # by update_policy_weights_, not by one of TorchRL's schemes
+
+    @property
+    def difficulty(self) -> float:
+        """Level of the curriculum, 0 to 1."""
+        return self.lesson.difficulty_at(self.begun + self.collected_frames)
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Batches without end.
+
+        Raises:
+            InputError: if a worker ends.
+        """
+        with explain_failures():
+            for batch in super().iterator():
+                self.faults = sum(self.get_distant_attr("env.faults"))
+                yield batch
+
+    def update_policy_weights_(self, policy_or_weights: object = None, **kwargs: object) -> None:
+        """Send weights and exploration to all workers, which they have when this returns.
+
+        Only `iterator` asks for it, right before every batch. What the trainer's own hook sends (an argument) is left
+        out: it comes before the hook that schedules the exploration.
+        """
+        import ray
+
+        if policy_or_weights is None:
+            weights = ray.put(TensorDict.from_module(self.policy).data)
+            ray.get([worker.update_policy_weights_.remote(weights) for worker in self.remote_collectors])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: the trainer has the weights, and workers start afresh when a run is continued."""
+        return {}
+
+    def load_state_dict(self, state_dict: object) -> None:
+        """Nothing to restore."""
+
+    def shutdown(self, timeout: float | None = None, shutdown_ray: bool = False) -> None:
+        """End the workers, and Ray if it was started for them."""
+        super().shutdown(timeout, shutdown_ray or self.started)
+
+
+def merge_workers(batches: TensorDictBase) -> TensorDictBase:
+    """Workers' batches (workers, num_envs / workers, rollout) as one (num_envs, rollout)."""
+    return batches.flatten(0, 1)
+
+
+def require_ray() -> None:
+    """Refuse to go on without Ray.
+
+    Raises:
+        InputError: if it is not installed.
+    """
+    try:
+        import ray  # noqa: F401
+    except ImportError as error:
+        raise InputError("collector=ray, and Ray is not installed", "the package ray", INSTALL) from error
+
+
+def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder: Path, begun: int) -> RayWorkers:
+    """Start the workers of a run in the Ray that RAY_ADDRESS names, or in one of its own on this machine.
+
+    Raises:
+        InputError: if Ray cannot be reached, has too few cores, or a worker cannot make its environment.
+    """
+    import ray
+
+    # Workers run in folders of their own.
+    twin = config.twin if config.twin == "nominal" else str(Path(config.twin).resolve())
+    config = replace(config, twin=twin, effects=[str(Path(file).resolve()) for file in config.effects])
+    makers = [WorkerEnv(config, worker, begun, fault_folder.resolve()) for worker in range(config.workers)]
+    started = not ray.is_initialized()
+    try:
+        if started:
+            connect(config.workers * config.sim_threads)
+        check_cores(config)
+        with explain_failures():
+            return RayWorkers(config, actor, makers, started)
+    except BaseException:
+        if started:
+            ray.shutdown()
+        raise
+
+
+def connect(cores: int) -> None:
+    """Connect to Ray without a word.
+
+    Args:
+        cores: that a Ray of this machine alone has to offer; oversubscribing them is up to the user.
+
+    Raises:
+        InputError: if the Ray that RAY_ADDRESS names does not answer.
+    """
+    import ray
+
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False}
+    address = os.environ.get("RAY_ADDRESS")
+    if not address:
+        ray.init("local", num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
+        return
+    try:
+        ray.init(address, **quiet)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        found = f"no Ray at RAY_ADDRESS={address}"
+        advice = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
+        raise InputError(found, "the address of a running Ray", advice) from error
+
+
+def check_cores(config: TrainConfig) -> None:
+    """Refuse what would wait for cores for ever, and tell if others use them now.
+
+    Raises:
+        InputError: if Ray has fewer cores than the workers need.
+    """
+    import ray
+
+    needed = config.workers * config.sim_threads
+    total, free = (int(resources.get("CPU", 0)) for resources in (ray.cluster_resources(), ray.available_resources()))
+    wanted = f"{needed} for workers={config.workers} with sim_threads={config.sim_threads}"
+    if total < needed:
+        advice = "lower one of them, or add machines with `ray start --address=HEAD:6379`"
+        raise InputError(f"Ray has {total} cores", wanted, advice)
+    if free < needed:
+        print(f"Ray has {free} cores free of {total}; training starts when {wanted} are", file=sys.stderr)
+
+
+@contextmanager
+def explain_failures() -> Iterator[None]:
+    """Turn what Ray reports of a failed worker into one line.
+
+    Raises:
+        InputError: in place of Ray's errors.
+    """
+    import ray
+
+    try:
+        yield
+    except ray.exceptions.RayError as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+        # An exception in a worker comes as a traceback, whose last line tells; a lost worker as a description.
+        told = lines[-1].partition("InputError: ")[2] or (lines[-1] if "Traceback" in str(error) else lines[0])
+        raise InputError(f"a Ray worker ended: {told}", "workers that last as long as the run", CONTINUE) from error
