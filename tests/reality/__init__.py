@@ -7,6 +7,7 @@ law (true sticking), another log writer.
 from .effects import ALIEN, CORE, EFFECTS, EXTENDED, LOOK_ALIKES, draw_effect, draw_together, measure_strength
 from .flight import fly, fly_many
 from .manoeuvres import MANOEUVRES
+from .policy import fly_policy
 from .recording import Recording, write_mcap
 from .rig import true_size
 
@@ -22,6 +23,7 @@ __all__ = [
     "draw_together",
     "fly",
     "fly_many",
+    "fly_policy",
     "measure_strength",
     "true_size",
     "write_mcap",

@@ -1,4 +1,4 @@
-"""Flights: the true plant, the craft's firmware and the scripted pilot in closed loop, many flights at once.
+"""Flights: the true plant, the craft's firmware and a pilot in closed loop, many flights at once.
 
 At t_k = k ms the sensors are sampled from the state at t_k, then (each 10 ms) the pilot and then the firmware compute
 their commands, stamped t_k, which act until the next one. Currents are those under the voltage that acted up to t_k.
@@ -14,7 +14,7 @@ import numpy as np
 from .control import Firmware
 from .effects import Effects
 from .manoeuvres import write_script
-from .pilot import Estimator, Pilot
+from .pilot import Commander, Estimator, Pilot
 from .plant import Plant
 from .recording import Recording
 from .rig import PITCH, Rig, X, Z
@@ -111,11 +111,12 @@ def fly(
     return fly_many([plan])[0]
 
 
-def fly_many(plans: Sequence[FlightPlan]) -> list[Recording]:
+def fly_many(plans: Sequence[FlightPlan], pilot: Commander | None = None) -> list[Recording]:
     """Fly a batch of flights of equal duration at once: 64 take little longer than one.
 
     Args:
         plans: One dictionary per flight, the arguments of `fly`.
+        pilot: Who flies all of them; by default the script of each flight's manoeuvre, which else only names it.
 
     Returns:
         A recording per flight. A flight does not depend on the others of its batch.
@@ -123,13 +124,18 @@ def fly_many(plans: Sequence[FlightPlan]) -> list[Recording]:
     batch = [_DEFAULTS | plan for plan in plans]
     if len({(plan["duration"], plan["initial"] is None) for plan in batch}) != 1:
         raise ValueError("flights of one batch need the same duration, and all or none an initial state")
-    return Batch(batch).run()
+    return Batch(batch, pilot).run()
+
+
+def _read_scripts(flights: Sequence[FlightPlan], nominal: dict) -> Pilot:
+    """The scripted pilot with the manoeuvre of each flight."""
+    return Pilot([write_script(f["manoeuvre"], f["duration"] + PERIOD_MARGIN, f["seed"]) for f in flights], nominal)
 
 
 class Batch:
     """Flights that are stepped together. Time is the first axis of every series, the flight the last."""
 
-    def __init__(self, flights: list[FlightPlan]) -> None:
+    def __init__(self, flights: list[FlightPlan], pilot: Commander | None = None) -> None:
         self.flights = flights
         self.count = len(flights)
         self.all = np.arange(self.count)
@@ -141,17 +147,17 @@ class Batch:
         nominal = self.rig.nominal
         self.chances = draw_chances(flights, self.steps + 1, nominal)
         self.rippling = any(f["distractors"] for f in flights)
-        scripts = [write_script(f["manoeuvre"], f["duration"] + PERIOD_MARGIN, f["seed"]) for f in flights]
-        self.pilot = Pilot(scripts, nominal)
+        self.pilot = pilot or _read_scripts(flights, nominal)
         state = np.zeros((6, self.count))
         if settle:
-            state[:PITCH] = self.pilot.script["reference"][0]
+            state[:3] = self.pilot.setpoint[0]
         else:
             state[:] = np.array([f["initial"] for f in flights], dtype=float).T
         self.plant = Plant(self.rig, state[:3], state[3:])
-        hover = self.rig.nominal["gravity"] * self.pilot.mass[Z, 0] / 2
+        hover = nominal["gravity"] * (nominal["airframe"]["mass"] + nominal["rig"]["slider_mass"]) / 2
         self.firmware = Firmware(nominal, self.count)
         trim = np.full((2, self.count), hover * self.firmware.per_newton)
+        trim = np.copysign(trim, np.cos(state[PITCH]))  # carries the craft either way up
         self.servo, self.motor, self.propeller = Servo(self.rig, trim), Motor(self.rig), Propeller(self.rig)
         self.propeller.pitch = trim.copy()
         self._allocate()
@@ -237,7 +243,8 @@ class Batch:
             seen = arrived & self.chances.seen[frame, self.all]
             self.estimator.update(self.gyro[span].mean(0), self.specific[span].mean(0), pose, seen)
         lead = self.lead // MOCAP_PERIOD
-        thrust, rate = self.pilot.command(tick - lead, self.estimator.pose, self.estimator.speed)
+        estimate = self.estimator
+        thrust, rate = self.pilot.command(tick - lead, estimate.pose, estimate.speed, estimate.rate)
         self.policy[tick] = thrust, rate
         return thrust, rate
 

@@ -1,9 +1,11 @@
-"""The scripted pilot: state estimate from delayed mocap and IMU, position loop, angle loop. 100 Hz.
+"""Pilots and what they fly by: a state estimate from delayed mocap and IMU; the scripted pilot's loops. 100 Hz.
 
-It knows only the nominal rig, and what it flies by is the measured state.
+They know only the nominal rig.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 
@@ -18,8 +20,33 @@ _RATE_MAX = 11.5  # rad/s
 _POSE_GAIN, _VELOCITY_GAIN, _ANGLE_BLEND = 0.25, 2.5, 0.15  # 1, 1/s, 1
 
 
+class Commander(Protocol):
+    """Whoever flies a batch.
+
+    Attributes:
+        setpoint: x m, z m, theta rad of each policy period, as published on /setpoint/pose. (ticks, 3, flights).
+    """
+
+    setpoint: np.ndarray
+
+    def command(
+        self, tick: int, pose: np.ndarray, speed: np.ndarray, rate: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Command thrust N and rate rad/s, each (flights,).
+
+        Args:
+            tick: Policy period since the start of the log; before it the craft is to settle at its first target.
+            pose: Estimated. (3, flights).
+            speed: Estimated, m/s. (2, flights).
+            rate: Measured q, mean over the last period, rad/s. (flights,).
+        """
+
+
 class Estimator:
-    """Complementary filter: inertial prediction, corrected by mocap frames that are some ms old."""
+    """Complementary filter: inertial prediction, corrected by mocap frames that are some ms old.
+
+    Any attitude will do: nothing in it is linear in the angle, which goes on counting through turns.
+    """
 
     def __init__(self, position: np.ndarray, velocity: np.ndarray, age: np.ndarray, gravity: float) -> None:
         """Start from a known state.
@@ -30,7 +57,7 @@ class Estimator:
             age: Of the newest mocap frame at a policy tick, ms. (flights,).
             gravity: m/s^2.
         """
-        self.pose, self.speed = position.copy(), velocity[:PITCH].copy()
+        self.pose, self.speed, self.rate = position.copy(), velocity[:PITCH].copy(), velocity[PITCH].copy()
         self.history = [self.pose.copy(), self.pose.copy()]  # 10 and 20 ms ago
         self.blend = (age - 10.0) / 10.0
         self.gravity = gravity
@@ -58,7 +85,7 @@ class Estimator:
         pose[:PITCH] += _POSE_GAIN * miss[:PITCH]
         pose[PITCH] += _ANGLE_BLEND * miss[PITCH]
         self.speed = speed + _VELOCITY_GAIN * miss[:PITCH]
-        self.pose = pose
+        self.pose, self.rate = pose, gyro
         self.history = [pose, recent]
 
 
@@ -70,6 +97,7 @@ class Pilot:
             name: np.ascontiguousarray(np.stack([getattr(s, name) for s in scripts], axis=-1))
             for name in Script.__dataclass_fields__
         }
+        self.setpoint = self.script["setpoint"]
         self.nudge_rate = np.diff(self.script["base"], axis=0, prepend=self.script["base"][:1]) / PERIOD
         rig = nominal["rig"]
         falling = nominal["airframe"]["mass"] + rig["slider_mass"]
@@ -78,14 +106,10 @@ class Pilot:
         self.thrust_max = nominal["control"]["thrust_max"]
         self.integral = np.zeros((2, len(scripts)))
 
-    def command(self, tick: int, pose: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Command thrust N and rate rad/s, each (flights,).
-
-        Args:
-            tick: Policy period since the start of the script; before it the pilot hovers at its first target.
-            pose: Estimated. (3, flights).
-            speed: Estimated, m/s. (2, flights).
-        """
+    def command(
+        self, tick: int, pose: np.ndarray, speed: np.ndarray, rate: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Command thrust N and rate rad/s as `Commander` says; damping the rate is left to the firmware."""
         now = {name: series[max(tick, 0)] for name, series in self.script.items()}
         haste, turning = now["haste"], now["turning"]
         error = np.clip(now["reference"] - pose[:PITCH], -haste, haste)
@@ -97,7 +121,7 @@ class Pilot:
         tilt = np.where(turning, 0.0, np.arctan2(-force_x, force_z) + now["nudge"])
         wanted = now["base"] + tilt
         lead = np.where(turning, self.nudge_rate[max(tick, 0)], 0.0)
-        rate = np.clip(lead + _ANGLE_GAIN * (wanted - pose[PITCH]), -_RATE_MAX, _RATE_MAX)
+        wanted_rate = np.clip(lead + _ANGLE_GAIN * (wanted - pose[PITCH]), -_RATE_MAX, _RATE_MAX)
         sine, cosine = np.sin(pose[PITCH]), np.cos(pose[PITCH])
         thrust = np.clip(force_z * cosine - force_x * sine, -self.thrust_max, self.thrust_max)
-        return thrust, rate
+        return thrust, wanted_rate

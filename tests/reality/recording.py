@@ -122,7 +122,7 @@ def _gather_topics(batch: Batch, row: int) -> dict[str, Topic]:
     late = np.maximum(0.008 + 4e-4 * np.round(rng.standard_normal(kept.sum()), 1), 0.006)
     late = late - batch.drift[row] * seen_at  # the stamp is the mocap clock's, the record the onboard clock's
 
-    plan = batch.pilot.script["setpoint"][: len(ticks), :, row]
+    plan = batch.pilot.setpoint[: len(ticks), :, row]
     changed = np.append(True, (np.diff(plan, axis=0) != 0).any(1))
     second = np.arange(0, len(fast), 1000)
     supply = np.array([batch.motor.compute_supply(t)[row] for t in time[second]])
