@@ -37,7 +37,8 @@ class VppEnv(EnvBase):
     """N drones on their rails flying one task, at the policy rate.
 
     Besides observation, reward and the done flags every step reports `position_error` [m], `success` (of an episode
-    that ended there) and `episode_return`, (N, 1), and, for a critic, `critic_observation` (N, memory, width).
+    that ended there), `surprised` (a trigger came that values should not know of) and `episode_return`, (N, 1), and,
+    for a critic, `critic_observation` (N, memory, width).
     An action (thrust, rate) in [-1, 1] is scaled with the vehicle's believed limits.
 
     The observation comes from the sensors (`vpptwin.twin.sensors`), with the twin's errors of them: position, angle and
@@ -52,7 +53,7 @@ class VppEnv(EnvBase):
         randomized: ids of effects whose parameters are drawn from their priors at every reset.
         sight: what the policy is shown; by default everything of SPEC 6.
         desynchronize: start at random clock times when all are reset at once, so that not all end together.
-        lesson: the curriculum; None for full difficulty.
+        lesson: of training; None for flying at full difficulty.
         memory: steps that are shown to a critic; 0 for none at all.
         privileged: a critic sees `privileged.py`'s state instead of the policy's observation.
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
@@ -116,7 +117,7 @@ class VppEnv(EnvBase):
         if self.episodes.seen.size:
             shapes["critic_observation"] = self.episodes.seen.shape
         shown = {key: Unbounded(shape=shape, dtype=torch.float32) for key, shape in shapes.items()}
-        told = {key: scalar(torch.float32) for key in ("position_error", "success", "episode_return")}
+        told = {key: scalar(torch.float32) for key in ("position_error", "success", "surprised", "episode_return")}
         self.observation_spec = Composite(**shown, **told, shape=(n,))
         self.action_spec = Bounded(-1.0, 1.0, shape=(n, 2), dtype=torch.float32)
         self.reward_spec = scalar(torch.float32)
@@ -142,7 +143,7 @@ class VppEnv(EnvBase):
     def _begin(self, ids: np.ndarray) -> None:
         """Start new episodes in the rows `ids`; the other rows stay as they are."""
         rng, episodes, task, count = self.rng, self.episodes, self.task, len(ids)
-        drawn = randomize(self.twin, self._priors, ids, rng, self.difficulty)
+        drawn = randomize(self.twin, self._priors, ids, rng, self._draw_levels(count))
         target = task.target.draw(rng, count)
         pose, velocity = task.start.draw(rng, target)
         criterion = self._draw_criteria(count)
@@ -160,9 +161,16 @@ class VppEnv(EnvBase):
         self._measure(ids)
         episodes.seen[ids] = episodes.seen[ids, -1:]
 
+    def _draw_levels(self, count: int) -> np.ndarray:
+        """How far from nominal new episodes may be, (count,)."""
+        level = np.full(count, self.difficulty)
+        if self.lesson is not None and self.lesson.curriculum.nominal:
+            level[self.rng.uniform(size=count) < self.lesson.curriculum.nominal] = 0.0
+        return level
+
     def _draw_criteria(self, count: int) -> np.ndarray:
         """What new episodes are judged by, (count,): below the lesson's level one criterion each."""
-        if self.lesson is None or self.difficulty >= self.lesson.curriculum.single_below:
+        if self.lesson is None or not self.lesson.single(self.flown * self.twin.num_sims):
             return np.full(count, BOTH)
         return self.rng.choice([POSITION, ANGLE], count)
 
@@ -170,8 +178,8 @@ class VppEnv(EnvBase):
         """Draw when the next triggers come; none in an episode judged by its position, nor near an end."""
         episodes, target = self.episodes, self.task.target
         time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
-        late = time > self.task.episode - target.quiet
-        episodes.switch[ids] = np.where(late | (episodes.criterion[ids] == POSITION), np.inf, time)
+        never = (time > self.task.episode - target.quiet) | (episodes.criterion[ids] == POSITION)
+        episodes.switch[ids] = np.where(never, np.inf, time)
 
     def _measure(self, rows: Rows = EVERY) -> None:
         """Advance the integral and take a fresh observation."""
@@ -205,11 +213,11 @@ class VppEnv(EnvBase):
         episodes.action[:] = action
         episodes.elapsed += self._period
         self.flown += 1
-        self._move_targets()
-        self._measure(np.flatnonzero(~broken) if broken.any() else EVERY)
         pose, velocity = self.state.qpos, self.state.qvel
         delta = episodes.target - pose
         np.minimum(episodes.closest, np.abs(wrap_angle(delta[:, 2])), out=episodes.closest)
+        self._move_targets()
+        self._measure(np.flatnonzero(~broken) if broken.any() else EVERY)
         reward = compute_reward(task.weights, delta, velocity, episodes.integral, episodes.criterion)
         reward[broken] = 0.0
         episodes.total += reward
@@ -236,6 +244,7 @@ class VppEnv(EnvBase):
     def _move_targets(self) -> None:
         """Turn the targets that are turning, and let triggers come."""
         episodes, target = self.episodes, self.task.target
+        episodes.surprised[:] = False
         if target.turns:
             reach = target.turn_rate * self._period
             step = np.clip(episodes.turn, -reach, reach)
@@ -247,6 +256,7 @@ class VppEnv(EnvBase):
         episodes.missed[ids] |= episodes.closest[ids] > (self.task.success.reach or np.inf)
         episodes.closest[ids] = np.inf
         episodes.stage[ids] += 1
+        episodes.surprised[ids] = not target.expected
         now = wrap_angle(episodes.target[ids, 2])
         turn = target.draw_turn(self.rng, len(ids))
         other = target.draw_other_angle(self.rng, now, episodes.stage[ids])
@@ -264,6 +274,7 @@ class VppEnv(EnvBase):
             "observation": torch.from_numpy(episodes.observation.copy()),
             "position_error": as_column(distance),
             "success": as_column(there & truncated),
+            "surprised": as_column(episodes.surprised),
             "episode_return": as_column(episodes.total),
             "terminated": torch.from_numpy(terminated[:, None].copy()),
             "truncated": torch.from_numpy(truncated[:, None].copy()),
@@ -288,7 +299,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     Args:
         config: of the run.
         fault_folder: where simulations that diverged are written; None to only count them.
-        lesson: the curriculum; None for full difficulty.
+        lesson: of training; None for flying at full difficulty.
 
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.

@@ -17,6 +17,7 @@ class Episodes:
         stage: number of triggers so far, (N,) int.
         criterion: what is rewarded, one of `reward.BOTH`, `POSITION`, `ANGLE`, (N,) int.
         closest: smallest angle error since the last trigger, (N,) rad.
+        surprised: whether a trigger came in the last step that was not to be expected, (N,) bool.
         missed: whether a target's angle was left before it was met, (N,) bool.
         integral: Γ, (N, 2) m.
         elapsed: (N,) s.
@@ -33,6 +34,7 @@ class Episodes:
     stage: np.ndarray
     criterion: np.ndarray
     closest: np.ndarray
+    surprised: np.ndarray
     missed: np.ndarray
     integral: np.ndarray
     elapsed: np.ndarray
@@ -48,7 +50,8 @@ class Episodes:
         """Arrays for `count` simulations, all zero, without a trigger."""
         return cls(
             target=np.zeros((count, 3)), turn=np.zeros(count), stage=np.zeros(count, int),
-            criterion=np.zeros(count, int), closest=np.full(count, np.inf), missed=np.zeros(count, bool),
+            criterion=np.zeros(count, int), closest=np.full(count, np.inf),
+            surprised=np.zeros(count, bool), missed=np.zeros(count, bool),
             integral=np.zeros((count, 2)), elapsed=np.zeros(count), switch=np.full(count, np.inf),
             total=np.zeros(count), action=np.zeros((count, 2)), drawn=np.zeros((count, parameters)),
             observation=np.zeros((count, inputs), np.float32),

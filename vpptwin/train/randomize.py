@@ -71,13 +71,14 @@ class Priors:
             off=np.array([p.off for _, p in pairs]),
         )
 
-    def draw(self, rng: np.random.Generator, count: int, difficulty: float = 1.0) -> np.ndarray:
-        """Draw every parameter inside its bounds, its distance from off times `difficulty`, (count, K)."""
+    def draw(self, rng: np.random.Generator, count: int, level: np.ndarray | float = 1.0) -> np.ndarray:
+        """Draw every parameter inside its bounds, its distance from off times `level`, (count,) or one, (count, K)."""
         draw = rng.standard_normal((count, len(self.keys)))
         draw[:, self.uniform] = rng.uniform(size=(count, int(self.uniform.sum())))
         draw[:, self.halved] = np.abs(draw[:, self.halved])
         drawn = np.clip(self.start + self.width * draw, self.low, self.high)
-        return drawn if difficulty == 1.0 else self.off + difficulty * (drawn - self.off)
+        share = np.broadcast_to(level, count)[:, None]
+        return np.where(share == 1.0, drawn, self.off + share * (drawn - self.off))
 
     def standardize(self, values: np.ndarray) -> np.ndarray:
         """Values (..., K) from their means in standard deviations, for a critic that is told."""
@@ -98,7 +99,7 @@ def name_effects(names: Sequence[str], catalogue: Sequence[Effect]) -> list[str]
 
 
 def randomize(
-    twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.random.Generator, difficulty: float = 1.0
+    twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.random.Generator, level: np.ndarray | float = 1.0
 ) -> np.ndarray:
     """Give the simulations `ids` (n,) fresh parameters.
 
@@ -109,11 +110,11 @@ def randomize(
         priors: of the parameters to draw.
         ids: simulations to change, (n,) int.
         rng: source of the draws.
-        difficulty: multiplies how far the draws are from off.
+        level: multiplies how far the draws are from off, (n,) or one for all.
 
     Returns:
         What was drawn, (n, K).
     """
-    drawn = priors.draw(rng, len(ids), difficulty)
+    drawn = priors.draw(rng, len(ids), level)
     twin.set_parameters(priors.keys, drawn, ids)
     return drawn

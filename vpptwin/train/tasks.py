@@ -62,6 +62,9 @@ class Target:
         turns: share of triggers that ask for a full turn instead of another angle.
         turn_rate: of the target's angle during a full turn, in either direction, rad/s.
         quiet: no trigger in so much of the end of an episode, s.
+        expected: triggers count in what a state is worth. Else a flight is valued as if its target stayed: a policy
+            that reckons with a flip at any time hovers off its target, where the flip will carry it back (by 15 mm when
+            every episode had triggers: the paper's reward is flat there).
     """
 
     x: Range = (-0.4, 0.4)
@@ -73,6 +76,7 @@ class Target:
     turns: float = 0.0
     turn_rate: float = 12.0
     quiet: float = 2.0
+    expected: bool = False
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Targets x, z, θ, (count, 3) m, m, rad."""
@@ -198,6 +202,7 @@ WALL_BACKTRACK = Task(
         z=(1.2, 1.3),
         angles=[0.0, 0.5 * math.pi, 0.0],
         in_order=True,
+        expected=True,
         dwell=(1.0, 2.0),
         hold=(0.4, 0.7),
     ),

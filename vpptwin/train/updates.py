@@ -40,8 +40,11 @@ class Advantages:
             return self._done[1]
         last = batch["next"]
         value, following = self._estimate(batch)
+        # Valued as if the target had stayed, where it is worth as much as a step before.
+        surprised = last["surprised"] > 0.0
+        following = torch.where(surprised, value, following)
         advantage, target = generalized_advantage_estimate(
-            self.gamma, self.lmbda, value, following, last["reward"] * self.reward_scale, last["done"],
+            self.gamma, self.lmbda, value, following, last["reward"] * self.reward_scale, last["done"] | surprised,
             last["terminated"],
         )  # fmt: skip
         result = batch.select("observation", "critic_observation", "action", "action_log_prob")
