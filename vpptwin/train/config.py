@@ -46,8 +46,8 @@ class Curriculum:
         enabled: whether anything does; else difficulty is 1 throughout.
         difficulty: multiplies sensor noise and the distance of randomized parameters from nominal.
         single_below: below this difficulty an episode is judged by its position or by its angle, not both.
-        nominal: share of the episodes flown in the nominal twin, whatever the difficulty: it lies in a corner of what is
-            drawn, as no friction and no delay is below zero.
+        nominal: share of the episodes flown in the nominal twin, whatever the difficulty: it lies in a corner of what
+            is drawn, as no friction and no delay is below zero.
     """
 
     enabled: bool = True

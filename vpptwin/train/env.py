@@ -63,6 +63,7 @@ class VppEnv(EnvBase):
         sensors: of the motion capture, which may show the past.
         episodes: what evolves besides.
         rng: source of every random number here.
+        duration: of an episode, s.
         flown: policy steps of each simulation so far, by which the curriculum goes.
         restored: the next full reset hands out the present observation instead of drawing new episodes.
         faults: number of simulations so far that diverged and were started afresh.
@@ -95,10 +96,11 @@ class VppEnv(EnvBase):
         self._noise_std = noise * np.stack(sensor_noise(twin.vehicle))
         self._priors = Priors.of(twin.effects[effect] for effect in self.randomized)
         self.rng = np.random.default_rng(seed)
+        self.duration = task.episode if lesson is None else task.training_episode or task.episode
         n, parameters = twin.num_sims, len(self._priors.keys)
         self.state = twin.initial_state()
         self._before = self.state.copy()
-        self._depth = history_depth(twin.effects.values(), self._period, task.episode)
+        self._depth = history_depth(twin.effects.values(), self._period, self.duration)
         self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
         width = privileged_size(parameters) if privileged else len(self.sight.names)
         self.episodes = Episodes.allocate(n, len(self.sight.names), parameters, memory, width if memory else 0)
@@ -136,7 +138,7 @@ class VppEnv(EnvBase):
         ids = np.arange(self.twin.num_sims) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
         self._begin(ids)
         if self.desynchronize and mask is None:
-            self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.task.episode, len(ids))
+            self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.duration, len(ids))
             self._schedule(ids)
         return self._pack(false, false)
 
@@ -175,10 +177,11 @@ class VppEnv(EnvBase):
         return self.rng.choice([POSITION, ANGLE], count)
 
     def _schedule(self, ids: np.ndarray) -> None:
-        """Draw when the next triggers come; none in an episode judged by its position, nor near an end."""
+        """Draw when the next triggers come; none in an episode judged by its position, nor in the quiet of a flight."""
         episodes, target = self.episodes, self.task.target
         time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
-        never = (time > self.task.episode - target.quiet) | (episodes.criterion[ids] == POSITION)
+        last = np.inf if self.lesson is not None else self.duration - target.quiet
+        never = (time > last) | (episodes.criterion[ids] == POSITION)
         episodes.switch[ids] = np.where(never, np.inf, time)
 
     def _measure(self, rows: Rows = EVERY) -> None:
@@ -222,7 +225,7 @@ class VppEnv(EnvBase):
         reward[broken] = 0.0
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
-        truncated = (episodes.elapsed > task.episode - 0.5 * self._period) & ~terminated
+        truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
 
     def _fly(self, command: np.ndarray) -> np.ndarray:

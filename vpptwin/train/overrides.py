@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 
 from hydra import compose, initialize
@@ -105,12 +105,16 @@ def describe_options() -> str:
         elif isinstance(value, Curriculum):
             shown = f"{value.difficulty.start:g}→{value.difficulty.end:g}"
         else:
-            shown = "null" if value is None else str(value).replace(" ", "")
+            shown = "null" if value is None else str(value).replace(" ", "").replace("'", "")
         lines.append(f"  {f.name + '=' + shown:<30} {texts[f.name]}")
-    changed = ", ".join(f"{key}={describe_value(value)}" for key, value in PRESETS["paper"].items())
+    changed = " ".join(f"{key}={value}" for key, value in flatten(PRESETS["paper"]))
     return "\n".join([*lines, "", f"preset=paper changes {changed}", "", EXAMPLES])
 
 
-def describe_value(value: object) -> str:
-    """A preset's value as it is shown in the help."""
-    return f"{value['start']:g}→{value['end']:g}" if isinstance(value, dict) else str(value).replace(" ", "")
+def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Dotted names and values, as they are written on the command line."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, str(value).replace(" ", "")

@@ -61,7 +61,7 @@ class Target:
         hold: in order, the same for the angles between first and last, s; null for as long as `dwell`.
         turns: share of triggers that ask for a full turn instead of another angle.
         turn_rate: of the target's angle during a full turn, in either direction, rad/s.
-        quiet: no trigger in so much of the end of an episode, s.
+        quiet: no trigger in so much of the end of an episode, s; in training there may be.
         expected: triggers count in what a state is worth. Else a flight is valued as if its target stayed: a policy
             that reckons with a flip at any time hovers off its target, where the flip will carry it back (by 15 mm when
             every episode had triggers: the paper's reward is flat there).
@@ -161,6 +161,7 @@ class Task:
     Attributes:
         name: as on the command line.
         episode: length, s.
+        training_episode: length in training, s: many starts teach more than long holds; null for the same.
         thrust_to_weight: largest commanded thrust over the weight of craft and slider; null for the vehicle's own. The
             rotors are made stronger by as much.
         start: initial states.
@@ -172,6 +173,7 @@ class Task:
 
     name: str
     episode: float = 5.0
+    training_episode: float | None = None
     thrust_to_weight: float | None = None
     start: Start = field(default_factory=Start)
     target: Target = field(default_factory=Target)
@@ -189,6 +191,7 @@ HOVER = Task("hover")
 FLIP = Task(
     "flip",
     episode=6.0,
+    training_episode=2.5,
     start=WIDE,
     target=Target(angles=[0.0, math.pi], dwell=(0.8, 3.0), turns=0.2),
 )
@@ -239,5 +242,7 @@ def check_task(task: Task) -> None:
     if not 0.0 <= target.turns <= 1.0 or target.turn_rate <= 0.0 or target.quiet < 0.0:
         found = f"task.target.turns={target.turns} turn_rate={target.turn_rate} quiet={target.quiet}"
         raise InputError(found, "a share from 0 to 1, a rate above 0, a time from 0", "correct it")
+    if task.training_episode is not None and task.training_episode <= 0.0:
+        raise InputError(f"task.training_episode={task.training_episode}", "a time above 0, or null", "correct it")
     if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
         raise InputError(f"task.thrust_to_weight={task.thrust_to_weight}", "more than 1, at most 10", "correct it")
