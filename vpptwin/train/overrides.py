@@ -7,6 +7,7 @@ import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from textwrap import wrap
 
 from hydra import compose, initialize
 from hydra.core.config_store import ConfigStore
@@ -107,8 +108,8 @@ def describe_options() -> str:
         else:
             shown = "null" if value is None else str(value).replace(" ", "").replace("'", "")
         lines.append(f"  {f.name + '=' + shown:<30} {texts[f.name]}")
-    changed = " ".join(f"{key}={value}" for key, value in flatten(PRESETS["paper"]))
-    return "\n".join([*lines, "", f"preset=paper changes {changed}", "", EXAMPLES])
+    changed = " ".join(["preset=paper changes", *(f"{key}={value}" for key, value in flatten(PRESETS["paper"]))])
+    return "\n".join([*lines, "", *wrap(changed, 120, subsequent_indent="  "), "", EXAMPLES])
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:
