@@ -133,7 +133,7 @@ class TrainConfig:
     out: str | None = None
     resume: str | None = None
     seed: int = 0
-    total_steps: int = 4_000_000
+    total_steps: int = 3_000_000
     num_envs: int = 512
     rollout: int = 32
     noise: float = 1.0
@@ -150,7 +150,7 @@ class TrainConfig:
     privileged: bool = True
     epochs: int = 5
     minibatch: int = 1024
-    gamma: float = 0.99
+    gamma: float = 0.98
     lmbda: float = 0.95
     clip: float = 0.2
     critic_weight: float = 1.0

@@ -225,6 +225,8 @@ class VppEnv(EnvBase):
         reward[broken] = 0.0
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
+        if self.lesson is not None:
+            terminated |= episodes.missed
         truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
 
