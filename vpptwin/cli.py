@@ -127,7 +127,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def add_fly(fly: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin fly`."""
-    fly.add_argument("checkpoint", type=Path, nargs="?", help="a trained policy: a checkpoint or a run's folder")
+    fly.add_argument("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
     fly.add_argument("--task", help="whose targets the policy flies (default: that of its training)")
     fly.add_argument("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
     fly.add_argument("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
@@ -234,7 +234,7 @@ def run_fly(options: argparse.Namespace) -> None:
     else:
         from vpptwin.train.pilot import load_pilot
 
-        pilot = load_pilot(options.checkpoint, options.task, vehicle, options.duration, options.seed)
+        pilot, spec = load_pilot(options.checkpoint, options.task, spec, options.duration, options.seed)
         about = {"policy": str(options.checkpoint), "task": pilot.task}
     fly_log(pilot, Sortie(spec, out, options.seed, options.gusts, about))
 

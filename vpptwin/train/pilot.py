@@ -11,9 +11,11 @@ from vpptwin.errors import InputError
 from vpptwin.pilot.manoeuvre import SHORTEST, check_duration
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.config import TrainConfig
+from vpptwin.train.env import strengthen
 from vpptwin.train.networks import Policy
 from vpptwin.train.observe import accumulate_error, observe
 from vpptwin.train.tasks import TASKS, Task
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
 
@@ -57,7 +59,7 @@ class PolicyPilot:
 
 
 def plan_targets(task: Task, ticks: int, period: float, rng: np.random.Generator) -> np.ndarray:
-    """Targets x, z, θ of every tick of one flight, triggers and full turns included, (ticks, 1, 3) m, m, rad."""
+    """Targets x, z, θ of every tick of one flight, (ticks, 1, 3) m, m, rad: triggers, full turns, quiet at the end."""
     wanted, stage = task.target, np.zeros(1, int)
     now = wanted.draw(rng, 1)
     switch, turn = wanted.draw_dwell(rng, stage), np.zeros(1)
@@ -66,7 +68,7 @@ def plan_targets(task: Task, ticks: int, period: float, rng: np.random.Generator
         step = np.clip(turn, -wanted.turn_rate * period, wanted.turn_rate * period)
         now[:, 2] += step
         turn -= step
-        if tick * period >= switch[0]:
+        if tick * period >= switch[0] and tick < ticks - round(wanted.quiet / period):
             stage += 1
             turn = wanted.draw_turn(rng, 1)
             if not turn[0]:
@@ -76,13 +78,15 @@ def plan_targets(task: Task, ticks: int, period: float, rng: np.random.Generator
     return planned
 
 
-def load_pilot(checkpoint: Path, task: str | None, vehicle: Vehicle, duration: float | None, seed: int) -> PolicyPilot:
-    """The pilot of a checkpoint.
+def load_pilot(
+    checkpoint: Path, task: str | None, spec: TwinSpec, duration: float | None, seed: int
+) -> tuple[PolicyPilot, TwinSpec]:
+    """The pilot of a checkpoint, and the twin with rotors as strong as its task wants them.
 
     Args:
-        checkpoint: file, or folder of a run.
+        checkpoint: file, folder of a run, or name of a shipped policy.
         task: whose targets to fly; None, or the same name, for that of training with its overrides.
-        vehicle: believed numbers.
+        spec: the twin to fly, a drone.
         duration: s; None for an episode.
         seed: of the targets.
 
@@ -93,4 +97,6 @@ def load_pilot(checkpoint: Path, task: str | None, vehicle: Vehicle, duration: f
         raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
     policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
     chosen = trained.task if task in (None, trained.task.name) else TASKS[str(task)]
-    return PolicyPilot(policy, trained, chosen, vehicle, duration, seed)
+    spec = strengthen(spec, chosen.thrust_to_weight)
+    assert spec.vehicle is not None
+    return PolicyPilot(policy, trained, chosen, spec.vehicle, duration, seed), spec
