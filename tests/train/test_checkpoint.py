@@ -1,20 +1,20 @@
-"""Checkpoints and evaluation: round trip, provenance, and files that are something else."""
+"""Checkpoints: round trip, which file a name stands for, and files that are something else."""
 
 from __future__ import annotations
 
-import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint, write_checkpoint
+from vpptwin.train.checkpoint import FORMAT, find_checkpoint, read_checkpoint, shipped_policies, write_checkpoint
 from vpptwin.train.config import to_config
-from vpptwin.train.evaluate import evaluate, load_policy, run_evaluate
-from vpptwin.train.networks import Exploration, Policy, make_actor
+from vpptwin.train.evaluate import load_policy
+from vpptwin.train.networks import Policy
+from vpptwin.train.observe import Sight
 
 
 def test_round_trip(tiny_run: Path, tmp_path: Path) -> None:
@@ -28,27 +28,38 @@ def test_round_trip(tiny_run: Path, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["policy.pt"]
 
 
-def test_policy_is_the_mode_of_the_trained_actor() -> None:
-    """What is deployed is what the exploring actor does when it does not explore: tanh of the network, in [-1, 1]."""
-    torch.manual_seed(0)
-    policy = Policy(11)
-    actor = make_actor(Exploration(policy, 0.4))
-    observation = 5.0 * torch.randn(64, 11)
-    distribution = actor.get_dist(actor(as_batch(observation)))
-    torch.testing.assert_close(distribution.deterministic_sample, policy(observation))
-    assert policy(observation).abs().max() <= 1.0
+def test_a_folder_flies_its_best_and_resumes_its_last(tiny_run: Path, tmp_path: Path) -> None:
+    """best.pt if there is one, else checkpoint.pt; a file stands for itself."""
+    assert find_checkpoint(tiny_run) == tiny_run / "best.pt"
+    assert find_checkpoint(tiny_run, flying=False) == tiny_run / "checkpoint.pt"
+    assert find_checkpoint(tiny_run / "checkpoint.pt") == tiny_run / "checkpoint.pt"
+    shutil.copy(tiny_run / "checkpoint.pt", tmp_path)
+    assert find_checkpoint(str(tmp_path)) == tmp_path / "checkpoint.pt"
 
 
-def as_batch(observation: torch.Tensor) -> TensorDict:
-    """Observations as an actor takes them."""
-    return TensorDict({"observation": observation}, batch_size=[len(observation)])
+def test_policies_ship_by_name(tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bare name stands for models/policies/NAME.pt, unless there is such a file here; others are refused."""
+    monkeypatch.setattr("vpptwin.train.checkpoint.models_dir", lambda: tmp_path)
+    (tmp_path / "policies").mkdir()
+    shutil.copy(tiny_run / "best.pt", tmp_path / "policies" / "spin.pt")
+    observation = torch.randn(3, 11)
+    assert torch.equal(load_policy("spin")(observation), load_policy(tiny_run)(observation))
+    for name in ("loop", "policies/spin", "spin.pt"):
+        with pytest.raises(InputError, match="no checkpoint"):
+            load_policy(name)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    shutil.copytree(tiny_run, tmp_path / "here" / "spin")
+    (tmp_path / "here" / "spin" / "best.pt").unlink()
+    assert find_checkpoint("spin") == Path("spin/checkpoint.pt")
 
 
-def test_paper_network() -> None:
-    """The actor is the paper's: 96 ReLU, 64 tanh, two outputs."""
-    layers = [str(layer).split("(")[0] for layer in Policy(11).body[1:]]
-    assert layers == ["Linear", "ReLU", "Linear", "Tanh", "Linear"]
-    assert [tuple(p.shape) for p in Policy(11).parameters() if p.dim() == 2] == [(96, 11), (64, 96), (2, 64)]
+def test_every_policy_that_ships_can_be_flown() -> None:
+    """Whatever lies in models/policies loads, within the bound that it was trained with."""
+    for name in shipped_policies():
+        policy = load_policy(name)
+        bound = to_config(read_checkpoint(name)["config"]).lipschitz
+        assert bound is None or policy.lipschitz() <= bound * (1.0 + 1e-5)  # float32
 
 
 def damage(content: dict[str, Any], kind: str) -> dict[str, Any]:
@@ -58,7 +69,7 @@ def damage(content: dict[str, Any], kind: str) -> dict[str, Any]:
     if kind == "kind":
         return {"weights": content["policy"]}
     if kind == "architecture":
-        return {**content, "policy": Policy(11, (32, 32)).state_dict()}
+        return {**content, "policy": Policy(Sight(), (32, 32)).state_dict()}
     return {**content, "config": {**content["config"], "unknown_option": 1}}
 
 
@@ -100,36 +111,7 @@ def test_code_in_a_checkpoint_does_not_run(tmp_path: Path) -> None:
         def __reduce__(self) -> tuple[object, tuple[str]]:
             return Path.touch, (tmp_path / "ran",)  # type: ignore[return-value]
 
-    torch.save({"kind": "vpptwin policy", "format": 1, "policy": Payload()}, tmp_path / "evil.pt")
+    torch.save({"kind": "vpptwin policy", "format": FORMAT, "policy": Payload()}, tmp_path / "evil.pt")
     with pytest.raises(InputError, match="not a checkpoint"):
         load_policy(tmp_path / "evil.pt")
     assert not (tmp_path / "ran").exists()
-
-
-def test_evaluation_is_data(tiny_run: Path, tmp_path: Path) -> None:
-    """The JSON carries the measures, the seed and the commits, and repeats bit-equal for the same seed."""
-    path = tmp_path / "out.json"
-    result = run_evaluate(tiny_run, "hover", 8, 5, "nominal", path)
-    assert json.loads(path.read_text()) == result
-    assert (result["tracks"], result["seed"], result["checkpoint"]["steps"]) == (8, 5, 1024)
-    again, other = evaluate(tiny_run, "hover", 8, 5), evaluate(tiny_run, "hover", 8, 6)
-    measures = ("position_error_m", "fail_rate", "success_share")
-    assert [again[key] for key in measures] == [result[key] for key in measures]
-    # 1024 steps teach nothing: every craft falls, and then there is no error to report.
-    assert result["fail_rate"] == other["fail_rate"] == 1.0
-    assert result["success_share"] == 0.0
-    assert result["position_error_m"] == {"median": None, "mean": None, "worst": None}
-
-
-def test_bad_evaluations(tiny_run: Path, tmp_path: Path) -> None:
-    """An unknown task, no tracks, an unknown twin and an unwritable file are refused; nothing is written."""
-    bad = [
-        ("flap", 4, "nominal", tmp_path / "out.json"),
-        ("hover", 0, "nominal", tmp_path / "out.json"),
-        ("hover", 4, "nowhere.yaml", tmp_path / "out.json"),
-        ("hover", 4, "nominal", tmp_path / "missing" / "out.json"),
-    ]
-    for task, tracks, twin, path in bad:
-        with pytest.raises(InputError):
-            run_evaluate(tiny_run, task, tracks, 0, twin, path)
-    assert not list(tmp_path.iterdir())

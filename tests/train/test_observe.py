@@ -1,4 +1,4 @@
-"""The observation and the reward, worked out by hand."""
+"""The observation, worked out by hand, in each of the paper's setups."""
 
 from __future__ import annotations
 
@@ -6,30 +6,86 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
-from vpptwin.train.observe import OBSERVATION, accumulate_error, observation_size, observe
-from vpptwin.train.reward import RewardWeights, compute_reward
+from tests.train.conftest import step, tiny_env
+from vpptwin.train.observe import OBSERVATION, SETUPS, Sight, accumulate_error, observe
+
+POSE = np.array([[0.1, 1.2, 0.5]])
+VELOCITY = np.array([[0.3, -0.4, 2.0]])
+TARGET = np.array([[0.4, 1.0, 3.0]])
+INTEGRAL = np.array([[0.7, -0.8]])
+PLACE = (0.3, -0.2, 0.3, -0.4)
+"""Δp = (0.4 - 0.1, 1.0 - 1.2), then the velocity."""
+SINES = (math.sin(2.5), math.cos(2.5))
+"""Of Δθ = 3.0 - 0.5."""
+SHOWN = {
+    "VA": (*PLACE, 2.5, 2.0, 3.0),
+    "TA": (*PLACE, *SINES, 2.0, math.sin(3.0), math.cos(3.0)),
+    "PI": (*PLACE, 2.5, 2.0, 0.7, -0.8, 3.0),
+    "All": (*PLACE, *SINES, 2.0, 0.7, -0.8, math.sin(3.0), math.cos(3.0)),
+}
+"""What each setup shows of the state above."""
+PAPERS = {"VA": 6, "TA": 7, "PI": 8, "All": 9}
+"""Inputs without the target's angle, as the paper counts them."""
 
 
-def test_observation_by_hand() -> None:
-    """Every input is where SPEC 6 puts it, with the sign of target minus state."""
-    pose = np.array([[0.1, 1.2, 0.5]])
-    velocity = np.array([[0.3, -0.4, 2.0]])
-    target = np.array([[0.4, 1.0, math.pi]])
-    integral = np.array([[0.7, -0.8]])
-    # Δp = (0.4 - 0.1, 1.0 - 1.2); Δθ = π - 0.5, whose sine is sin 0.5 and cosine -cos 0.5; sin π = 0, cos π = -1.
-    expected = [0.3, -0.2, 0.3, -0.4, math.sin(0.5), -math.cos(0.5), 2.0, 0.7, -0.8, 0.0, -1.0]
-    seen = observe(pose, velocity, target, integral)
+def test_every_setup_is_worked_out() -> None:
+    """The table above has the setups that exist, SPEC 6's among them."""
+    assert tuple(SHOWN) == SETUPS
+    assert Sight().names == OBSERVATION
+    assert len(OBSERVATION) == 11
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+def test_setups_by_hand(setup: str) -> None:
+    """Every input is where its name says, with the sign of target minus state."""
+    sight = Sight(setup)
+    seen = observe(POSE, VELOCITY, TARGET, INTEGRAL, sight)
     assert seen.dtype == np.float32
-    np.testing.assert_allclose(seen, [expected], atol=1e-6)  # float32
-    assert seen.shape == (1, len(OBSERVATION)) == (1, observation_size())
+    np.testing.assert_allclose(seen, [SHOWN[setup]], atol=1e-6)  # float32
+    values = dict(zip(OBSERVATION, SHOWN["All"])) | {"delta_theta": 2.5, "target_theta": 3.0}
+    np.testing.assert_allclose(seen[0], [values[name] for name in sight.names], atol=1e-6)
 
 
-def test_paper_inputs_are_the_first_nine() -> None:
-    """The ablation is a prefix of the observation, so it differs in nothing but the target's angle."""
+@pytest.mark.parametrize("setup", SETUPS)
+def test_the_papers_inputs_come_first(setup: str) -> None:
+    """Without the target's angle a setup is a prefix of itself with it, so the ablation differs in nothing else."""
+    without, count = Sight(setup, target_angle=False), PAPERS[setup]
     rng = np.random.default_rng(0)
     arguments = [rng.standard_normal((5, k)) for k in (3, 3, 3, 2)]
-    np.testing.assert_array_equal(observe(*arguments, paper_inputs=True), observe(*arguments)[:, :9])
+    assert without.names == Sight(setup).names[:count]
+    np.testing.assert_array_equal(observe(*arguments, without), observe(*arguments, Sight(setup))[:, :count])
+
+
+@pytest.mark.parametrize("setup", ["VA", "PI"])
+def test_angles_in_radians_stay_within_half_a_turn(setup: str) -> None:
+    """However often the craft has turned, Δθ and the target's angle are the same angles within ±π."""
+    rng = np.random.default_rng(0)
+    pose, target = rng.uniform(-30.0, 30.0, (2, 400, 3))
+    sight = Sight(setup)
+    seen = observe(pose, np.zeros((400, 3)), target, np.zeros((400, 2)), sight)
+    for name, angle in (("delta_theta", target[:, 2] - pose[:, 2]), ("target_theta", target[:, 2])):
+        shown = seen[:, sight.names.index(name)].astype(float)
+        assert (np.abs(shown) <= np.float32(np.pi)).all()
+        np.testing.assert_allclose(np.exp(1j * shown), np.exp(1j * angle), atol=1e-6)  # float32
+    turn = np.array([0.0, 0.0, 2.0 * np.pi])
+    turned = observe(pose + turn, np.zeros((400, 3)), target - 2.0 * turn, np.zeros((400, 2)), sight)
+    np.testing.assert_allclose(turned, seen, atol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+@pytest.mark.parametrize("paper_inputs", [False, True])
+def test_the_environment_shows_the_setup(setup: str, paper_inputs: bool) -> None:
+    """`setup` and `paper_inputs` decide what an environment gives out, at resets and steps."""
+    env = tiny_env(f"setup={setup}", f"paper_inputs={paper_inputs}")
+    first = env.reset()["observation"]
+    assert first.shape == (4, len(SHOWN[setup]) if not paper_inputs else PAPERS[setup])
+    assert env.observation_spec["observation"].shape == first.shape
+    seen = step(env)["observation"]
+    expected = observe(env.state.qpos, env.state.qvel, env.episodes.target, env.episodes.integral, env.sight)
+    assert torch.equal(seen, torch.from_numpy(expected))
+    assert env.sight == Sight(setup, not paper_inputs)
 
 
 def test_integral_recursion() -> None:
@@ -42,21 +98,3 @@ def test_integral_recursion() -> None:
     for _ in range(300):
         second = accumulate_error(second, error)
     np.testing.assert_allclose(second, [[2.0, -1.0]], rtol=1e-9)  # 0.9^300 is 2e-14
-
-
-def test_reward_by_hand() -> None:
-    """The paper's sum, with r_v and r_ω carrying their own factor r_p."""
-    weights = RewardWeights(position=0.8, orientation=0.7, velocity=0.2, rate=0.3, integral=0.1)
-    delta = np.array([[0.3, -0.1, math.pi / 2]])
-    velocity = np.array([[0.6, 0.8, 2.0]])
-    integral = np.array([[1.0, -1.0]])
-    # r_p = 1/(1 + 10 * 0.1) = 0.5; r_o = (1 + 0)/2; r_v = 0.5/(1 + 1); r_ω = 0.5/(1 + 4); r_i = 1/(1 + 2)
-    # R = 0.8*0.5 + 0.5*(0.7*0.5 + 0.2*0.25 + 0.3*0.1) + 0.1/3 = 0.4 + 0.215 + 0.0333
-    np.testing.assert_allclose(compute_reward(weights, delta, velocity, integral), [0.4 + 0.215 + 0.1 / 3.0])
-
-
-def test_best_reward_is_rest_on_the_target() -> None:
-    """At rest on the target every term is one; the paper's flip weights add up to 2.2."""
-    weights = RewardWeights()
-    rest = compute_reward(weights, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 2)))
-    assert rest[0] == pytest.approx(weights.best) == pytest.approx(2.2)

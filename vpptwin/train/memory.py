@@ -32,7 +32,7 @@ def check_run(config: TrainConfig) -> None:
     needed = batch * step
     if config.exam_every:
         needed += config.exam_tracks * simulations
-    if config.collector == "local" or not os.environ.get("RAY_ADDRESS"):
+    if config.collector == "local" or os.environ.get("RAY_ADDRESS", "") in ("", "local"):
         needed += config.num_envs * simulations
     compare(config, needed)
 
@@ -67,9 +67,9 @@ def size_simulation(config: TrainConfig) -> int:
 
 
 def size_record(config: TrainConfig) -> int:
-    """Bytes that a collector keeps of a step: what the critic sees before and after it, and 158 of all else."""
+    """Bytes that a collector keeps of a step: what the critic sees before and after it, and 166 of all else."""
     memory, width = critic_shape(config)
-    return 158 + 8 * memory * width
+    return 166 + 8 * memory * width
 
 
 def size_step(config: TrainConfig) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,9 @@ from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
 
+ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
+PATIENCE = 10.0
+"""Time that a cluster's head has to answer, s."""
 INSTALL = "pip install 'vpptwin[ray]'"
 CONTINUE = "see that they have the memory and files they need; `vpptwin train resume=RUN` goes on from the checkpoint"
 OPTIONS = {"auto_register_policy_transforms": False}
@@ -184,16 +188,20 @@ def connect(cores: int) -> None:
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False}
-    address = os.environ.get("RAY_ADDRESS")
-    if not address:
-        ray.init("local", num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
+    address = os.environ.get("RAY_ADDRESS") or "local"
+    if address == "local":
+        ray.init(address, num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
         return
+    host, _, port = address.rpartition(":")
+    if address != "auto" and ("://" in address or not port.isdigit()):
+        expected = "auto, or host:port of the cluster that this machine belongs to"
+        raise InputError(f"RAY_ADDRESS={address}", expected, ALONE)
     try:
+        if address != "auto":
+            socket.create_connection((host, int(port)), PATIENCE).close()  # Ray itself would try for minutes
         ray.init(address, **quiet)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        found = f"no Ray at RAY_ADDRESS={address}"
-        advice = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
-        raise InputError(found, "the address of a running Ray", advice) from error
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"no Ray at RAY_ADDRESS={address}", "the address of a running Ray", ALONE) from error
 
 
 def check_cores(config: TrainConfig) -> None:

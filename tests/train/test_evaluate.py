@@ -1,0 +1,100 @@
+"""`vpptwin evaluate`: what it flies, under which conditions, and what it reports."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from vpptwin.cli import main
+from vpptwin.errors import InputError
+from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.train.config import to_config
+from vpptwin.train.evaluate import Conditions, configure_flights, evaluate, run_evaluate
+from vpptwin.train.randomize import IDENTIFIED
+from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
+
+MEASURES = ("position_error_m", "upright_error_m", "angle_error_rad", "fail_rate", "success_share", "full_turns")
+
+
+def test_evaluation_is_data(tiny_run: Path, tmp_path: Path) -> None:
+    """The JSON carries the measures, the conditions and the commits, and repeats bit-equal for the same seed."""
+    path = tmp_path / "out.json"
+    given = Conditions("hover", 8, 5)
+    result = run_evaluate(tiny_run, given, path)
+    assert json.loads(path.read_text()) == result
+    assert (result["tracks"], result["seed"], result["noise"]) == (8, 5, 1.0)
+    assert result["checkpoint"]["steps"] == read_checkpoint(tiny_run)["steps"]
+    assert set(result["randomized"]) == set(IDENTIFIED)
+    assert 0.0 < result["lipschitz"] <= 8.0
+    again, other = evaluate(tiny_run, given), evaluate(tiny_run, Conditions("hover", 8, 6))
+    assert [again[key] for key in MEASURES] == [result[key] for key in MEASURES]
+    assert other["position_error_m"]["median"] != result["position_error_m"]["median"]
+    error = result["position_error_m"]
+    assert 0.0 < error["median"] <= error["worst"]
+    assert result["upright_error_m"] == error
+    assert result["inverted_error_m"] == {"median": None, "mean": None, "worst": None}
+
+
+def test_without_conditions_it_is_the_task_of_training(tiny_run: Path) -> None:
+    """A hundred flights of the task with its overrides, with noise, in twins randomized as the paper does."""
+    result = evaluate(tiny_run)
+    assert (result["task"], result["tracks"], result["window_s"]) == ("hover", 100, 0.2)
+    assert set(result["randomized"]) == set(IDENTIFIED)
+
+
+def test_when_all_fail_there_is_no_error(tiny_run: Path, tmp_path: Path) -> None:
+    """Flights that no policy survives leave nothing to average, and say so."""
+    content = read_checkpoint(tiny_run)
+    content["config"]["task"]["limits"]["rate"] = 1e-6
+    doomed = tmp_path / "doomed.pt"
+    torch.save(content, doomed)
+    result = evaluate(doomed, Conditions(tracks=4))
+    assert result["fail_rate"] == 1.0
+    assert result["success_share"] == 0.0
+    assert result["position_error_m"] == {"median": None, "mean": None, "worst": None}
+
+
+def test_conditions_decide_what_is_flown(tiny_run: Path) -> None:
+    """Task, seed, noise, twins and strength are those of evaluation; the rest is that of training."""
+    trained = to_config(read_checkpoint(tiny_run)["config"])
+    same = configure_flights(trained, Conditions("hover", 3, 7, noise=0.5, randomize=["air.drag"]))
+    assert same.task == trained.task
+    assert (same.num_envs, same.seed, same.noise, same.randomize) == (3, 7, 0.5, ["air.drag"])
+    assert not same.desynchronize
+    assert configure_flights(trained, Conditions("flip")).task == FLIP
+    strong = configure_flights(trained, Conditions("wall-backtrack", thrust_to_weight=3.0))
+    assert strong.task.thrust_to_weight == 3.0
+    assert WALL_BACKTRACK.thrust_to_weight == 2.5
+    assert same.setup == trained.setup
+
+
+def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`vpptwin evaluate` prints what was flown: no effects with `--randomize none`, names and groups otherwise."""
+    command = ["evaluate", str(tiny_run), "--tracks", "2", "--seed", "3", "--noise", "0.5"]
+    for given, expected in (("none", []), ("air.drag,servo.lag", ["air.drag", "servo.lag"])):
+        assert main([*command, "--randomize", given, "--thrust-to-weight", "2"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert sorted(result["randomized"]) == expected
+        assert (result["noise"], result["seed"], result["thrust_to_weight"]) == (0.5, 3, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "name", "found"),
+    [
+        (Conditions("flap", 4), "out.json", "unknown task 'flap'"),
+        (Conditions(tracks=0), "out.json", "tracks=0"),
+        (Conditions(tracks=4, twin="nowhere.yaml"), "out.json", "nowhere.yaml"),
+        (Conditions(tracks=4, randomize=["air.drog"]), "out.json", "air.drog"),
+        (Conditions(tracks=4, thrust_to_weight=0.9), "out.json", "thrust_to_weight=0.9"),
+        (Conditions(tracks=4), "missing/out.json", "cannot write"),
+    ],
+)
+def test_bad_evaluations(tiny_run: Path, tmp_path: Path, conditions: Conditions, name: str, found: str) -> None:
+    """Refused in one line that names what is wrong; nothing is written."""
+    with pytest.raises(InputError, match=found) as caught:
+        run_evaluate(tiny_run, conditions, tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,87 @@
+"""What the environment's sensors show: the truth, or their errors, delays and noise; and what is drawn at resets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from tests.train.conftest import HOVER, reset_rows, see, step, tiny_env, truth
+from vpptwin.train.env import VppEnv
+from vpptwin.train.observe import observe
+from vpptwin.train.tasks import HOVER as HOVERING
+from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.sensors import sensor_noise
+
+
+def test_perfect_sensors_show_the_truth() -> None:
+    """Without noise and effects, or with every effect at its off value, what is observed is the state to the bit."""
+    for env in (tiny_env(), VppEnv(Twin(load_twin(), 4, active=[e.id for e in load_twin().catalogue]), HOVERING)):
+        env.reset()
+        for _ in range(7):
+            step(env, torch.tensor([0.6, 0.3]))
+            state, episodes = env.state, env.episodes
+            expected = observe(state.qpos, state.qvel, episodes.target, episodes.integral)
+            np.testing.assert_array_equal(episodes.observation, expected)
+
+
+def test_errors_of_the_sensors_are_observed() -> None:
+    """Positions are scaled and late, angles shifted and late, the rate is off but never late."""
+    env = tiny_env("randomize=[mocap.delay,mocap.scale,mocap.misalignment,gyro.bias,gyro.scale]")
+    env.reset()
+    late, scale = np.array([0.0, 0.01, 0.02, 0.04]), np.array([1.0, 1.02, 0.98, 1.01])
+    env.twin.set_parameter("mocap.delay", "delay", late)
+    env.twin.set_parameter("mocap.scale", "scale", scale)
+    env.twin.set_parameter("mocap.misalignment", "angle", 0.05)
+    env.twin.set_parameter("gyro.bias", "bias", 0.1)
+    env.twin.set_parameter("gyro.scale", "scale", 0.9)
+    flown = []
+    for _ in range(9):
+        step(env, torch.tensor([0.7, 0.2]))
+        flown.append(truth(env))
+    past = np.array([flown[-1 - round(delay / 0.01)][i] for i, delay in enumerate(late)])
+    expected = past * np.column_stack([scale, scale, np.ones(4), scale, scale, np.ones(4)])
+    expected[:, 2] += 0.05
+    expected[:, 5] = 0.9 * flown[-1][:, 5] + 0.1
+    np.testing.assert_allclose(see(env), expected, atol=2e-6)  # the observation is float32
+
+
+def test_noise_has_the_stds_of_the_sensors() -> None:
+    """What noise adds is centred and spread as the vehicle's sensors are, twice that at noise=2."""
+    env = tiny_env("noise=2", "num_envs=2000", "minibatch=64")
+    env.reset()
+    error = see(env) - truth(env)
+    expected = 2.0 * np.concatenate(sensor_noise(env.twin.vehicle))
+    # 2000 draws: the deviation is known to 1.6 %, the mean to 2.2 % of it; four of these are allowed.
+    np.testing.assert_allclose(error.std(axis=0), expected, rtol=0.065)
+    assert (np.abs(error.mean(axis=0)) < 0.09 * expected).all()
+
+
+def test_randomization_starts_from_nominal() -> None:
+    """Every draw comes from the prior around the nominal vehicle: a thousand resets do not wander off."""
+    env = tiny_env("randomize=[airframe.mass]", "num_envs=64", "minibatch=64")
+    parameter = env.twin.effects["airframe.mass"].parameters[0]
+    masses = []
+    for _ in range(16):
+        env.reset()
+        masses.append(env.twin.parameter("airframe.mass", "mass"))
+    drawn = np.concatenate(masses)
+    # 1024 draws: the mean is known to std/32, the deviation to 2 %; four and five of these are allowed.
+    assert abs(drawn.mean() - parameter.prior.a) < 4.0 * parameter.prior.b / 32.0
+    assert drawn.std() == pytest.approx(parameter.prior.b, rel=0.1)
+
+
+def test_partial_reset_randomizes_only_its_rows() -> None:
+    """Every effect can be drawn; parameters and constants of the rows that fly on stay as they are."""
+    env = tiny_env("randomize=all")
+    assert env.randomized == tuple(effect.id for effect in env.twin.spec.catalogue)
+    env.reset()
+    keys = [(e.id, p.name) for e in env.twin.effects.values() for p in e.parameters]
+    before, constants = {key: env.twin.parameter(*key) for key in keys}, env.twin.constants.copy()
+    reset_rows(env, [0], step(env, HOVER))
+    for key in keys:
+        after = env.twin.parameter(*key)
+        assert after[0] != before[key][0], key
+        np.testing.assert_array_equal(after[1:], before[key][1:])
+    np.testing.assert_array_equal(env.twin.constants[1:], constants[1:])
+    assert env.twin.constants[0] != constants[0]
