@@ -125,7 +125,7 @@ def test_the_best_policy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_best_of_a_run_is_the_one_with_the_lowest_score(tiny_run: Path) -> None:
-    """best.pt is from the steps at which the lowest score was logged; it flies, while training goes on from the last."""
+    """best.pt is from where the lowest score was logged; it flies, while training goes on from the last."""
     steps, score = read_log(tiny_run, "exam_score_m").T
     lowest = steps[len(score) - 1 - np.argmin(score[::-1])]
     best, last = read_checkpoint(tiny_run / BEST_NAME), read_checkpoint(tiny_run, flying=False)
