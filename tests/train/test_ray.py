@@ -37,9 +37,10 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "cluster.md").read_text(e
 
 
 def find_processes() -> list[str]:
-    """Processes of Ray that this one has started and that still run."""
-    children = psutil.Process().children(recursive=True)
-    return [child.name() for child in children if child.status() != psutil.STATUS_ZOMBIE and "ray" in child.name()]
+    """Processes of Ray that this one has started and that still run after ten seconds."""
+    _, alive = psutil.wait_procs(psutil.Process().children(recursive=True), 0.1)
+    _, alive = psutil.wait_procs([child for child in alive if "ray" in " ".join(child.cmdline())], 10.0)
+    return [" ".join(child.cmdline()) for child in alive]
 
 
 @dataclass

@@ -23,6 +23,13 @@ from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
 
 ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
+SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_worker_register_timeout_seconds": "600",
+}
+"""Of Ray, if not set otherwise: no reports to its makers, no warnings about GPUs, ten minutes instead of one to start a
+process, as on a busy machine Ray waits for ever for one that took longer."""
 PATIENCE = 10.0
 """Time that a cluster's head has to answer, s."""
 INSTALL = "pip install 'vpptwin[ray]'"
@@ -185,8 +192,8 @@ def connect(cores: int) -> None:
     """
     import ray
 
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    for name, value in SETTINGS.items():
+        os.environ.setdefault(name, value)
     quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False}
     address = os.environ.get("RAY_ADDRESS") or "local"
     if address == "local":
