@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.train.conftest import step, tiny_env
+from vpptwin.train.config import Curriculum, Lesson
 from vpptwin.train.env import VppEnv
 from vpptwin.train.observe import wrap_angle
 from vpptwin.train.tasks import FLIP, WALL_BACKTRACK, Target
@@ -202,6 +203,27 @@ def test_success_needs_the_vertical_to_be_reached() -> None:
     assert (upright >= 40).all()
     assert last["success"][:, 0].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
     assert env.episodes.missed.tolist() == [False, False, True, True, True]
+
+
+def test_training_ends_where_an_angle_was_missed() -> None:
+    """With the trigger that takes the unmet angle away an episode of training fails; one that is flown goes on."""
+    overrides = ("task=wall-backtrack", "task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.1]")
+    flown, trained = tiny_env(*overrides), tiny_env(*overrides, lesson=Lesson(Curriculum(enabled=False), 1000))
+    for env in (flown, trained):
+        env.reset()
+        ended = []
+        for _ in range(25):
+            # Row 0 follows, row 1 stays level.
+            env.state.qpos[:], env.state.qvel[:] = env.episodes.target, 0.0
+            env.state.qpos[1, 2] = 0.0
+            last = step(env)
+            ended.append(last["terminated"][:2, 0].tolist())
+        assert env.episodes.stage.tolist() == [2, 2, 2, 2]
+        assert env.episodes.missed[:2].tolist() == [False, True]
+        failed = [k for k, (_, level) in enumerate(ended, 1) if level]
+        # Up after 0.1 s, down after another 0.1 s; a trigger comes with the first step at or after its time.
+        assert failed in ([[]] if env is flown else [list(range(20, 26)), list(range(21, 26))])
+        assert not any(follows for follows, _ in ended)
 
 
 def test_success_is_of_the_end_of_an_episode() -> None:
