@@ -51,6 +51,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
             print(f"continue with `vpptwin train resume={folder}`", file=sys.stderr)
         raise
     finally:
+        training.bar.close()
         training.trainer.collector.shutdown()
     seconds = time.monotonic() - started
     steps = training.trainer.collected_frames - begun
