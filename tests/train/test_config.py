@@ -89,6 +89,8 @@ def test_every_task_is_valid(task: str) -> None:
         (["lipschitz=0"], "above 0, or null"),
         (["lipschitz=nan"], "above 0, or null"),
         (["average=1"], "below 1"),
+        (["curriculum.again=1.1"], "from 0 to 1"),
+        (["curriculum.nominal=nan"], "from 0 to 1"),
         (["exam_every=-1"], "0 or more"),
         (["exam_tracks=0"], "above 0"),
         (["task.target.turns=1.5"], "from 0 to 1"),

@@ -124,6 +124,22 @@ def test_the_best_policy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert read_checkpoint(tmp_path / BEST_NAME)["training"] is None
 
 
+@pytest.mark.parametrize(("failed", "error"), [([False, True], 0.1), ([True, True], np.nan)])
+def test_the_error_is_of_flights_that_did_not_fail(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failed: list[bool], error: float
+) -> None:
+    """A craft that fell metres away counts in the score, as `LOST`, and not in the error."""
+    none = np.zeros(2, bool)
+    flown = Flights(np.array([0.1, 7.0]), np.zeros(2), np.array(failed), none, none, 0, 0)
+    monkeypatch.setattr(Exam, "_fly", lambda self: flown)
+    exam = Exam(tiny_config(*SMALL), some_policy(0), tmp_path)
+    exam.trainer = SimpleNamespace(collected_frames=100, total_frames=100)  # type: ignore[assignment]
+    logged = exam()
+    assert logged is not None
+    assert logged["exam_error_m"] == pytest.approx(error, nan_ok=True)
+    assert logged["exam_score_m"] == pytest.approx(LOST if all(failed) else (0.1 + LOST) / 2.0)
+
+
 def test_the_best_of_a_run_is_the_one_with_the_lowest_score(tiny_run: Path) -> None:
     """best.pt is from where the lowest score was logged; it flies, while training goes on from the last."""
     steps, score = read_log(tiny_run, "exam_score_m").T

@@ -48,12 +48,14 @@ class Curriculum:
         single_below: below this difficulty an episode is judged by its position or by its angle, not both.
         nominal: share of the episodes flown in the nominal twin, whatever the difficulty: it lies in a corner of what
             is drawn, as no friction and no delay is below zero.
+        again: share of the episodes, once they are judged by everything, that start as one did that failed soon after.
     """
 
     enabled: bool = True
     difficulty: Ramp = field(default_factory=lambda: Ramp(0.0, 1.0, begin=0.05, finish=0.3))
     single_below: float = 0.4
     nominal: float = 0.2
+    again: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,10 @@ class Lesson:
     def single(self, flown: int) -> bool:
         """Whether episodes are judged by one criterion each."""
         return self.curriculum.enabled and self.difficulty_at(flown) < self.curriculum.single_below
+
+    def again(self, flown: int) -> float:
+        """Share of new episodes that start where others failed."""
+        return self.curriculum.again if self.curriculum.enabled and not self.single(flown) else 0.0
 
 
 @dataclass
@@ -243,6 +249,10 @@ def check_values(config: TrainConfig) -> None:
             raise InputError(f"{name} from {ramp.start} to {ramp.end}", "numbers above 0", HELP)
     if not 0.0 <= config.average < 1.0:
         raise InputError(f"average={config.average}", "from 0 to below 1", HELP)
+    for name in ("nominal", "again"):
+        if not 0.0 <= getattr(config.curriculum, name) <= 1.0:
+            found = f"curriculum.{name}={getattr(config.curriculum, name)}"
+            raise InputError(found, "a share from 0 to 1", HELP)
     if config.lipschitz is not None and not config.lipschitz > 0.0:
         raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)
     choices = {"setup": SETUPS, "critic": ("mlp", "lstm"), "collector": ("local", "ray"), "preset": tuple(PRESETS)}

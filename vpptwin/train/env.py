@@ -19,6 +19,7 @@ from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
 from vpptwin.train.privileged import privileged_size, see_everything
 from vpptwin.train.randomize import Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
+from vpptwin.train.starts import SOON, FailedStarts
 from vpptwin.train.tasks import Task
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
@@ -62,6 +63,7 @@ class VppEnv(EnvBase):
         state: of the twin.
         sensors: of the motion capture, which may show the past.
         episodes: what evolves besides.
+        failed_starts: to be flown again in training.
         rng: source of every random number here.
         duration: of an episode, s.
         flown: policy steps of each simulation so far, by which the curriculum goes.
@@ -104,6 +106,7 @@ class VppEnv(EnvBase):
         self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
         width = privileged_size(parameters) if privileged else len(self.sight.names)
         self.episodes = Episodes.allocate(n, len(self.sight.names), parameters, memory, width if memory else 0)
+        self.failed_starts = FailedStarts.empty()
         self._make_specs(n)
 
     @property
@@ -149,12 +152,15 @@ class VppEnv(EnvBase):
         target = task.target.draw(rng, count)
         pose, velocity = task.start.draw(rng, target)
         criterion = self._draw_criteria(count)
+        if self.lesson is not None:
+            self.failed_starts.replace(self.lesson.again(self.flown * self.twin.num_sims), rng, target, pose, velocity)
+        episodes.started[ids] = np.column_stack([target, pose, velocity])
         near = criterion == POSITION
         pose[near, 2] = target[near, 2] + rng.uniform(-NEAR, NEAR, int(near.sum()))
         self.state.write_rows(ids, self.twin.initial_state(pose, velocity, ids=ids))
         self.sensors.write_rows(ids, start_sensors(pose, velocity, self._depth, self._period))
         episodes.target[ids], episodes.criterion[ids] = target, criterion
-        episodes.turn[ids] = episodes.elapsed[ids] = episodes.total[ids] = episodes.stage[ids] = 0
+        episodes.turn[ids] = episodes.elapsed[ids] = episodes.age[ids] = episodes.total[ids] = episodes.stage[ids] = 0
         episodes.integral[ids] = episodes.action[ids] = 0.0
         episodes.closest[ids], episodes.missed[ids] = np.inf, False
         self._schedule(ids)
@@ -215,6 +221,7 @@ class VppEnv(EnvBase):
         episodes, task = self.episodes, self.task
         episodes.action[:] = action
         episodes.elapsed += self._period
+        episodes.age += self._period
         self.flown += 1
         pose, velocity = self.state.qpos, self.state.qvel
         delta = episodes.target - pose
@@ -226,9 +233,16 @@ class VppEnv(EnvBase):
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
         if self.lesson is not None:
+            self._remember(terminated)
             terminated |= episodes.missed
         truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
+
+    def _remember(self, failed: np.ndarray) -> None:
+        """Keep the starts of episodes that failed soon, of `failed` (N,)."""
+        ids = np.flatnonzero(failed & (self.episodes.age <= SOON))
+        if len(ids):
+            self.failed_starts.add(*np.split(self.episodes.started[ids], 3, axis=1))
 
     def _fly(self, command: np.ndarray) -> np.ndarray:
         """Advance the twin under commands (N, 2) [N, rad/s]; tell which rows diverged and began anew, (N,) bool."""

@@ -20,7 +20,9 @@ class Episodes:
         surprised: whether a trigger came in the last step that was not to be expected, (N,) bool.
         missed: whether a target's angle was left before it was met, (N,) bool.
         integral: Γ, (N, 2) m.
-        elapsed: (N,) s.
+        started: first target, pose and velocity, (N, 9) m, rad, m/s, rad/s.
+        age: time since the start, (N,) s.
+        elapsed: clock of the episode, which may start later than at 0, (N,) s.
         switch: when the next trigger comes, (N,) s.
         total: sum of rewards so far, (N,).
         action: last one taken, (N, 2) in [-1, 1].
@@ -37,6 +39,8 @@ class Episodes:
     surprised: np.ndarray
     missed: np.ndarray
     integral: np.ndarray
+    started: np.ndarray
+    age: np.ndarray
     elapsed: np.ndarray
     switch: np.ndarray
     total: np.ndarray
@@ -52,7 +56,8 @@ class Episodes:
             target=np.zeros((count, 3)), turn=np.zeros(count), stage=np.zeros(count, int),
             criterion=np.zeros(count, int), closest=np.full(count, np.inf),
             surprised=np.zeros(count, bool), missed=np.zeros(count, bool),
-            integral=np.zeros((count, 2)), elapsed=np.zeros(count), switch=np.full(count, np.inf),
+            integral=np.zeros((count, 2)), started=np.zeros((count, 9)), age=np.zeros(count),
+            elapsed=np.zeros(count), switch=np.full(count, np.inf),
             total=np.zeros(count), action=np.zeros((count, 2)), drawn=np.zeros((count, parameters)),
             observation=np.zeros((count, inputs), np.float32),
             seen=np.zeros((count, memory, width), np.float32),

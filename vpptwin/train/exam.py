@@ -25,8 +25,9 @@ LOST = 0.5
 class Exam(TrainerHookBase):
     """Flies a fixed set at full difficulty every so many steps and keeps the best policy as best.pt.
 
-    Logs `exam_score_m` (mean position error, failed flights counted as `LOST`), `exam_error_m`, `exam_failures` and
-    `exam_success`. The random numbers of training are left as they are.
+    Logs `exam_score_m` (mean position error, failed flights counted as `LOST`), `exam_error_m` (of those that did not
+    fail; not a number if all did), `exam_failures` and `exam_success`. The random numbers of training are left as they
+    are.
 
     Args:
         config: of the run.
@@ -57,8 +58,9 @@ class Exam(TrainerHookBase):
         if score <= self.best:
             self.best = score
             write_checkpoint(self.path, self.config, self.policy, steps)
+        kept = flown.position_error[~flown.failed]
         return {
-            "exam_score_m": score, "exam_error_m": float(np.mean(flown.position_error)),
+            "exam_score_m": score, "exam_error_m": float(kept.mean()) if len(kept) else np.nan,
             "exam_failures": float(flown.failed.mean()), "exam_success": float(flown.success.mean()),
         }  # fmt: skip
 

@@ -11,6 +11,7 @@ import torch
 
 from vpptwin.train.env import VppEnv
 from vpptwin.train.episodes import Episodes
+from vpptwin.train.starts import FailedStarts
 from vpptwin.twin import TwinState
 from vpptwin.twin.past import SensorState
 
@@ -25,6 +26,7 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
         "state": to_tensors(env.state.arrays()),
         "sensors": to_tensors(env.sensors.arrays()),
         "episodes": to_tensors(vars(env.episodes)),
+        "failed_starts": to_tensors(vars(env.failed_starts)),
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
         "faults": env.faults,
@@ -40,6 +42,7 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
     env.state = TwinState.from_arrays(to_arrays(snapshot["state"]))
     env.sensors = SensorState.from_arrays(to_arrays(snapshot["sensors"]))
     env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
+    env.failed_starts = FailedStarts(**to_arrays(snapshot["failed_starts"]))
     env.rng.bit_generator.state = json.loads(snapshot["random"])
     env.faults, env.flown, env.restored = snapshot["faults"], snapshot["flown"], True
 

@@ -188,7 +188,7 @@ def connect(cores: int) -> None:
         cores: that a Ray of this machine alone has to offer; oversubscribing them is up to the user.
 
     Raises:
-        InputError: if the Ray that RAY_ADDRESS names does not answer.
+        InputError: if the Ray that RAY_ADDRESS names does not answer, or none can be started.
     """
     import ray
 
@@ -197,7 +197,11 @@ def connect(cores: int) -> None:
     quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False}
     address = os.environ.get("RAY_ADDRESS") or "local"
     if address == "local":
-        ray.init(address, num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
+        try:
+            ray.init(address, num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
+        except Exception as error:  # Ray raises just that if its processes take longer than half a minute
+            found = f"Ray does not start on this machine: {str(error).splitlines()[0]}"
+            raise InputError(found, "its processes to start", "try again when the machine is less busy") from error
         return
     host, _, port = address.rpartition(":")
     if address != "auto" and ("://" in address or not port.isdigit()):
