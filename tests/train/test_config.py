@@ -70,6 +70,7 @@ def test_every_task_is_valid(task: str) -> None:
         (["seed=-1"], "0 or more"),
         (["noise=nan"], "0 or more"),
         (["gamma=1.5"], "between 0 and 1"),
+        (["task.gamma=-1"], "between 0 and 1"),
         (["learning_rate.start=0"], "above 0"),
         (["hidden=[96]"], "layer sizes"),
         (["minibatch=100000"], "at most"),
@@ -108,6 +109,14 @@ def test_bad_overrides(overrides: list[str], expected: str) -> None:
         compose_config(overrides)
     assert "\n" not in str(caught.value)
     assert expected in f"{caught.value.expected} {caught.value.action}"
+
+
+def test_discount_is_the_tasks_unless_given() -> None:
+    """The half roll off the wall has to be prepared longer than a flip."""
+    assert compose_config(["task=flip"]).discount == 0.98
+    assert compose_config(["task=wall-backtrack"]).discount == 0.99
+    assert compose_config(["task=wall-backtrack", "gamma=0.9"]).discount == 0.9
+    assert compose_config(["task=flip", "task.gamma=0.95"]).discount == 0.95
 
 
 def test_ramp_by_hand() -> None:

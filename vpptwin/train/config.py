@@ -112,7 +112,7 @@ class TrainConfig:
         privileged: the critic sees true states, actuators and randomized parameters instead of the observation.
         epochs: passes over every batch.
         minibatch: samples per gradient step.
-        gamma: discount per policy step.
+        gamma: discount per policy step; null for the task's.
         lmbda: lambda of the generalized advantage estimate.
         clip: clip range of the policy ratio.
         critic_weight: weight of the critic's loss.
@@ -154,9 +154,9 @@ class TrainConfig:
     critic_hidden: list[int] = field(default_factory=lambda: [128, 128])
     critic_lstm: int = 64
     privileged: bool = True
-    epochs: int = 5
+    epochs: int = 4
     minibatch: int = 1024
-    gamma: float = 0.98
+    gamma: float | None = None
     lmbda: float = 0.95
     clip: float = 0.2
     critic_weight: float = 1.0
@@ -184,6 +184,11 @@ class TrainConfig:
     def critic_memory(self) -> int:
         """Steps that the critic is shown."""
         return MEMORY if self.critic == "lstm" else 1
+
+    @property
+    def discount(self) -> float:
+        """Discount per policy step."""
+        return self.task.gamma if self.gamma is None else self.gamma
 
     def lesson(self, workers: int = 1) -> Lesson:
         """The curriculum over the share of the run that one of so many workers flies."""
@@ -240,9 +245,9 @@ def check_values(config: TrainConfig) -> None:
     for name in ("sim_threads", "torch_threads"):
         if not 1 <= getattr(config, name) <= 1024:
             raise InputError(f"{name}={getattr(config, name)}", "1 to 1024", HELP)
-    for name in ("gamma", "lmbda"):
-        if not 0.0 <= getattr(config, name) <= 1.0:
-            raise InputError(f"{name}={getattr(config, name)}", "a number between 0 and 1", HELP)
+    for name, share in (("gamma", config.discount), ("lmbda", config.lmbda)):
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"{name}={share}", "a number between 0 and 1", HELP)
     for name in ("learning_rate", "exploration"):
         ramp = getattr(config, name)
         if not (ramp.start > 0.0 and ramp.end > 0.0):

@@ -73,11 +73,11 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
         actor, critic, clip_epsilon=config.clip, entropy_bonus=False, critic_coeff=config.critic_weight,
         loss_critic_type="l2", functional=False,
     )  # fmt: skip
-    optimizer = torch.optim.Adam(loss.parameters(), lr=config.learning_rate.start)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=config.learning_rate.start, fused=True)
     ramp, batches = config.learning_rate, -(-config.total_steps // batch)
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: ramp.at(n / batches) / ramp.start)
-    reward_scale = (1.0 - config.gamma) * VALUE_SCALE / config.task.weights.best
-    advantages = Advantages(critic.module, config.gamma, config.lmbda, reward_scale)
+    reward_scale = (1.0 - config.discount) * VALUE_SCALE / config.task.weights.best
+    advantages = Advantages(critic.module, config.discount, config.lmbda, reward_scale)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PPOTrainer announces that it is a prototype
         trainer = PPOTrainer(

@@ -163,6 +163,7 @@ class Task:
         name: as on the command line.
         episode: length, s.
         training_episode: length in training, s: many starts teach more than long holds; null for the same.
+        gamma: discount per policy step in training: how far ahead what is asked for has to be prepared.
         thrust_to_weight: largest commanded thrust over the weight of craft and slider; null for the vehicle's own. The
             rotors are made stronger by as much.
         start: initial states.
@@ -175,6 +176,7 @@ class Task:
     name: str
     episode: float = 5.0
     training_episode: float | None = None
+    gamma: float = 0.98
     thrust_to_weight: float | None = None
     start: Start = field(default_factory=Start)
     target: Target = field(default_factory=Target)
@@ -199,6 +201,7 @@ FLIP = Task(
 WALL_BACKTRACK = Task(
     "wall-backtrack",
     episode=6.0,
+    gamma=0.99,
     thrust_to_weight=2.5,
     start=Start(x=(0.95, 1.3), z=(1.0, 1.5), theta=(-0.5, 0.5)),
     target=Target(

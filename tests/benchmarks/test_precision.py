@@ -1,0 +1,54 @@
+"""What keeps a policy off its target: the benchmark that takes its last second apart."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import pytest
+
+from benchmarks import precision
+from vpptwin.train.evaluate import Conditions, evaluate
+
+
+@pytest.fixture(scope="module")
+def result() -> dict:
+    """The shipped policy over 40 flights, and a linear controller that was hardly tuned."""
+    return precision.report(argparse.Namespace(checkpoint="flip", tracks=40, seed=3, linear=2))
+
+
+def test_flights_are_those_of_evaluate(result: dict) -> None:
+    """Same seed, same flights, same error."""
+    expected = evaluate("flip", Conditions(tracks=40, seed=3))
+    assert result["fail_rate"] == expected["fail_rate"]
+    assert result["error_m"] == pytest.approx(expected["position_error_m"]["mean"], rel=1e-9)
+
+
+def test_reward_is_taken_apart(result: dict) -> None:
+    """Perfection in one thing gains part of what rest lacks, at least as much as nothing."""
+    missing = result["missing_reward"]
+    assert 0.0 < missing["all"] < 0.1
+    parts = [missing[name] for name in ("position", "angle", "velocity", "rate", "integral")]
+    assert all(0.0 <= part < missing["all"] for part in parts)
+    assert sum(parts) == pytest.approx(missing["all"], rel=0.1)  # r_p multiplies the others
+
+
+def test_every_flight_is_in_one_band_of_friction(result: dict) -> None:
+    """On each rail the bands hold all flights that did not fail."""
+    kept = round(40 * (1.0 - result["fail_rate"]))
+    for rail in ("rail_x", "rail_z"):
+        assert sum(count for name, _, _, count, _ in result["bands"] if name == rail) == kept
+
+
+def test_the_linear_controller_begins_as_the_policy(result: dict) -> None:
+    """Near its target the policy is about linear, so that two steps of tuning leave the errors much alike."""
+    policy, linear = (np.array(result["linear"][name]) for name in ("policy", "linear"))
+    assert (policy > 0.0).all()
+    assert linear[0] == pytest.approx(policy[0], rel=0.6)
+    assert linear[1] == pytest.approx(policy[1], rel=0.6)
+
+
+def test_other_policies_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """No checkpoint: one line, exit status 2."""
+    assert precision.main(["nowhere.pt"]) == 2
+    assert "no checkpoint" in capsys.readouterr().err
