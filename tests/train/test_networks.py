@@ -16,7 +16,15 @@ from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import to_config
 from vpptwin.train.evaluate import load_policy
 from vpptwin.train.main import run_train
-from vpptwin.train.networks import INPUT_SCALE, Exploration, Policy, bound_layers, make_actor, spectral_norm
+from vpptwin.train.networks import (
+    INPUT_SCALE,
+    Exploration,
+    Policy,
+    bound_layers,
+    make_actor,
+    spectral_norm,
+    surely_within,
+)
 from vpptwin.train.observe import OBSERVATION, SETUPS, Sight
 
 TIGHT = 0.125
@@ -84,6 +92,18 @@ def test_spectral_norm_is_the_largest_singular_value(rows: int, columns: int, se
     expected = np.linalg.svd(weight.double().numpy(), compute_uv=False)[0]
     # float32 keeps 7 digits; squaring for the Gram matrix costs the largest value none of them but a factor.
     assert float(spectral_norm(weight)) == pytest.approx(expected, rel=1e-5)
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 10_000), st.floats(1e-9, 1e6))
+@settings(max_examples=50)
+def test_what_is_surely_within_a_bound_is(rows: int, columns: int, seed: int, bound: float) -> None:
+    """Never said of a bound below the spectral norm, always of one by a quarter above; sizes do not matter."""
+    weight = torch.randn(rows, columns, generator=torch.Generator().manual_seed(seed))
+    norm = float(spectral_norm(weight))
+    weight *= bound / norm
+    assert not surely_within(weight, 0.999 * bound)
+    assert surely_within(weight, 1.27 * bound)  # 40 equal singular values: 40 ** (1 / 16) = 1.26
+    assert not surely_within(weight * torch.nan, bound)
 
 
 @given(st.integers(0, 10_000), st.floats(1e-3, 3.0))

@@ -165,8 +165,8 @@ class TrainConfig:
     exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.06, finish=0.9))
     average: float = 0.97
     checkpoint_every: int = 100_000
-    exam_every: int = 250_000
-    exam_from: float = 0.5
+    exam_every: int = 200_000
+    exam_from: float = 0.8
     exam_tracks: int = 100
     loggers: list[str] = field(default_factory=lambda: ["csv", "tensorboard"])
     collector: str = "local"

@@ -76,24 +76,24 @@ class Minibatches(TrainerHookBase):
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._order: list[torch.Tensor] = []
+        self._parts: list[TensorDictBase] = []
 
     def shuffle(self, batch: TensorDictBase) -> TensorDictBase:
-        """Flatten the batch (N, T) and draw a new order."""
+        """Flatten the batch (N, T) in a new order."""
         flat = batch.reshape(-1)
-        parts = torch.randperm(len(flat)).split(self.size)
-        self._order = [ids for ids in parts if 2 * len(ids) >= min(self.size, len(flat))]
-        return flat
+        mixed = flat[torch.randperm(len(flat))]
+        self._parts = [part for part in mixed.split(self.size) if 2 * len(part) >= min(self.size, len(flat))]
+        return mixed
 
-    def take(self, flat: TensorDictBase) -> TensorDictBase:
-        """The next minibatch.
+    def take(self, mixed: TensorDictBase) -> TensorDictBase:
+        """The next minibatch, a view.
 
         Raises:
             StopIteration: when the epoch is over.
         """
-        if not self._order:
+        if not self._parts:
             raise StopIteration
-        return flat[self._order.pop()]
+        return self._parts.pop()
 
     def register(self, trainer: Trainer, name: str = "minibatches") -> None:
         """Hook into epochs and optimization steps."""
