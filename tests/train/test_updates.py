@@ -16,7 +16,7 @@ from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
 from vpptwin.train.main import run_train
 from vpptwin.train.networks import Policy, make_critic
 from vpptwin.train.observe import OBSERVATION, Sight
-from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, Minibatches
+from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, Minibatches, normalize
 
 GAMMA, LMBDA, SCALE = 0.97, 0.9, 0.05
 
@@ -108,6 +108,28 @@ def test_surprises_are_no_loss() -> None:
     advantage = torch.tensor([0.375, -0.5, -0.875, -1.5])
     torch.testing.assert_close(result["value_target"].flatten(), torch.tensor([2.0, 3.0, 4.0, 5.0]) + advantage)
     torch.testing.assert_close(result["advantage"].flatten(), (advantage - advantage.mean()) / advantage.std())
+
+
+@pytest.mark.parametrize("groups", [1, 3, 10])
+def test_advantages_are_normalized_among_steps_of_like_value(groups: int) -> None:
+    """Sorted by value, each part has mean 0 and deviation 1, and inside it the order and the ratios stay."""
+    torch.manual_seed(0)
+    value = torch.randn(20, 15, 1)
+    advantage = torch.randn(20, 15, 1) * (2.0 + value).abs() + value
+    result = normalize(advantage, value, groups)
+    assert result.shape == advantage.shape
+    order = value.flatten().argsort()
+    for ids in order.reshape(groups, -1):
+        before, after = advantage.flatten()[ids], result.flatten()[ids]
+        assert float(after.mean()) == pytest.approx(0.0, abs=1e-5)
+        assert float(after.std()) == pytest.approx(1.0, rel=1e-4)
+        torch.testing.assert_close(after, (before - before.mean()) / before.std(), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_few_or_equal_advantages_stay_finite(count: int) -> None:
+    """More groups than steps, or steps that are all alike: no advantage, not a division by zero."""
+    assert torch.equal(normalize(torch.full((count,), 3.0), torch.arange(count) * 1.0, 10), torch.zeros(count))
 
 
 def test_advantages_are_computed_once_per_batch() -> None:

@@ -55,7 +55,7 @@ class Curriculum:
     difficulty: Ramp = field(default_factory=lambda: Ramp(0.0, 1.0, begin=0.05, finish=0.3))
     single_below: float = 0.4
     nominal: float = 0.2
-    again: float = 0.15
+    again: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ class TrainConfig:
         minibatch: samples per gradient step.
         gamma: discount per policy step; null for the task's.
         lmbda: lambda of the generalized advantage estimate.
+        advantage_groups: advantages are normalized within so many groups of steps of like value; 1 for all as one.
         clip: clip range of the policy ratio.
         critic_weight: weight of the critic's loss.
         max_grad_norm: gradients are clipped to this norm.
@@ -158,6 +159,7 @@ class TrainConfig:
     minibatch: int = 1024
     gamma: float | None = None
     lmbda: float = 0.95
+    advantage_groups: int = 10
     clip: float = 0.2
     critic_weight: float = 1.0
     max_grad_norm: float = 1.0
@@ -239,7 +241,7 @@ def check_values(config: TrainConfig) -> None:
         InputError: naming the first.
     """
     positive = ("total_steps", "num_envs", "rollout", "epochs", "minibatch", "max_grad_norm", "checkpoint_every")
-    for name in (*positive, "exam_tracks", "critic_lstm", "workers"):
+    for name in (*positive, "exam_tracks", "advantage_groups", "critic_lstm", "workers"):
         if getattr(config, name) <= 0:
             raise InputError(f"{name}={getattr(config, name)}", "a number above 0", HELP)
     for name in ("sim_threads", "torch_threads"):

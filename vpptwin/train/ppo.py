@@ -77,7 +77,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     ramp, batches = config.learning_rate, -(-config.total_steps // batch)
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda n: ramp.at(n / batches) / ramp.start)
     reward_scale = (1.0 - config.discount) * VALUE_SCALE / config.task.weights.best
-    advantages = Advantages(critic.module, config.discount, config.lmbda, reward_scale)
+    advantages = Advantages(critic.module, config.discount, config.lmbda, reward_scale, config.advantage_groups)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PPOTrainer announces that it is a prototype
         trainer = PPOTrainer(

@@ -194,7 +194,7 @@ HOVER = Task("hover")
 FLIP = Task(
     "flip",
     episode=6.0,
-    training_episode=3.0,
+    training_episode=2.5,
     start=WIDE,
     target=Target(angles=[0.0, math.pi], dwell=(0.8, 3.0), turns=0.2),
 )

@@ -27,10 +27,12 @@ class Advantages:
         gamma: discount per step.
         lmbda: λ.
         reward_scale: multiplies rewards, for the critic's sake.
+        groups: see `normalize`.
     """
 
-    def __init__(self, critic: nn.Module, gamma: float, lmbda: float, reward_scale: float) -> None:
+    def __init__(self, critic: nn.Module, gamma: float, lmbda: float, reward_scale: float, groups: int = 1) -> None:
         self.critic, self.gamma, self.lmbda, self.reward_scale = critic, gamma, lmbda, reward_scale
+        self.groups = groups
         self._done: tuple[TensorDictBase, TensorDictBase] | None = None
 
     @torch.no_grad()
@@ -48,7 +50,7 @@ class Advantages:
             last["terminated"],
         )  # fmt: skip
         result = batch.select("observation", "critic_observation", "action", "action_log_prob")
-        result["advantage"] = (advantage - advantage.mean()) / advantage.std().clamp_min(1e-5)
+        result["advantage"] = normalize(advantage, value, self.groups)
         result["value_target"] = target
         self._done = (batch, result)
         return result
@@ -62,6 +64,24 @@ class Advantages:
         following = torch.roll(value, -1, 1)
         following[ends] = self.critic(batch["next", "critic_observation"][ends])
         return value, following
+
+
+def normalize(advantage: torch.Tensor, value: torch.Tensor, groups: int) -> torch.Tensor:
+    """Advantages with mean 0 and deviation 1 within each of so many groups of steps, of like value and equal size.
+
+    Which group a step is in depends on its state only, so that an action stays as much better than another as it was.
+    With one group for all, the many steps at rest, whose advantages are small, hardly count beside a few in falling.
+
+    Args:
+        advantage: any shape.
+        value: of the critic, the same shape.
+        groups: their number.
+    """
+    flat, result = advantage.flatten(), torch.empty(advantage.numel())
+    for ids in value.flatten().argsort().chunk(groups):
+        part = flat[ids]
+        result[ids] = (part - part.mean()) / part.std(correction=min(1, len(part) - 1)).clamp_min(1e-5)
+    return result.reshape(advantage.shape)
 
 
 class Minibatches(TrainerHookBase):
