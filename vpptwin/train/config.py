@@ -55,7 +55,7 @@ class Curriculum:
     difficulty: Ramp = field(default_factory=lambda: Ramp(0.0, 1.0, begin=0.05, finish=0.3))
     single_below: float = 0.4
     nominal: float = 0.2
-    again: float = 0.25
+    again: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class TrainConfig:
     critic_hidden: list[int] = field(default_factory=lambda: [128, 128])
     critic_lstm: int = 64
     privileged: bool = True
-    epochs: int = 4
+    epochs: int = 5
     minibatch: int = 1024
     gamma: float | None = None
     lmbda: float = 0.95
