@@ -73,7 +73,8 @@ class Rest:
 def fly(env: VppEnv, controller: Controller, seed: int) -> Rest:
     """Fly one episode in every simulation."""
     env.set_seed(seed)
-    steps, window = (round(time * 100.0) for time in (env.task.episode, env.task.success.window))
+    rate = env.twin.vehicle.control.policy_rate
+    steps, window = (round(time * rate) for time in (env.task.episode, env.task.success.window))
     failed, kept = np.zeros(env.twin.num_sims, bool), []
     now = env.reset()
     for k in range(steps):
@@ -148,6 +149,8 @@ def tune_linear(env: VppEnv, policy: torch.nn.Module, evaluations: int, seed: in
 
 def report(options: argparse.Namespace) -> dict:
     """Fly and take apart; plain data."""
+    if options.tracks < 1:
+        raise InputError(f"tracks={options.tracks}", "at least 1", "ask for more, e.g. --tracks 1000")
     policy, trained = build_policy(read_checkpoint(options.checkpoint), options.checkpoint)
     if trained.sight.names != OBSERVATION or trained.task.target.dwell is None:
         raise InputError(f"{options.checkpoint} is no flip policy of setup=All", "one", "train it with task=flip")
