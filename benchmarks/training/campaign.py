@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -26,9 +27,16 @@ ABLATIONS = {
     "nine inputs": ["paper_inputs=true"],
     "no randomization": ["randomize=[]"],
     "no averaging": ["average=0"],
+    "paper's reward": ["task.weights.near=0"],
 }
 """One thing left out or exchanged, the rest as `All`."""
-VARIANTS = SETUPS | ABLATIONS
+TASKS = {
+    "hover": ["task=hover", "total_steps=800000"],
+    "wall-backtrack": ["task=wall-backtrack"],
+    "wall-backtrack, thrust-to-weight 2": ["task=wall-backtrack", "task.thrust_to_weight=2.0"],
+}
+"""The other tasks, wall-backtrack at 2.5 and at the real thrust-to-weight."""
+VARIANTS = SETUPS | ABLATIONS | TASKS
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,7 @@ class Run:
     @property
     def out(self) -> Path:
         """Folder of the run."""
-        return self.folder / f"{self.variant.replace(' ', '_')}-{self.seed}"
+        return self.folder / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', self.variant)}-{self.seed}"
 
     @property
     def overrides(self) -> list[str]:

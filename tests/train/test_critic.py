@@ -9,7 +9,7 @@ import torch
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
 from vpptwin.train.config import MEMORY
 from vpptwin.train.env import VppEnv
-from vpptwin.train.networks import INPUT_SCALE, Critic
+from vpptwin.train.networks import Critic
 from vpptwin.train.observe import OBSERVATION
 from vpptwin.train.privileged import FORESIGHT, STATE
 from vpptwin.train.randomize import Priors
@@ -172,8 +172,7 @@ def test_an_lstm_reads_from_old_to_new() -> None:
     cell = torch.nn.LSTMCell(13, 6)
     cell.load_state_dict({name.removesuffix("_l0"): value for name, value in critic.lstm.state_dict().items()})
     seen = torch.randn(7, 5, 13)
-    scale = torch.tensor([*[INPUT_SCALE.get(name, 1.0) for name in OBSERVATION], 1.0, 1.0])
     memory = (torch.zeros(7, 6), torch.zeros(7, 6))
     for k in range(5):
-        memory = cell(seen[:, k] / scale, memory)
+        memory = cell(critic.scale(seen[:, k]), memory)
     torch.testing.assert_close(critic(seen), critic.body(memory[0]), rtol=1e-4, atol=1e-6)

@@ -109,14 +109,33 @@ def test_what_is_surely_within_a_bound_is(rows: int, columns: int, seed: int, bo
 @given(st.integers(0, 10_000), st.floats(1e-3, 3.0))
 @settings(max_examples=50, deadline=None)
 def test_actions_change_no_faster_than_the_bound(seed: int, apart: float) -> None:
-    """‖Δa‖ ≤ lipschitz() ‖Δs‖ of scaled inputs s, for weights and pairs of observations of any size."""
+    """‖Δa‖ ≤ lipschitz() ‖Δs‖ of scaled inputs s, and lipschitz_si() times the distance in SI units, far and near."""
     policy = wild_policy(seed, 2.0)
-    scale = policy.body[0].scale
-    here = scale * torch.randn(256, 11)
-    there = here + scale * apart * torch.randn(256, 11)
-    change = (policy(here) - policy(there)).norm(dim=1)
-    allowed = policy.lipschitz() * ((here - there) / scale).norm(dim=1)
-    assert (change <= 1.0001 * allowed + 1e-5).all()  # actions are float32 numbers of order 1
+    scaling = policy.body[0]
+    for size in (1.0, 0.01):
+        here = size * scaling.scale * torch.randn(256, 11)
+        there = here + size * scaling.scale * apart * torch.randn(256, 11)
+        change = (policy(here) - policy(there)).norm(dim=1)
+        for allowed in (
+            policy.lipschitz() * (scaling(here) - scaling(there)).norm(dim=1),
+            policy.lipschitz_si() * (here - there).norm(dim=1),
+        ):
+            assert (change <= 1.0001 * allowed + 1e-5).all()  # actions are float32 numbers of order 1
+
+
+def test_small_distances_are_magnified() -> None:
+    """A centimetre and its integral count as by hand, rising throughout; speeds and angles are only divided."""
+    scaling = Policy(Sight()).body[0]
+    one = dict(zip(OBSERVATION, scaling(torch.full((1, 11), 0.01))[0].tolist()))
+    assert one["delta_x"] == one["delta_z"] == pytest.approx(0.01 / 0.5 + 0.25 * 0.01 / 0.03)
+    assert one["integral_x"] == one["integral_z"] == pytest.approx(0.01 / 2.0 + 0.25 * 0.01 / 0.21)
+    assert (one["velocity_x"], one["rate"], one["sin_delta_theta"]) == pytest.approx((0.005, 0.002, 0.01))
+    along = scaling(torch.linspace(-3.0, 3.0, 6001)[:, None].expand(-1, 11))
+    assert (along.diff(dim=0) > 0.0).all()
+    torch.testing.assert_close(along, -along.flip(0))
+    step = torch.full((1, 11), 1e-6)
+    torch.testing.assert_close((scaling(step) / step)[0], scaling.steepest, rtol=1e-3, atol=0.0)
+    assert float(scaling.steepest.max()) == pytest.approx(14.5)
 
 
 def test_the_bound_is_not_loose() -> None:
@@ -130,9 +149,10 @@ def test_the_bound_is_not_loose() -> None:
         next(policy.layers()).bias.fill_(1e-3)  # where the ReLU is open
         assert policy.lipschitz() == pytest.approx(3.0)
         step = torch.zeros(1, 11)
-        step[0, 0] = 1e-3
+        step[0, 0] = 1e-4
         change = (policy(step) - policy(torch.zeros(1, 11))).norm()
-    assert float(change / (step / policy.body[0].scale).norm()) == pytest.approx(3.0, rel=0.01)
+    assert float(change / policy.body[0](step).norm()) == pytest.approx(3.0, rel=0.01)
+    assert float(change / step.norm()) == pytest.approx(policy.lipschitz_si(), rel=0.02)
 
 
 @pytest.mark.parametrize("bound", [0.5, 8.0, 100.0])

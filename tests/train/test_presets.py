@@ -28,6 +28,7 @@ def test_the_papers_preset() -> None:
     assert paper.learning_rate == Ramp(3e-4, 9e-5, begin=0.1, finish=0.7)
     assert paper.curriculum.difficulty == Ramp(0.0, 1.0, begin=0.1, finish=0.5)
     assert paper.privileged
+    assert paper.task.weights.near == 0.0
     assert make_policy(paper).body[1].out_features == 96
 
 
@@ -41,7 +42,15 @@ def test_a_preset_changes_what_it_lists_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize(
-    "override", ["critic=mlp", "critic_hidden=[32]", "learning_rate.start=5e-4", "total_steps=7", "torch_threads=1"]
+    "override",
+    [
+        "critic=mlp",
+        "critic_hidden=[32]",
+        "learning_rate.start=5e-4",
+        "total_steps=7",
+        "torch_threads=1",
+        "task.weights.near=0.3",
+    ],
 )
 def test_an_override_wins_over_a_preset(override: str) -> None:
     """Before the preset or after it, what is said explicitly counts, and only that."""
@@ -49,7 +58,10 @@ def test_an_override_wins_over_a_preset(override: str) -> None:
     assert before == after
     name, value = override.split("=")
     paper = compose_config(["preset=paper"])
-    if "." in name:
+    if name == "task.weights.near":
+        assert before.task.weights.near == 0.3
+        assert replace(before, task=paper.task) == paper
+    elif "." in name:
         assert before.learning_rate == replace(paper.learning_rate, start=5e-4)
         assert replace(before, learning_rate=paper.learning_rate) == paper
     else:

@@ -19,7 +19,7 @@ from vpptwin.train.env import VppEnv
 from vpptwin.train.networks import Policy
 from vpptwin.train.snapshot import take_snapshot
 
-KIND, FORMAT = "vpptwin policy", 4
+KIND, FORMAT = "vpptwin policy", 5
 FILE_NAME, BEST_NAME = "checkpoint.pt", "best.pt"
 """Of the last state, which resuming needs, and of the best policy so far, which flies."""
 RECORDED = ("vpptwin", "torch", "torchrl", "tensordict", "mujoco", "numpy")

@@ -89,7 +89,7 @@ class TrainConfig:
 
     Attributes:
         task: what to fly.
-        preset: values to start from; `paper` for the paper's networks and schedules, `fast` for what trains quickest.
+        preset: values to start from; `paper` for the paper's networks, schedules and reward; `fast`.
         twin: `nominal` or a twin YAML.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
@@ -168,7 +168,7 @@ class TrainConfig:
     average: float = 0.97
     checkpoint_every: int = 100_000
     exam_every: int = 200_000
-    exam_from: float = 0.8
+    exam_from: float = 0.6
     exam_tracks: int = 100
     loggers: list[str] = field(default_factory=lambda: ["csv", "tensorboard"])
     collector: str = "local"
@@ -205,6 +205,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 6_000_000,
         "learning_rate": {"start": 3e-4, "end": 9e-5, "begin": 0.1, "finish": 0.7}, "torch_threads": 2,
         "curriculum": {"difficulty": {"start": 0.0, "end": 1.0, "begin": 0.1, "finish": 0.5}},
+        "task": {"weights": {"near": 0.0}},
     },
 }  # fmt: skip
 """What each preset changes."""

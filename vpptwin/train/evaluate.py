@@ -88,7 +88,7 @@ def evaluate(checkpoint: Path | str, conditions: Conditions | None = None) -> di
         "inverted_error_m": summarize(flown.position_error[kept & flown.inverted]),
         "angle_error_rad": summarize(flown.angle_error[kept]),
         "full_turns": {"asked": flown.turns, "made": flown.turned},
-        "lipschitz": policy.lipschitz(),
+        "lipschitz": policy.lipschitz(), "lipschitz_si": policy.lipschitz_si(),
         "checkpoint": {"path": str(checkpoint), "steps": content["steps"], "commit": content["commit"]},
         "commit": find_commit(), "versions": find_versions(), "evaluated": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }  # fmt: skip

@@ -18,22 +18,40 @@ INPUT_SCALE = {
 """Typical size of inputs [m, m, m/s, m/s, rad/s, m, m]; the others, angles and their functions, are of order 1."""
 
 
+FINE_SCALE = {"delta_x": 0.02, "delta_z": 0.02, "integral_x": 0.2, "integral_z": 0.2}
+"""Size of the same inputs within which a network should tell them well apart: those that decide on precision [m]."""
+FINE = 0.25
+"""How much of a scaled input is spent on that."""
+
+
 class ScaleInputs(nn.Module):
-    """Divides inputs by their typical sizes, so that the exported network takes SI units.
+    """Divides inputs by their typical sizes, so that the exported network takes SI units; small ones are magnified.
+
+    x becomes x / scale + FINE x / (fine + |x|), which rises throughout. Without the second part centimetres are
+    hundredths, whose gradient drowns in that of large inputs to the same weights.
 
     Args:
         names: of the inputs.
     """
 
     scale: torch.Tensor
+    fine: torch.Tensor
+    share: torch.Tensor
 
     def __init__(self, names: Sequence[str]) -> None:
         super().__init__()
         self.register_buffer("scale", torch.tensor([INPUT_SCALE.get(name, 1.0) for name in names]))
+        self.register_buffer("fine", torch.tensor([FINE_SCALE.get(name, 1.0) for name in names]))
+        self.register_buffer("share", torch.tensor([FINE * (name in FINE_SCALE) for name in names]))
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Scaled inputs, (..., len(names))."""
-        return inputs / self.scale
+        return inputs / self.scale + self.share * inputs / (self.fine + inputs.abs())
+
+    @property
+    def steepest(self) -> torch.Tensor:
+        """Largest derivative, at zero, (len(names),)."""
+        return 1.0 / self.scale + self.share / self.fine
 
 
 class Policy(nn.Module):
@@ -68,12 +86,18 @@ class Policy(nn.Module):
     def lipschitz(self) -> float:
         """Upper bound of ‖a(s₁) - a(s₂)‖ / ‖s₁ - s₂‖ for scaled inputs s: the product of the layers' spectral norms.
 
-        ReLU and tanh are 1-Lipschitz. In SI units the bound is this divided by the smallest input scale.
+        ReLU and tanh are 1-Lipschitz. For inputs in SI units it is this times the steepest scaling, `lipschitz_si`.
         """
         bound = 1.0
         for layer in self.layers():
             bound *= float(spectral_norm(layer.weight))
         return bound
+
+    def lipschitz_si(self) -> float:
+        """The same for inputs in SI units, as the exported network takes them."""
+        scaling = self.body[0]
+        assert isinstance(scaling, ScaleInputs)
+        return self.lipschitz() * float(scaling.steepest.max())
 
 
 @torch.no_grad()

@@ -246,6 +246,11 @@ def check_task(task: Task) -> None:
     if not 0.0 <= target.turns <= 1.0 or target.turn_rate <= 0.0 or target.quiet < 0.0:
         found = f"task.target.turns={target.turns} turn_rate={target.turn_rate} quiet={target.quiet}"
         raise InputError(found, "a share from 0 to 1, a rate above 0, a time from 0", "correct it")
+    for f in fields(task.weights):
+        value = getattr(task.weights, f.name)
+        if not 0.0 <= value < math.inf or (f.name == "width" and value == 0.0):
+            expected = "a width above 0" if f.name == "width" else "0 or more"
+            raise InputError(f"task.weights.{f.name}={value}", expected, "correct it")
     if task.training_episode is not None and task.training_episode <= 0.0:
         raise InputError(f"task.training_episode={task.training_episode}", "a time above 0, or null", "correct it")
     if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
