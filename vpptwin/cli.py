@@ -135,6 +135,7 @@ def add_fly(fly: argparse.ArgumentParser) -> None:
     fly.add_argument("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
     fly.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
     add_effects(fly)
+    fly.add_argument("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
     fly.add_argument("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
     fly.add_argument("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
     fly.add_argument("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
@@ -221,6 +222,8 @@ def run_fly(options: argparse.Namespace) -> None:
         raise InputError(f"--seed {options.seed}", "a number from 0 on", "choose another")
     spec = load_twin(options.twin, options.effects)
     vehicle, out = require_drone(spec), check_out(options.out)
+    if options.controller is not None:
+        spec = spec.with_controller(options.controller)
     pilot: Pilot
     if scripted:
         from vpptwin.pilot.library import LIBRARY

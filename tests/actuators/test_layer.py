@@ -51,7 +51,7 @@ def advance(layer: np.ndarray, table: np.ndarray, policy: np.ndarray, turn: np.n
     """One pass through the layer, in place, of N simulations under thrust and rate (N, 2) at true rates (N,)."""
     rows, parameters = layer.view(np.recarray), table.view(np.recarray)
     for n in range(len(layer)):
-        pitch = command_from_policy(VEHICLE, rows[n], parameters[n], policy[n, 0], policy[n, 1], turn[n], DT)
+        pitch = command_from_policy(VEHICLE, rows[n], parameters[n], policy[n, 0], policy[n, 1], turn[n], 0.0, DT)
         move(rows[n], parameters[n], pitch)
         for i in range(2):
             spin_rotor(VEHICLE, rows[n], parameters[n], i, 0.0, DT)

@@ -34,7 +34,7 @@ def test_it_is_the_inner_loop_itself() -> None:
     constants["gyro.scale"] = 1.0
     state.gyro = gyro[1][0]
     expected = [
-        command_from_policy(vehicle, state, constants, policy[1][k // 10], policy[2][k // 10], rate, DT)
+        command_from_policy(vehicle, state, constants, policy[1][k // 10], policy[2][k // 10], rate, 0.0, DT)
         for k, rate in enumerate(gyro[1])
     ]
     np.testing.assert_allclose(pitch, expected, atol=1e-15)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numba.extending import register_jitable
 
-from vpptwin.actuators.blade import pitch_for_thrust
-from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
-from vpptwin.actuators.motor import hold_speed, step_speed
+from vpptwin.actuators.adaptive import SIZE
+from vpptwin.actuators.controller import run_cascade
+from vpptwin.actuators.motor import compute_current, step_speed
 from vpptwin.actuators.numbers import VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
 
@@ -22,7 +22,7 @@ NO_LIMIT = 1e9
 """Stands for no limit of an actuator's rate or output."""
 
 
-def layer_dtype(actuators: int, depth: int) -> np.dtype:
+def layer_dtype(actuators: int, depth: int, adaptive: bool = False) -> np.dtype:
     """State of the actuator layer of one simulation.
 
     Fields:
@@ -37,6 +37,7 @@ def layer_dtype(actuators: int, depth: int) -> np.dtype:
         governor: integral of the speed error, (nu,) rad.
         throttle: last throttle, (nu,), 0..1.
         gyro: low-passed rate [rad/s].
+        adaptive: what the adaptive controller has learned, (nu, `vpptwin.actuators.adaptive.SIZE`), or (nu, 0) without.
     """
     pair = (np.float64, (actuators,))
     return np.dtype(
@@ -46,6 +47,7 @@ def layer_dtype(actuators: int, depth: int) -> np.dtype:
             ("newest", np.int64),
             *((name, *pair) for name in ("rotor_speed", "mean_speed", "governor", "throttle")),
             ("gyro", np.float64),
+            ("adaptive", np.float64, (actuators, SIZE if adaptive else 0)),
         ]
     )
 
@@ -72,40 +74,40 @@ def constants_dtype(actuators: int) -> np.dtype:
 
 @register_jitable
 def command_from_policy(
-    vehicle: VehicleNumbers, state: Record, constants: Record, thrust: float, rate: float, turn: float, dt: float
-) -> tuple[float, float]:
-    """Inner loop of the flight controller, on believed numbers and what the gyro says.
+    vehicle: VehicleNumbers, state: Record, constants: Record, thrust: float, rate: float, turn: float, time: float,
+    dt: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The flight controller on what the sensors say, which is free of noise.
 
     Args:
         vehicle: the believed vehicle.
-        state: of the layer; gyro filter, governor and throttle advance.
-        constants: of the layer; only the gyro's errors are used.
+        state: of the layer; the controller's part of it advances.
+        constants: of the layer: the gyro's errors, and the battery's.
         thrust: commanded by the policy [N].
         rate: likewise [rad/s].
         turn: true rate q [rad/s].
+        time: since the battery was full [s].
         dt: inner step [s].
 
     Returns:
         Blade-pitch commands of rotors 1 and 2 [rad].
     """
-    before = state.gyro
+    speed = state.rotor_speed[0], state.rotor_speed[1]
+    current = 0.0, 0.0
+    if state.adaptive.shape[1] > 0:
+        full = vehicle.motor.battery * supply(constants, time)
+        current = (
+            compute_current(vehicle.motor, state.throttle[0] * full, speed[0]),
+            compute_current(vehicle.motor, state.throttle[1] * full, speed[1]),
+        )
     measured = constants["gyro.scale"] * turn + constants["gyro.bias"]
-    state.gyro = filter_gyro(vehicle, before, measured)
-    torque = compute_torque(vehicle, rate, state.gyro, before, dt)
-    thrust_1, thrust_2 = allocate(vehicle, thrust, torque)
-    pitch_1 = pitch_for_thrust(vehicle.rotor, thrust_1)
-    pitch_2 = pitch_for_thrust(vehicle.rotor, thrust_2)
-    govern(vehicle, state, 0, pitch_1, dt)
-    govern(vehicle, state, 1, pitch_2, dt)
-    return pitch_1, pitch_2
+    return run_cascade(vehicle, state, thrust, rate, measured, speed, current, dt)
 
 
 @register_jitable
-def govern(vehicle: VehicleNumbers, state: Record, i: int, pitch: float, dt: float) -> None:
-    """Set the throttle of rotor i at a commanded blade pitch [rad]."""
-    throttle, integral = hold_speed(vehicle.motor, vehicle.rotor, state.rotor_speed[i], pitch, state.governor[i], dt)
-    state.throttle[i] = throttle
-    state.governor[i] = integral
+def supply(constants: Record, time: float) -> float:
+    """Share of its voltage that the battery still has at a time [s]."""
+    return np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
 
 
 @register_jitable
@@ -141,8 +143,7 @@ def move_actuator(state: Record, constants: Record, i: int, command: float, dt: 
 @register_jitable
 def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int, time: float, dt: float) -> None:
     """Advance the speed of rotor i under its throttle, from `time` [s] since the battery was full."""
-    sagged = np.maximum(1.0 - constants["battery.sag"] * (time + 0.5 * dt), 0.0)
-    voltage = state.throttle[i] * vehicle.motor.battery * sagged
+    voltage = state.throttle[i] * vehicle.motor.battery * supply(constants, time + 0.5 * dt)
     before, pitch = state.rotor_speed[i], state["mean"][i]
     after = step_speed(vehicle.motor, vehicle.rotor, before, pitch, voltage, constants["rotor.drag_gain"], dt)
     state.rotor_speed[i] = after

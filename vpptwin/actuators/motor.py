@@ -49,7 +49,13 @@ def accelerate_rotor(
 
 @register_jitable
 def hold_speed(
-    motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch_command: Number, integral: Number, dt: float
+    motor: MotorNumbers,
+    rotor: RotorNumbers,
+    speed: Number,
+    pitch_command: Number,
+    integral: Number,
+    dt: float,
+    drag_gain: Number = 1.0,
 ) -> tuple[Number, Number]:
     """Governor: feed-forward from the drag map at the commanded pitch plus PI feedback on measured speed.
 
@@ -57,14 +63,15 @@ def hold_speed(
         motor: motor constants.
         rotor: propeller constants.
         speed: measured rotor speed [rad/s].
-        pitch_command: commanded blade pitch [rad].
+        pitch_command: commanded blade pitch, or where the blade is believed to be [rad].
         integral: integral of the speed error [rad].
         dt: inner step [s].
+        drag_gain: drag torque over that of the map.
 
     Returns:
         Throttle in 0..1 of the nominal battery voltage, and the new integral (held while saturated).
     """
-    drag = compute_drag_torque(rotor, rotor.speed, pitch_command)
+    drag = drag_gain * compute_drag_torque(rotor, rotor.speed, pitch_command)
     feed_forward = rotor.speed / motor.k_v + motor.resistance * (motor.no_load_current + motor.k_q * drag)
     error = rotor.speed - speed
     grown = integral + dt * error

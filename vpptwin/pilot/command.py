@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from vpptwin import __version__
+from vpptwin.actuators.adaptive import DRAG, FAULT, FAULTS, HALF_GAP, TRIM
 from vpptwin.errors import InputError
 from vpptwin.logs.write import write_flight
 from vpptwin.pilot.flight import SETTLING, Pilot, Tracks, fly
@@ -88,7 +89,7 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
         )
     metadata = {
         "vpptwin": __version__, "twin": spec.name, "effects": json.dumps(spec.effects), "seed": str(sortie.seed),
-        "gusts": str(sortie.gusts).lower(), **sortie.about,
+        "gusts": str(sortie.gusts).lower(), "controller": spec.controller, **sortie.about,
     }  # fmt: skip
     write_flight(sortie.out, record_streams(tracks), metadata=metadata)
     describe_flight(tracks, vehicle, sortie)
@@ -107,10 +108,27 @@ def describe_flight(tracks: Tracks, vehicle: Vehicle, sortie: Sortie) -> None:
     (low_x, low_z), (high_x, high_z) = pose[:, :2].min(axis=0), pose[:, :2].max(axis=0)
     where = f"x {low_x:.2f} to {high_x:.2f} m, z {low_z:.2f} to {high_z:.2f} m"
     console.print(f"{where}, {1000 * off.mean():.0f} mm off its target on average")
+    for line in describe_learned(tracks.actuators["adaptive"][0]):
+        console.print(line, soft_wrap=True)
     danger = find_danger(vehicle, pose, tracks.velocity[0, lead:])
     if danger:
         console.print(f"not to be flown on a real rig: {danger}", style="bold", markup=False)
     console.print(f"log: {sortie.out}", markup=False, soft_wrap=True)
+
+
+def describe_learned(memories: np.ndarray) -> list[str]:
+    """What the adaptive controller of each rotor believes at the end of a flight, (2, SIZE), or (2, 0) without one."""
+    lines = []
+    for rotor, memory in enumerate(memories, 1):
+        if not len(memory):
+            continue
+        trim, gap, drag = 1000.0 * memory[TRIM], 2000.0 * memory[HALF_GAP], memory[DRAG]
+        fault = FAULTS[int(memory[FAULT])]
+        lines.append(
+            f"rotor {rotor} learned: trim {trim:+.1f} mrad, play {gap:.1f} mrad, drag {drag:.2f} of the map's"
+            + (f"; flies by the map alone: {fault}" if fault else "")
+        )
+    return lines
 
 
 def print_library() -> None:

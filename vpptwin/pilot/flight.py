@@ -64,6 +64,7 @@ class Tracks:
         target: (N, T, 3) m, m, rad.
         noise: of the readings.
         diverged: when numbers stopped making sense, (N,) s; infinite where they never did.
+        actuators: their state at the end, (N,) records.
     """
 
     twin: Twin
@@ -79,6 +80,7 @@ class Tracks:
     target: np.ndarray
     noise: Noise
     diverged: np.ndarray
+    actuators: np.ndarray
 
     @property
     def logged_pose(self) -> np.ndarray:
@@ -153,5 +155,5 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
         diverged[broken] = (tick + 1 - lead) * period
     return Tracks(
         twin, step, period, (lead * each, lead), pose, velocity, blade, throttle, speed, command, target, noise,
-        diverged,
+        diverged, state.actuators,
     )  # fmt: skip

@@ -91,6 +91,7 @@ class TrainConfig:
         task: what to fly.
         preset: values to start from; `paper` for the paper's networks, schedules and reward; `fast`.
         twin: `nominal` or a twin YAML.
+        controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
         resume: folder of a run to continue; only total_steps, workers, threads and progress can be given besides.
@@ -136,6 +137,7 @@ class TrainConfig:
     task: Task = MISSING
     preset: str = "fast"
     twin: str = "nominal"
+    controller: str | None = None
     effects: list[str] = field(default_factory=list)
     out: str | None = None
     resume: str | None = None

@@ -326,6 +326,8 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     spec = load_twin(config.twin, config.effects)
     if spec.vehicle is None:
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
+    if config.controller is not None:
+        spec = spec.with_controller(config.controller)
     randomized = name_effects(config.randomize, spec.catalogue)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
     spec = strengthen(spec, config.task.thrust_to_weight)

@@ -114,7 +114,9 @@ def scratch_rows(nv: int) -> int:
 _KERNELS: dict[str, Kernel] = {}
 
 
-def compile_kernel(model: mujoco.MjModel, catalogue: Sequence[Effect], drone: bool, depth: int) -> Kernel:
+def compile_kernel(
+    model: mujoco.MjModel, catalogue: Sequence[Effect], drone: bool, depth: int, adaptive: bool = False
+) -> Kernel:
     """The compiled step of a catalogue on a model; compiled once per process, and once per machine where files last.
 
     Args:
@@ -122,10 +124,11 @@ def compile_kernel(model: mujoco.MjModel, catalogue: Sequence[Effect], drone: bo
         catalogue: its effects, whether switched on or not.
         drone: whether it is the drone, with its cascade and rotors.
         depth: commands that the delay line holds.
+        adaptive: whether the actuators' controller learns.
     """
     pipeline = write_pipeline(model, catalogue)
     nu = int(model.nu)
-    dtypes = {"LAYER": layer_dtype(nu, depth), "CONSTANTS": constants_dtype(nu)}
+    dtypes = {"LAYER": layer_dtype(nu, depth, adaptive), "CONSTANTS": constants_dtype(nu)}
     source = pipeline.source + write_entry(model, pipeline, drone)
     key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
     if key not in _KERNELS:

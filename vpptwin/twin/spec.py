@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import shorten
-from typing import Annotated
+from typing import Annotated, Literal, cast, get_args
 
 import mujoco
 import yaml
@@ -21,6 +21,10 @@ from vpptwin.twin.stepped import strip_model
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 EffectValues = dict[str, dict[str, float]]
+Controller = Literal["map", "adaptive"]
+"""How the drone's firmware turns thrust into blade pitch: by the vehicle's map, or learning what the map gets wrong."""
+
+NO_CONTROLLER = "it with our drone only: other rigs are driven as their log says", "leave it out"
 
 
 def refuse_bool(value: object) -> object:
@@ -59,6 +63,7 @@ class TwinFile(BaseModel):
     effects: FileEffects = {}
     effects_from: list[str] = []
     signals: Signals | None = None
+    controller: Controller = "map"
     provenance: dict[str, object] | None = None
 
 
@@ -76,6 +81,7 @@ class TwinSpec:
         signals: topics of joints and actuators; None for the drone.
         vehicle_file: where the vehicle was read from.
         effect_files: Python files whose effects follow those of ours in the catalogue.
+        controller: of the drone's actuators.
     """
 
     name: str
@@ -87,6 +93,7 @@ class TwinSpec:
     signals: Signals | None = None
     vehicle_file: Path | None = None
     effect_files: tuple[Path, ...] = ()
+    controller: Controller = "map"
 
     @cached_property
     def stepped(self) -> mujoco.MjModel:
@@ -99,6 +106,19 @@ class TwinSpec:
         """The same rig with other effects switched on."""
         checked = check_effects(effects, self.catalogue, self.name)
         return replace(self, effects=checked)
+
+    def with_controller(self, controller: str) -> TwinSpec:
+        """The same rig under another controller of its actuators.
+
+        Raises:
+            InputError: on an unknown one, or if the rig is not the drone.
+        """
+        known = get_args(Controller)
+        if controller not in known:
+            raise InputError(f"unknown controller {controller!r}", f"one of {', '.join(known)}", "check the name")
+        if self.vehicle is None and controller != "map":
+            raise InputError(f"{self.name}: controller {controller!r} without vehicle", *NO_CONTROLLER)
+        return replace(self, controller=cast(Controller, controller))
 
     def value(self, effect: Effect, parameter: str) -> float:
         """Value of a parameter in this twin: its off value when the effect is not switched on."""
@@ -180,7 +200,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
     key = ".".join(map(str, first["loc"])) or "the file"
-    keys = "model and, if need be, vehicle, effects, signals"
+    keys = "model and, if need be, vehicle, effects, signals, controller"
     if first["type"] == "missing":
         return f"no key {key}", keys
     if first["type"] == "extra_forbidden":
@@ -203,6 +223,8 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     vehicle_file = find_model_file(file.vehicle, folder) if file.vehicle else None
     vehicle = load_vehicle(vehicle_file) if vehicle_file else None
     model = compile_model(model_file, vehicle)
+    if vehicle is None and file.controller != "map":
+        raise InputError(f"{name}: controller {file.controller!r} without vehicle", *NO_CONTROLLER)
     if vehicle is not None:
         if file.signals is not None:
             raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
@@ -223,7 +245,9 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         driven_joints = frozenset(file.signals.driven if file.signals is not None else {})
         catalogue = extend_catalogue(catalogue, effect_files, Rig(model, vehicle, driven_joints), vehicle)
     effects = check_effects(file.effects, catalogue, name)
-    return TwinSpec(name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files)
+    return TwinSpec(
+        name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files, file.controller
+    )
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:

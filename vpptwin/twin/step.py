@@ -124,7 +124,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     layer, constants = row.layer, row.constants
     if tape.policy:
         pitch_1, pitch_2 = command_from_policy(
-            vehicle, layer, constants, tape.command[0, 0], tape.command[0, 1], view.qvel[PITCH], dt
+            vehicle, layer, constants, tape.command[0, 0], tape.command[0, 1], view.qvel[PITCH], view.time, dt
         )
     else:
         pitch_1, pitch_2 = tape.command[k, 0], tape.command[k, 1]

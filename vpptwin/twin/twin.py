@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from vpptwin.actuators.adaptive import start_memory
 from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
@@ -62,7 +63,9 @@ class Twin:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
         depth = delay_depth(spec.catalogue, self.dt)
-        self._kernel = compile_kernel(model, spec.catalogue, spec.vehicle is not None, depth)
+        self._kernel = compile_kernel(
+            model, spec.catalogue, spec.vehicle is not None, depth, spec.controller == "adaptive"
+        )
         self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
         names = ("time", "qpos", "qvel", "qacc_warmstart", "qfrc_constraint")
@@ -157,6 +160,8 @@ class Twin:
         layer["output"] = layer["mean"] = self._constants.table["actuator.trim"][rows]
         if self.spec.vehicle is not None:
             layer["rotor_speed"] = layer["mean_speed"] = self.spec.vehicle.rotor.speed
+            if self.spec.controller == "adaptive":
+                layer["adaptive"] = start_memory(self.spec.vehicle.rotor.speed)
         return TwinState(
             time=np.array(np.broadcast_to(time, n), dtype=float),
             qpos=np.array(np.broadcast_to(start if qpos is None else qpos, (n, model.nq)), dtype=float),

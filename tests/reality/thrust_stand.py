@@ -1,0 +1,70 @@
+"""A thrust stand: the true rotors of a batch of runs, driven blade pitch and throttle at a time, with their sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .effects import Effects
+from .rig import Rig
+from .rotor import Motor, Propeller, Servo
+from .sensors import CURRENT_LSB, SPEED_LSB, quantise
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a stand shows at one time. Each (2, runs).
+
+    Attributes:
+        speed: Measured, rad/s.
+        current: Measured, A.
+        thrust: True, N.
+        true_speed: rad/s.
+        pitch: True blade pitch, rad.
+    """
+
+    speed: np.ndarray
+    current: np.ndarray
+    thrust: np.ndarray
+    true_speed: np.ndarray
+    pitch: np.ndarray
+
+
+class ThrustStand:
+    """Two rotors a run, at rest in the air, stepped a millisecond at a time."""
+
+    def __init__(self, effects: Sequence[Effects], seed: int, *, jitter: bool = True) -> None:
+        """Set up stands.
+
+        Args:
+            effects: Hidden in each, {id: {parameter: value in SI}}.
+            seed: Of tolerances and sensor noise; run i is the same whatever runs come after it.
+            jitter: Whether stands differ from nominal within tolerance.
+        """
+        sessions = [seed + i if jitter else None for i in range(len(effects))]
+        self.rig = Rig(list(effects), sessions)
+        noise = self.rig.nominal["sensors"]["rotor"]
+        self.noise = noise["speed_std"], noise["current_std"]
+        self.random = [np.random.default_rng([seed + i, 5]) for i in range(len(effects))]
+        rest = np.zeros((2, len(effects)))
+        self.servo, self.motor, self.propeller = Servo(self.rig, rest), Motor(self.rig), Propeller(self.rig)
+        self.pitch = rest + self.servo.trim
+        self.propeller.pitch = self.pitch.copy()
+        self.tick = 0
+
+    def read(self) -> Reading:
+        """Sample the sensors."""
+        drawn = np.stack([random.standard_normal((2, 2)) for random in self.random], axis=-1)
+        speed = quantise(self.motor.speed + self.noise[0] * drawn[0], SPEED_LSB)
+        current = quantise(self.motor.compute_current() + self.noise[1] * drawn[1], CURRENT_LSB)
+        thrust = self.propeller.compute_thrust(self.pitch[None], self.motor.speed[None])[0]
+        return Reading(speed, current, thrust, self.motor.speed.copy(), self.pitch.copy())
+
+    def advance(self, pitch: np.ndarray, throttle: np.ndarray) -> None:
+        """Advance a millisecond under commanded blade pitch rad and throttle 0..1, both (2, runs)."""
+        path = self.servo.advance(pitch)
+        self.motor.advance(throttle, path, self.tick * 0.001)
+        self.pitch = path[-1]
+        self.tick += 1
