@@ -103,8 +103,8 @@ def track_thrust(
         seed: of the stands' tolerances and sensor noise.
         spoil: a sensor fault.
     """
-    stand = ThrustStand(effects, seed)
     steps, count = round(duration / STEP), len(effects)
+    stand = ThrustStand(effects, seed, steps)
     vehicle = record_vehicle(NOMINAL)[0]
     memories = np.zeros((2, count), layer_dtype(1, 0, adaptive)).view(np.recarray)
     if adaptive:

@@ -35,19 +35,21 @@ class Reading:
 class ThrustStand:
     """Two rotors a run, at rest in the air, stepped a millisecond at a time."""
 
-    def __init__(self, effects: Sequence[Effects], seed: int, *, jitter: bool = True) -> None:
+    def __init__(self, effects: Sequence[Effects], seed: int, steps: int, *, jitter: bool = True) -> None:
         """Set up stands.
 
         Args:
             effects: Hidden in each, {id: {parameter: value in SI}}.
             seed: Of tolerances and sensor noise; run i is the same whatever runs come after it.
+            steps: How often it will be read, at most.
             jitter: Whether stands differ from nominal within tolerance.
         """
         sessions = [seed + i if jitter else None for i in range(len(effects))]
         self.rig = Rig(list(effects), sessions)
         noise = self.rig.nominal["sensors"]["rotor"]
         self.noise = noise["speed_std"], noise["current_std"]
-        self.random = [np.random.default_rng([seed + i, 5]) for i in range(len(effects))]
+        drawn = [np.random.default_rng([seed + i, 5]).standard_normal((steps, 2, 2)) for i in range(len(effects))]
+        self.drawn = np.stack(drawn, axis=-1)  # speed and current, (steps, 2, 2, runs)
         rest = np.zeros((2, len(effects)))
         self.servo, self.motor, self.propeller = Servo(self.rig, rest), Motor(self.rig), Propeller(self.rig)
         self.pitch = rest + self.servo.trim
@@ -56,7 +58,7 @@ class ThrustStand:
 
     def read(self) -> Reading:
         """Sample the sensors."""
-        drawn = np.stack([random.standard_normal((2, 2)) for random in self.random], axis=-1)
+        drawn = self.drawn[self.tick]
         speed = quantise(self.motor.speed + self.noise[0] * drawn[0], SPEED_LSB)
         current = quantise(self.motor.compute_current() + self.noise[1] * drawn[1], CURRENT_LSB)
         thrust = self.propeller.compute_thrust(self.pitch[None], self.motor.speed[None])[0]

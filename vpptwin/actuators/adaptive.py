@@ -37,7 +37,7 @@ SOUND, NO_SPEED, NO_CURRENT, STUCK_CURRENT = range(4)
 FAULTS = ("", "no rotor speed", "no motor current", "motor current is stuck")
 """The same in words."""
 
-SPREAD = (1.0, 0.02, 0.01, 0.2)
+SPREAD = (1.0, 0.015, 0.01, 0.2)
 """What the estimates may be off at first, standard deviations in their units."""
 DRIFT = (0.0, 2e-3, 5e-4, 5e-3)
 """What they change by in a second."""
@@ -45,7 +45,7 @@ SPEED_NOISE = 1.0
 """Of measured speed [rad/s] (vehicle.yaml)."""
 TORQUE_NOISE = 2e-3
 """Of the load torque that the map does not explain, from step to step [N m]."""
-LASTING = 15.0
+LASTING = 20.0
 """How much more than noise from step to step the part of drag counts that a straight line does not have: it lasts."""
 LAG_DOUBT = 0.005
 """What the servo's lag may be off by [s]: while the blade moves, torque tells less."""
@@ -165,7 +165,8 @@ def learn(
     d = -step * known
     doubt = b * moved / dt * LAG_DOUBT
     p = memory[COVARIANCE : COVARIANCE + 10]
-    noise = step * (TORQUE_NOISE + LASTING * drag * bend * (p[4] + p[7]))
+    bent = drag * bend * (p[4] + p[7]) + np.abs(slope) * np.sqrt(p[4] * p[9])
+    noise = step * (TORQUE_NOISE + LASTING * bent)
     u0 = a * p[0] + b * p[1] + c * p[2] + d * p[3]
     u1 = a * p[1] + b * p[4] + c * p[5] + d * p[6]
     u2 = a * p[2] + b * p[5] + c * p[7] + d * p[8]
@@ -193,13 +194,14 @@ def learn(
 def correct_pitch(vehicle: VehicleNumbers, memory: np.ndarray, pitch: float) -> float:
     """Blade-pitch command [rad] that brings the blade to `pitch` [rad] in spite of offset and play of its linkage.
 
-    With a fault it is `pitch`: the map alone.
+    An offset that is hardly known is hardly corrected. With a fault it is `pitch`: the map alone.
     """
     turned, half = pitch - memory[TARGET], memory[HALF_GAP]
     memory[TARGET] = pitch
     lead = memory[LEAD] + half / TURN * turned
     memory[LEAD] = min(max(lead, -half), half)
     if memory[FAULT] == SOUND:
-        pitch += memory[LEAD] - memory[TRIM]
+        known = 1.0 - memory[COVARIANCE + 4] / (SPREAD[1] * SPREAD[1])
+        pitch += memory[LEAD] - max(known, 0.0) * memory[TRIM]
     memory[COMMAND] = min(max(pitch, -vehicle.rotor.pitch_max), vehicle.rotor.pitch_max)
     return memory[COMMAND]
