@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +35,15 @@ class Reading:
 class ThrustStand:
     """Two rotors a run, at rest in the air, stepped a millisecond at a time."""
 
-    def __init__(self, effects: Sequence[Effects], seed: int, steps: int, *, jitter: bool = True) -> None:
+    def __init__(
+        self,
+        effects: Sequence[Effects],
+        seed: int,
+        steps: int,
+        *,
+        jitter: bool = True,
+        curve: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> None:
         """Set up stands.
 
         Args:
@@ -43,6 +51,7 @@ class ThrustStand:
             seed: Of tolerances and sensor noise; run i is the same whatever runs come after it.
             steps: How often it will be read, at most.
             jitter: Whether stands differ from nominal within tolerance.
+            curve: From blade pitch rad to the pitch that a line of slope k_T would need for that thrust, rad.
         """
         sessions = [seed + i if jitter else None for i in range(len(effects))]
         self.rig = Rig(list(effects), sessions)
@@ -55,13 +64,15 @@ class ThrustStand:
         self.pitch = rest + self.servo.trim
         self.propeller.pitch = self.pitch.copy()
         self.tick = 0
+        self.curve = curve
 
     def read(self) -> Reading:
         """Sample the sensors."""
         drawn = self.drawn[self.tick]
         speed = quantise(self.motor.speed + self.noise[0] * drawn[0], SPEED_LSB)
         current = quantise(self.motor.compute_current() + self.noise[1] * drawn[1], CURRENT_LSB)
-        thrust = self.propeller.compute_thrust(self.pitch[None], self.motor.speed[None])[0]
+        pitch = self.pitch if self.curve is None else self.curve(self.pitch)
+        thrust = self.propeller.compute_thrust(pitch[None], self.motor.speed[None])[0]
         return Reading(speed, current, thrust, self.motor.speed.copy(), self.pitch.copy())
 
     def advance(self, pitch: np.ndarray, throttle: np.ndarray) -> None:

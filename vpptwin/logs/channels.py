@@ -154,7 +154,10 @@ CHANNELS: dict[str, Channel] = {
         Channel(
             "/thrust_stand/wrench",
             "geometry_msgs/msg/WrenchStamped",
-            (_plain("force_z", "N", "wrench.force.z"),),
+            (
+                _plain("force_z", "N", "wrench.force.z"),
+                _plain("torque_z", "N m", "wrench.torque.z", optional=True),
+            ),
             steady=False,
             frame_id="thrust_stand",
         ),

@@ -1,0 +1,162 @@
+"""Thrust against blade pitch: the paper's line, polynomials, blade elements with inflow; held-out error chooses.
+
+All are T = ω (ω/ω_ref)^(n - 1) s(α): n = 1 is the paper's T ∝ ω at a fixed pitch, n = 2 what blades do in air.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""From pitch, (n,) rad, and coefficients to s(α)."""
+
+
+def bend(order: int) -> Shape:
+    """A polynomial in |α| that is odd in α: k_1 α + k_2 α|α| + k_3 α³ + ..."""
+
+    def shape(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
+        size, total = np.abs(pitch), np.zeros_like(pitch)
+        for power in range(order, 0, -1):
+            total = total * size + values[power - 1]
+        return total * pitch
+
+    return shape
+
+
+def inflow(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Blade elements with momentum theory: √s solves x² + q x = p |α|, as C_T = σa/2 (θ/3 - √(C_T/2)/2) has it."""
+    p, q = np.abs(values)
+    x = 0.5 * (-q + np.sqrt(q * q + 4.0 * p * np.abs(pitch)))
+    return np.sign(pitch) * x * x
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A form that a thrust map may have.
+
+    Attributes:
+        name: for people.
+        shape: s(α) without its offset.
+        start: coefficients that a search begins with, for thrusts and pitches of order 1.
+        power: n of T ∝ ω^n.
+    """
+
+    name: str
+    shape: Shape
+    start: tuple[float, ...]
+    power: int
+
+
+CANDIDATES: tuple[Candidate, ...] = tuple(
+    Candidate(f"{name}, T ∝ {'ω²' if power == 2 else 'ω'}", shape, start, power)
+    for power in (1, 2)
+    for name, shape, start in (
+        ("linear", bend(1), (1.0,)),
+        ("second order", bend(2), (1.0, 0.0)),
+        ("third order", bend(3), (1.0, 0.0, 0.0)),
+        ("blade elements with inflow", inflow, (1.0, 1.0)),
+    )
+)
+
+
+@dataclass(frozen=True)
+class ThrustMap:
+    """A fitted map.
+
+    Attributes:
+        candidate: its form.
+        values: coefficients, (k,), N s/rad and up.
+        std: their standard deviations, (k,).
+        offset: pitch at which there is no thrust, rad.
+        offset_std: its standard deviation.
+        reference: rotor speed that coefficients go by, rad/s.
+        residual: RMS over all levels, N.
+        held_out: RMS error at pitches that were left out, N.
+        held_out_std: its standard error.
+    """
+
+    candidate: Candidate
+    values: np.ndarray
+    std: np.ndarray
+    offset: float
+    offset_std: float
+    reference: float
+    residual: float
+    held_out: float
+    held_out_std: float
+
+    def predict(self, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+        """Thrust of each rotor, (..., r) N, at speed [rad/s] and commanded pitch [rad]."""
+        return predict_thrust(self.candidate, self.values, self.offset, self.reference, speed, pitch)
+
+
+def predict_thrust(
+    candidate: Candidate, values: np.ndarray, offset: float, reference: float, speed: np.ndarray, pitch: np.ndarray
+) -> np.ndarray:
+    """Thrust of each rotor [N]."""
+    return speed * (speed / reference) ** (candidate.power - 1) * candidate.shape(pitch - offset, values)
+
+
+def fit_map(
+    candidate: Candidate, speed: np.ndarray, pitch: np.ndarray, thrust: np.ndarray, group: np.ndarray,
+    shifted: bool = True,
+) -> ThrustMap:  # fmt: skip
+    """Fit a form by least squares; its held-out error leaves out one pitch after the other.
+
+    Args:
+        candidate: the form.
+        speed: (L, r) rad/s.
+        pitch: (L, r) rad.
+        thrust: of all rotors together, (L,) N.
+        group: which levels share a pitch, (L,).
+        shifted: whether the pitch of no thrust is fitted too; else it is zero.
+    """
+    reference, wide, most = float(speed.mean()), float(np.abs(pitch).max()), float(np.abs(thrust).max())
+    unit = most / (reference * wide)
+    scale = np.array([unit / wide**k for k in range(len(candidate.start))])
+    if candidate.shape is inflow:
+        scale = np.array([unit, np.sqrt(unit * wide)])
+
+    def predict(given: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        offset = float(given[-1]) * wide if shifted else 0.0
+        values = given[: len(scale)] * scale
+        each = predict_thrust(candidate, values, offset, reference, speed[rows], pitch[rows])
+        result: np.ndarray = each.sum(axis=1)
+        return result
+
+    def solve(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        start = np.array([*candidate.start, *([0.0] if shifted else [])])
+        found = least_squares(lambda given: (predict(given, rows) - thrust[rows]) / most, start, x_scale="jac")
+        return found.x, found.jac
+
+    every = np.arange(len(thrust))
+    found, jacobian = solve(every)
+    missed = np.empty(len(thrust))
+    for left_out in np.unique(group):
+        out = group == left_out
+        missed[out] = predict(solve(every[~out])[0], every[out]) - thrust[out]
+    residual = predict(found, every) - thrust
+    freedom = max(len(thrust) - len(found), 1)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(((residual / most) ** 2).sum()) / freedom
+    std = np.sqrt(np.diag(covariance))
+    squares = np.array([float((missed[group == g] ** 2).mean()) for g in np.unique(group)])
+    held_out = float(np.sqrt((missed**2).mean()))
+    spread = (
+        float(squares.std(ddof=1) / np.sqrt(len(squares)) / max(2.0 * held_out, 1e-12)) if len(squares) > 1 else 0.0
+    )
+    count = len(scale)
+    return ThrustMap(
+        candidate, found[:count] * scale, std[:count] * scale, float(found[-1]) * wide if shifted else 0.0,
+        float(std[-1]) * wide if shifted else 0.0, reference, float(np.sqrt((residual**2).mean())), held_out, spread,
+    )  # fmt: skip
+
+
+def choose_map(maps: Sequence[ThrustMap]) -> ThrustMap:
+    """The simplest map whose held-out error is within a standard error of the least."""
+    best = min(maps, key=lambda fitted: fitted.held_out)
+    near = [fitted for fitted in maps if fitted.held_out <= best.held_out + best.held_out_std]
+    return min(near, key=lambda fitted: (len(fitted.values), fitted.held_out))
