@@ -66,7 +66,7 @@ def write_bench(
         rows["speed"][k] = now.speed[0, 0], 0.0
         rows["current"][k] = now.current[0, 0], 0.0
         thrust[k] = now.thrust[0, 0]
-        load[k] = stand.motor.compute_drag(now.true_speed, now.pitch)[0, 0]
+        load[k] = (stand.motor.compute_current()[0, 0] - stand.motor.no_load) / stand.motor.k_q
     random = np.random.default_rng([seed, 9])
     time = np.arange(steps) * STEP
     wrench = {"force_z": thrust + THRUST_STD * random.standard_normal(steps)}

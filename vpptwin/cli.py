@@ -104,6 +104,13 @@ def build_parser() -> argparse.ArgumentParser:
 
     add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
 
+    identify = commands.add_parser("identify", help="fit an actuator to thrust-stand runs")
+    identify.add_argument("logs", type=Path, nargs="+", metavar="BENCH", help="MCAP logs of thrust-stand runs")
+    identify.add_argument("--out", type=Path, required=True, help="actuator YAML to write; a page goes beside it")
+    identify.add_argument("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
+    add_topic_map(identify)
+    identify.set_defaults(run=run_identify)
+
     train = commands.add_parser("train", help="train a policy with PPO", add_help=False)
     train.set_defaults(run=lambda options: run_train([]))
 
@@ -207,6 +214,13 @@ def run_play(options: argparse.Namespace) -> None:
 
     restart = None if options.free else options.restart
     play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects)
+
+
+def run_identify(options: argparse.Namespace) -> None:
+    """`vpptwin identify`."""
+    from vpptwin.identification.command import identify_bench
+
+    identify_bench(options.logs, options.out, options.topic_map, options.vehicle)
 
 
 def run_fly(options: argparse.Namespace) -> None:

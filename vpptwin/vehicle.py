@@ -56,10 +56,18 @@ class Rotor(Section):
     """Propeller: governed speed [rad/s], thrust and drag constants, inertia [kg m^2], pitch_max [rad].
 
     k_t [N s/rad^2], k_d1 [N m s^2], k_d2 [N m s^2/rad^2], k_d3 [N m s/rad].
+
+    Thrust is k_t ω α, or what `vpptwin identify` finds: T = ω (ω/speed)^(thrust_power - 1) s(α) with
+    s = α (k_t + k_t2 |α| + k_t3 α²) [k_t2 N s/rad^3, k_t3 N s/rad^4], or, if `inflow` [(N s/rad)^(1/2)] is not zero,
+    blade elements with inflow: s = ±x², x² + inflow x = k_t |α|.
     """
 
     speed: Positive
     k_t: Positive
+    k_t2: Number = 0.0
+    k_t3: Number = 0.0
+    inflow: NonNegative = 0.0
+    thrust_power: Annotated[float, Field(ge=1.0, le=2.0)] = 1.0
     k_d1: NonNegative
     k_d2: NonNegative
     k_d3: NonNegative

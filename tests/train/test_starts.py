@@ -92,7 +92,7 @@ def test_episodes_begin_where_others_failed() -> None:
 
 def test_a_snapshot_holds_them() -> None:
     """A resumed run flies the same starts again."""
-    lesson = Lesson(Curriculum(again=0.5), 1000)
+    lesson = Lesson(Curriculum(again=0.5), 1000, repeats=0.1)
     env, other = tiny_env(lesson=lesson), tiny_env(lesson=lesson)
     env.reset()
     env.failed_starts.add(*some_starts(0, 3))

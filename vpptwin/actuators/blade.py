@@ -6,12 +6,32 @@ import numpy as np
 from numba.extending import register_jitable
 
 from vpptwin.actuators.numbers import Number, RotorNumbers
+from vpptwin.vehicle import Rotor
+
+NEWTON = 4
+"""Steps from the straight line to the pitch that a bent map asks for."""
+
+
+@register_jitable
+def is_straight(rotor: RotorNumbers) -> bool:
+    """Whether the map is the paper's T = k_T ω α."""
+    return rotor.k_t2 == 0.0 and rotor.k_t3 == 0.0 and rotor.inflow == 0.0 and rotor.thrust_power == 1.0
 
 
 @register_jitable
 def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
-    """Thrust T = k_T ω α [N] (paper Eq. 4) at speed [rad/s] and blade pitch [rad]; negative below zero pitch."""
-    return rotor.k_t * speed * pitch
+    """Thrust [N] at speed [rad/s] and blade pitch [rad]; negative below zero pitch.
+
+    T = k_T ω α (paper Eq. 4), or one of the other maps of `vpptwin.vehicle.Rotor`.
+    """
+    if is_straight(rotor):
+        return rotor.k_t * speed * pitch
+    scale = speed * (speed / rotor.speed) ** (rotor.thrust_power - 1.0)
+    size = np.abs(pitch)
+    if rotor.inflow > 0.0:
+        x = 0.5 * (np.sqrt(rotor.inflow * rotor.inflow + 4.0 * rotor.k_t * size) - rotor.inflow)
+        return scale * np.sign(pitch) * x * x
+    return scale * pitch * (rotor.k_t + size * (rotor.k_t2 + size * rotor.k_t3))
 
 
 @register_jitable
@@ -26,10 +46,29 @@ def compute_drag_torque(rotor: RotorNumbers, speed: Number, pitch: Number) -> Nu
 @register_jitable
 def pitch_for_thrust(rotor: RotorNumbers, thrust: Number) -> Number:
     """Blade pitch [rad] that gives `thrust` [N] at the governed speed, within the pitch stops."""
-    return np.minimum(np.maximum(thrust / (rotor.k_t * rotor.speed), -rotor.pitch_max), rotor.pitch_max)
+    wanted = thrust / rotor.speed
+    if rotor.inflow > 0.0:
+        x = np.sqrt(np.abs(wanted))
+        pitch = np.sign(wanted) * (x * x + rotor.inflow * x) / rotor.k_t
+    elif is_straight(rotor):
+        pitch = thrust / (rotor.k_t * rotor.speed)
+    else:
+        pitch = wanted / rotor.k_t
+        for _ in range(NEWTON):
+            size = np.minimum(np.abs(pitch), rotor.pitch_max)
+            bent = pitch * (rotor.k_t + size * (rotor.k_t2 + size * rotor.k_t3))
+            pitch = pitch - (bent - wanted) / (rotor.k_t + size * (2.0 * rotor.k_t2 + 3.0 * size * rotor.k_t3))
+    return np.minimum(np.maximum(pitch, -rotor.pitch_max), rotor.pitch_max)
 
 
 @register_jitable
 def max_thrust(rotor: RotorNumbers) -> float:
     """Thrust of one rotor at the pitch stop and governed speed [N]."""
-    return rotor.k_t * rotor.speed * rotor.pitch_max
+    return compute_thrust(rotor, rotor.speed, rotor.pitch_max)
+
+
+def strengthen_rotor(rotor: Rotor, factor: float) -> Rotor:
+    """The rotor with so many times the thrust at every pitch."""
+    wider = rotor.inflow * factor**0.5
+    changed = {"k_t": rotor.k_t * factor, "k_t2": rotor.k_t2 * factor, "k_t3": rotor.k_t3 * factor, "inflow": wider}
+    return rotor.model_copy(update=changed)

@@ -45,6 +45,8 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
     content["effects"] = effects
     if spec.effect_files:
         content["effects_from"] = [os.path.relpath(file.resolve(), folder.resolve()) for file in spec.effect_files]
+    if spec.actuator_file is not None:
+        content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
     if spec.controller != "map":
         content["controller"] = spec.controller
     if spec.signals is not None:

@@ -152,34 +152,37 @@ def fit_motor(levels: Levels) -> tuple[tuple[Constant, ...], HeldOut]:
 
 
 def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Constant, ...], HeldOut]:
-    """k_q, no-load current and drag from i = i_0 + k_q (k_D1 ω² + k_D2 ω² α² + k_D3 ω |α|) (paper Eq. 5 to 7).
+    """k_q, no-load current and drag (paper Eq. 5 to 7): i = i_0 + k_q D, D = k_D1 ω² + k_D2 ω² α² + k_D3 ω |α|.
 
-    Current alone gives k_q k_D; k_q comes from the torque channel, or is that of an ideal motor, k_q = k_V.
+    What speed still changes by in a stretch takes torque too, I ω̇. With a torque channel that sum is measured. Current
+    alone gives i_0 and k_q k_D; k_q is then that of an ideal motor, k_q = k_V.
     """
-    rotors = levels.speed.shape[1]
     alpha, speed, current = np.abs(levels.pitch - thrust.offset), levels.speed, levels.current
-    inputs = np.column_stack([
-        np.ones(speed.size), (speed**2).ravel(), (speed**2 * alpha**2).ravel(), (speed * alpha).ravel()
-    ])  # fmt: skip
-    found, std = solve_linear(inputs, current.ravel())
-    k_q, note = k_v, "as of an ideal motor, k_q = k_v: the stand has no torque channel"
+    terms = np.stack([speed**2, speed**2 * alpha**2, speed * alpha, levels.slope], axis=-1)  # (L, r, 4)
     if levels.torque is not None and np.ptp(levels.torque) > 0.0:
-        # torque of all rotors against their currents: |τ| = Σ (i - i_0)/k_q
-        extra = (current - found[0]).sum(axis=1)
-        slope, slope_std = solve_linear(extra[:, None], np.abs(levels.torque))
-        k_q, note = Constant("", 1.0 / slope[0], slope_std[0] / slope[0] ** 2, "A/(N m)"), "from the torque channel"
-    share = k_q.std / k_q.value
+        torque, rotors = np.abs(levels.torque), speed.shape[1]
+        (none, k_q), (none_std, k_q_std) = solve_linear(
+            np.column_stack([np.full(len(torque), float(rotors)), torque]), current.sum(axis=1)
+        )
+        drag, drag_std = solve_linear(terms.sum(axis=1), torque)
+        error, scale = leave_groups_out(terms.sum(axis=1), torque, levels.group), float(np.std(torque))
+        held_out, note = HeldOut("drag torque at pitches left out", error, scale, "N m"), "from the torque channel"
+    else:
+        inputs = np.column_stack([np.ones(speed.size), terms.reshape(-1, 4)])
+        found, std = solve_linear(inputs, current.ravel())
+        k_q, k_q_std, none, none_std = k_v.value, k_v.std, found[0], std[0]
+        drag, drag_std = found[1:] / k_q, np.hypot(std[1:], found[1:] * k_q_std / k_q) / k_q
+        error = leave_groups_out(inputs, current.ravel(), np.repeat(levels.group, speed.shape[1]))
+        held_out = HeldOut("current at pitches left out", error, float(np.std(current)), "A")
+        note = "as of an ideal motor, k_q = k_v: the stand has no torque channel"
     constants = [
-        Constant("motor.k_q", k_q.value, k_q.std, "A/(N m)", note),
-        Constant("motor.no_load_current", found[0], std[0], "A"),
+        Constant("motor.k_q", float(k_q), float(k_q_std), "A/(N m)", note),
+        Constant("motor.no_load_current", float(none), float(none_std), "A"),
     ]
-    for name, value, spread, unit in zip(
-        ("k_d1", "k_d2", "k_d3"), found[1:], std[1:], ("N m s^2", "N m s^2/rad^2", "N m s/rad")
-    ):
-        total = np.hypot(spread, value * share) / k_q.value
-        constants.append(Constant(f"rotor.{name}", value / k_q.value, float(total), unit))
-    error = leave_groups_out(inputs, current.ravel(), np.repeat(levels.group, rotors))
-    return tuple(constants), HeldOut("current at pitches left out", error, float(np.std(current)), "A")
+    units = {"k_d1": "N m s^2", "k_d2": "N m s^2/rad^2", "k_d3": "N m s/rad"}
+    for (name, unit), value, spread in zip(units.items(), drag, drag_std):
+        constants.append(Constant(f"rotor.{name}", float(value), float(spread), unit))
+    return tuple(constants), held_out
 
 
 def lag_pitch(run: BenchRun, time_constant: float, delay: float) -> np.ndarray:
@@ -266,14 +269,15 @@ def fit_inertia(
             drag["rotor.k_d1"] * run.speed**2 + drag["rotor.k_d2"] * run.speed**2 * pitch**2
             + drag["rotor.k_d3"] * run.speed * pitch
         )  # fmt: skip
+        load[1:] = 0.5 * (load[1:] + load[:-1])  # a current is that of the step before, and so is the mean load
         torque = (run.current - drag["motor.no_load_current"]) / k_q - load
         total = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque, axis=0)]) * run.dt
         smooth = np.stack(
             [np.convolve(run.speed[:, i], np.ones(5) / 5.0, "same") for i in range(run.speed.shape[1])], 1
         )
         for step in find_steps(run):
-            for begin in range(step, step + round(WINDOW / run.dt) - span, span // 2):
-                inputs.append(total[begin + span] - total[begin])
+            for begin in range(step, step + round(WINDOW / run.dt) - span - 1, span // 2):
+                inputs.append(total[begin + span + 1] - total[begin + 1])
                 wanted.append(smooth[begin + span] - smooth[begin])
     pushed, gained = np.concatenate(inputs), np.concatenate(wanted)
     # both sides are noisy; the torque's integral is the better known one

@@ -66,6 +66,7 @@ class Levels:
         pitch, throttle, speed, current, thrust, voltage: as in `BenchRun`.
         torque: N m, (L,); None where a run has none.
         thrust_std: standard error of the mean thrust, (L,) N.
+        slope: what speed changes by meanwhile, (L, r) rad/s².
     """
 
     run: np.ndarray
@@ -77,6 +78,7 @@ class Levels:
     torque: np.ndarray | None
     voltage: np.ndarray
     thrust_std: np.ndarray
+    slope: np.ndarray
 
     @property
     def group(self) -> np.ndarray:
@@ -169,6 +171,7 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
                 run.current[part].mean(axis=0), run.thrust[part].mean(),
                 np.nan if run.torque is None else run.torque[part].mean(), run.voltage[part].mean(),
                 run.thrust[part].std() / np.sqrt(max(count / 20.0, 1.0)),
+                np.polyfit(run.time[part], run.speed[part], 1)[0],
             ))  # fmt: skip
     names = ", ".join(str(run.path) for run in runs)
     pitches = {round(float(row[1][0]) / 0.002) for row in rows}
@@ -185,6 +188,6 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
             f"speeds that differ by {SPEED_SPREAD:.0%} and more, for no_load_current, k_d1, k_v and resistance",
             "add a run at another speed",
         )
-    columns = [np.array(column) for column in zip(*rows)]
-    torque = None if np.isnan(columns[6]).any() else columns[6]
-    return Levels(*columns[:6], torque, columns[7], columns[8])
+    run, pitch, throttle, speed, current, thrust, torque, voltage, std, slope = (np.array(c) for c in zip(*rows))
+    known = None if np.isnan(torque).any() else torque
+    return Levels(run, pitch, throttle, speed, current, thrust, known, voltage, std, slope)

@@ -48,14 +48,15 @@ class Curriculum:
         single_below: below this difficulty an episode is judged by its position or by its angle, not both.
         nominal: share of the episodes flown in the nominal twin, whatever the difficulty: it lies in a corner of what
             is drawn, as no friction and no delay is below zero.
-        again: share of the episodes, once they are judged by everything, that start as one did that failed soon after.
+        again: share of the episodes, once they are judged by everything, that start as one did that failed soon after;
+            null for the task's.
     """
 
     enabled: bool = True
     difficulty: Ramp = field(default_factory=lambda: Ramp(0.0, 1.0, begin=0.05, finish=0.3))
     single_below: float = 0.4
     nominal: float = 0.2
-    again: float = 0.2
+    again: float | None = None
 
 
 @dataclass(frozen=True)
@@ -65,10 +66,12 @@ class Lesson:
     Attributes:
         curriculum: the schedule.
         steps: policy steps of all training, over all simulations of one environment.
+        repeats: share of episodes that start as one did that failed, where the curriculum does not say.
     """
 
     curriculum: Curriculum
     steps: int
+    repeats: float = 0.0
 
     def difficulty_at(self, flown: int) -> float:
         """Difficulty after so many policy steps."""
@@ -80,7 +83,9 @@ class Lesson:
 
     def again(self, flown: int) -> float:
         """Share of new episodes that start where others failed."""
-        return self.curriculum.again if self.curriculum.enabled and not self.single(flown) else 0.0
+        if not self.curriculum.enabled or self.single(flown):
+            return 0.0
+        return self.repeats if self.curriculum.again is None else self.curriculum.again
 
 
 @dataclass
@@ -196,7 +201,7 @@ class TrainConfig:
 
     def lesson(self, workers: int = 1) -> Lesson:
         """The curriculum over the share of the run that one of so many workers flies."""
-        return Lesson(self.curriculum, max(self.total_steps // workers, 1))
+        return Lesson(self.curriculum, max(self.total_steps // workers, 1), self.task.again)
 
 
 MEMORY = 5
@@ -260,8 +265,9 @@ def check_values(config: TrainConfig) -> None:
     if not 0.0 <= config.average < 1.0:
         raise InputError(f"average={config.average}", "from 0 to below 1", HELP)
     for name in ("nominal", "again"):
-        if not 0.0 <= getattr(config.curriculum, name) <= 1.0:
-            found = f"curriculum.{name}={getattr(config.curriculum, name)}"
+        value = getattr(config.curriculum, name)
+        if value is not None and not 0.0 <= value <= 1.0:
+            found = f"curriculum.{name}={value}"
             raise InputError(found, "a share from 0 to 1", HELP)
     if config.lipschitz is not None and not config.lipschitz > 0.0:
         raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)

@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from vpptwin.actuators.blade import strengthen_rotor
 from vpptwin.errors import InputError
 from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.episodes import Episodes
@@ -345,6 +346,6 @@ def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:
         return spec
     weight = (vehicle.airframe.mass + vehicle.rig.slider_mass) * vehicle.gravity
     factor = thrust_to_weight * weight / vehicle.control.thrust_max
-    rotor = vehicle.rotor.model_copy(update={"k_t": vehicle.rotor.k_t * factor})
+    rotor = strengthen_rotor(vehicle.rotor, factor)
     control = vehicle.control.model_copy(update={"thrust_max": vehicle.control.thrust_max * factor})
     return replace(spec, vehicle=vehicle.model_copy(update={"rotor": rotor, "control": control}))

@@ -164,6 +164,8 @@ class Task:
         episode: length, s.
         training_episode: length in training, s: many starts teach more than long holds; null for the same.
         gamma: discount per policy step in training: how far ahead what is asked for has to be prepared.
+        again: share of the episodes of training that start as one did that failed within a second: where starts are
+            wild, few of them decide.
         thrust_to_weight: largest commanded thrust over the weight of craft and slider; null for the vehicle's own. The
             rotors are made stronger by as much.
         start: initial states.
@@ -177,6 +179,7 @@ class Task:
     episode: float = 5.0
     training_episode: float | None = None
     gamma: float = 0.98
+    again: float = 0.0
     thrust_to_weight: float | None = None
     start: Start = field(default_factory=Start)
     target: Target = field(default_factory=Target)
@@ -195,6 +198,7 @@ FLIP = Task(
     "flip",
     episode=6.0,
     training_episode=2.5,
+    again=0.2,
     start=WIDE,
     target=Target(angles=[0.0, math.pi], dwell=(0.8, 3.0), turns=0.2),
 )
@@ -213,7 +217,7 @@ WALL_BACKTRACK = Task(
         dwell=(1.0, 2.0),
         hold=(0.4, 0.7),
     ),
-    weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1),
+    weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False),
     success=Success(reach=math.radians(15.0)),
 )
@@ -253,5 +257,7 @@ def check_task(task: Task) -> None:
             raise InputError(f"task.weights.{f.name}={value}", expected, "correct it")
     if task.training_episode is not None and task.training_episode <= 0.0:
         raise InputError(f"task.training_episode={task.training_episode}", "a time above 0, or null", "correct it")
+    if not 0.0 <= task.again <= 1.0:
+        raise InputError(f"task.again={task.again}", "a share from 0 to 1", "correct it")
     if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
         raise InputError(f"task.thrust_to_weight={task.thrust_to_weight}", "more than 1, at most 10", "correct it")

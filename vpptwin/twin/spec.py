@@ -13,6 +13,7 @@ import mujoco
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
+from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
 from vpptwin.errors import InputError
 from vpptwin.resources import find_model_file
@@ -64,6 +65,7 @@ class TwinFile(BaseModel):
     effects_from: list[str] = []
     signals: Signals | None = None
     controller: Controller = "map"
+    actuator: str | None = None
     provenance: dict[str, object] | None = None
 
 
@@ -82,6 +84,7 @@ class TwinSpec:
         vehicle_file: where the vehicle was read from.
         effect_files: Python files whose effects follow those of ours in the catalogue.
         controller: of the drone's actuators.
+        actuator_file: whose numbers stand in `vehicle` in place of those of its file.
     """
 
     name: str
@@ -94,6 +97,7 @@ class TwinSpec:
     vehicle_file: Path | None = None
     effect_files: tuple[Path, ...] = ()
     controller: Controller = "map"
+    actuator_file: Path | None = None
 
     @cached_property
     def stepped(self) -> mujoco.MjModel:
@@ -200,7 +204,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
     key = ".".join(map(str, first["loc"])) or "the file"
-    keys = "model and, if need be, vehicle, effects, signals, controller"
+    keys = "model and, if need be, vehicle, effects, signals, controller, actuator"
     if first["type"] == "missing":
         return f"no key {key}", keys
     if first["type"] == "extra_forbidden":
@@ -222,6 +226,15 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     model_file = find_model_file(file.model, folder)
     vehicle_file = find_model_file(file.vehicle, folder) if file.vehicle else None
     vehicle = load_vehicle(vehicle_file) if vehicle_file else None
+    given = dict(file.effects)
+    actuator_file = folder / file.actuator if file.actuator is not None else None
+    if actuator_file is not None:
+        if vehicle is None:
+            raise InputError(f"{name}: actuator without vehicle", "it with our drone only", "leave it out")
+        actuator = load_actuator(actuator_file)
+        vehicle = equip(vehicle, actuator)
+        if actuator.servo.delay > 0.0:
+            given.setdefault("command.delay", {"delay": actuator.servo.delay})
     model = compile_model(model_file, vehicle)
     if vehicle is None and file.controller != "map":
         raise InputError(f"{name}: controller {file.controller!r} without vehicle", *NO_CONTROLLER)
@@ -244,9 +257,19 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
 
         driven_joints = frozenset(file.signals.driven if file.signals is not None else {})
         catalogue = extend_catalogue(catalogue, effect_files, Rig(model, vehicle, driven_joints), vehicle)
-    effects = check_effects(file.effects, catalogue, name)
+    effects = check_effects(given, catalogue, name)
     return TwinSpec(
-        name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files, file.controller
+        name,
+        model_file,
+        model,
+        vehicle,
+        catalogue,
+        effects,
+        file.signals,
+        vehicle_file,
+        effect_files,
+        file.controller,
+        actuator_file,
     )
 
 

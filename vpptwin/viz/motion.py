@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
+from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.model import CRAFT_JOINTS
 from vpptwin.twin.spec import TwinSpec
@@ -127,10 +128,12 @@ def sample_rotors(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> Rotors | 
 
 
 def turn_rotors(time: np.ndarray, speed: np.ndarray, pitch: np.ndarray, at: np.ndarray, vehicle: Vehicle) -> Rotors:
-    """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]; thrust is k_t ω α."""
+    """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]."""
     step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)[:, None]
     angle = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-    return Rotors(interpolate(time, angle, at), pitch, vehicle.rotor.k_t * interpolate(time, speed, at) * pitch)
+    return Rotors(
+        interpolate(time, angle, at), pitch, compute_thrust(vehicle.rotor, interpolate(time, speed, at), pitch)
+    )
 
 
 def sample_flight(

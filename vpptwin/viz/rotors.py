@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from meshcat import Visualizer
 
+from vpptwin.actuators.blade import max_thrust
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import BLADE, NEGATIVE_THRUST, POSITIVE_THRUST, TOP_MARK
@@ -74,7 +75,7 @@ def track_rotors(craft: str, time: np.ndarray, rotors: Rotors) -> list[Track]:
 
 def track_arrows(craft: str, time: np.ndarray, rotors: Rotors, vehicle: Vehicle) -> list[Track]:
     """Tracks that stretch the thrust arrows, one colour for each sign."""
-    full = vehicle.rotor.k_t * vehicle.rotor.speed * vehicle.rotor.pitch_max
+    full = max_thrust(vehicle.rotor)
     tracks = []
     for i in range(2):
         for sign, factor in (("positive", 1.0), ("negative", -1.0)):

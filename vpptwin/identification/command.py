@@ -1,0 +1,147 @@
+"""`vpptwin identify BENCH.mcap...`: from thrust-stand runs to actuator.yaml and a page that shows the fits."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from vpptwin.actuators.file import ActuatorFile
+from vpptwin.diagnosis.provenance import Provenance, trace_origin
+from vpptwin.diagnosis.twin_file import round_digits
+from vpptwin.errors import InputError
+from vpptwin.identification.actuator import Actuator, identify
+from vpptwin.identification.bench import find_levels, read_bench
+from vpptwin.identification.report import render_page
+from vpptwin.identification.thrust_map import ThrustMap, inflow
+from vpptwin.vehicle import Vehicle, load_vehicle
+
+SIGMAS_90 = 1.645
+"""Half a 90 % interval in standard deviations."""
+
+
+def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = None, vehicle: Path | None = None) -> None:
+    """Identify an actuator, write `out` and a page beside it, and print what was found.
+
+    Args:
+        logs: thrust-stand runs.
+        out: YAML to write; the page is named like it, with .html.
+        topic_map: as of every command that reads logs.
+        vehicle: whose governed speed and inner rate hold; the shipped one by default.
+
+    Raises:
+        InputError: if a log lacks something, or a file cannot be written; nothing is left behind then.
+    """
+    check_out(out)
+    believed = load_vehicle(vehicle)
+    runs = [read_bench(log, believed, topic_map) for log in logs]
+    found = identify(runs, find_levels(runs))
+    origin = trace_origin(sys.argv[1:], "", logs)
+    content = compose_file(found, believed, origin)
+    ActuatorFile.model_validate(content)
+    page = out.with_suffix(".html")
+    write_both({
+        out: yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120),
+        page: render_page(found, runs, origin),
+    })  # fmt: skip
+    print_found(found, out, page)
+
+
+def check_out(out: Path) -> None:
+    """Refuse a name that is no YAML file's, or a folder that is not there.
+
+    Raises:
+        InputError: saying which.
+    """
+    if out.suffix not in (".yaml", ".yml"):
+        raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
+    if not out.parent.is_dir() or out.is_dir():
+        raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")
+
+
+def write_both(files: dict[Path, str]) -> None:
+    """Write files so that all of them appear or none."""
+    partial = {path: path.with_name(f".{path.name}.{os.getpid()}") for path in files}
+    try:
+        for path, text in files.items():
+            partial[path].write_text(text, encoding="utf-8")
+        for path in files:
+            os.replace(partial[path], path)
+    except OSError as error:
+        found = f"{error.filename or next(iter(files))} cannot be written ({error.strerror})"
+        raise InputError(found, "a folder to write to", "choose another --out") from error
+    finally:
+        for path in partial.values():
+            path.unlink(missing_ok=True)
+
+
+def name_coefficients(thrust: ThrustMap, speed: float) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation of a vehicle's keys for a map, at a governed speed [rad/s]."""
+    scale = (speed / thrust.reference) ** (thrust.candidate.power - 1)
+    if thrust.candidate.shape is inflow:
+        p, q = abs(thrust.values)
+        return {"k_t": (p * scale, thrust.std[0] * scale), "inflow": (q * scale**0.5, thrust.std[1] * scale**0.5)}
+    names = ("k_t", "k_t2", "k_t3")
+    return {name: (v * scale, s * scale) for name, v, s in zip(names, thrust.values, thrust.std)}
+
+
+def compose_file(found: Actuator, vehicle: Vehicle, origin: Provenance) -> dict[str, object]:
+    """The content of actuator.yaml."""
+    parts: dict[str, dict[str, float]] = {"rotor": {}, "motor": {}, "servo": {}}
+    intervals: dict[str, list[float]] = {}
+
+    def add(name: str, value: float, std: float) -> None:
+        section, key = name.split(".")
+        parts[section][key] = round_digits(value)
+        intervals[name] = [round_digits(value + side * SIGMAS_90 * std) for side in (-1.0, 1.0)]
+
+    for name, (value, std) in name_coefficients(found.thrust, vehicle.rotor.speed).items():
+        add(f"rotor.{name}", value, std)
+    if found.thrust.candidate.power == 2:
+        parts["rotor"]["thrust_power"] = 2.0
+    for constant in found.constants:
+        add(constant.name, max(constant.value, 0.0), constant.std)
+    offset, std = found.thrust.offset, found.thrust.offset_std
+    return {
+        **parts,
+        "intervals_90": intervals,
+        "thrust_map": {
+            "form": found.thrust.candidate.name,
+            "pitch_of_no_thrust_rad": round_digits(offset),
+            "pitch_of_no_thrust_90": [round_digits(offset + side * SIGMAS_90 * std) for side in (-1.0, 1.0)],
+            "held_out_error_n": {m.candidate.name: round_digits(m.held_out) for m in found.maps},
+        },
+        "speed_disturbance": [round_digits(float(c)) for c in found.disturbance],
+        "held_out": {
+            h.what: {"rms": round_digits(h.error), "of": round_digits(h.scale), "unit": h.unit} for h in found.held_out
+        },
+        "notes": [f"{c.name}: {c.note}" for c in found.constants if c.note],
+        "provenance": {
+            "command": origin.command, "date": origin.date, "versions": origin.versions, "logs": origin.logs,
+        },
+    }  # fmt: skip
+
+
+def print_found(found: Actuator, out: Path, page: Path) -> None:
+    """Print constants with their intervals, the thrust maps, and where the files lie."""
+    console = Console(highlight=False)
+    table = Table("constant", "value", "90 % interval", "unit", box=None)
+    rows = [(f"rotor.{n}", v, s, "") for n, (v, s) in name_coefficients(found.thrust, found.thrust.reference).items()]
+    for name, value, std, unit in [*rows, *((c.name, c.value, c.std, c.unit) for c in found.constants)]:
+        ends = [value + side * SIGMAS_90 * std for side in (-1.0, 1.0)]
+        table.add_row(name, f"{value:.5g}", f"{ends[0]:.5g} to {ends[1]:.5g}", unit)
+    console.print(table)
+    console.print(f"thrust map: {found.thrust.candidate.name}; held-out errors:")
+    for fitted in sorted(found.maps, key=lambda m: m.held_out):
+        console.print(f"  {fitted.candidate.name}: {1000.0 * fitted.held_out:.1f} mN")
+    for held in found.held_out:
+        console.print(f"{held.what}: {held.error:.3g} {held.unit} RMS, of {held.scale:.3g}")
+    for constant in found.constants:
+        if constant.note:
+            console.print(f"{constant.name} {constant.note}")
+    console.print(f"{out} (a twin YAML refers to it by `actuator:`), {page}", soft_wrap=True)
