@@ -157,7 +157,7 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
         InputError: if there are too few different pitches or speeds, saying for which constants.
     """
     rows: list[tuple] = []
-    for index, run in enumerate(runs):
+    for number, run in enumerate(runs):
         changed = (np.abs(np.diff(run.pitch, axis=0)) > STILL).any(axis=1)
         edges = np.concatenate([[0], np.flatnonzero(changed) + 1, [len(run.pitch)]])
         settle, hold = round(SETTLE / run.dt), round(HOLD / run.dt)
@@ -167,7 +167,7 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
             part = slice(start + settle, end)
             count = end - start - settle
             rows.append((
-                index, run.pitch[part].mean(axis=0), run.throttle[part].mean(axis=0), run.speed[part].mean(axis=0),
+                number, run.pitch[part].mean(axis=0), run.throttle[part].mean(axis=0), run.speed[part].mean(axis=0),
                 run.current[part].mean(axis=0), run.thrust[part].mean(),
                 np.nan if run.torque is None else run.torque[part].mean(), run.voltage[part].mean(),
                 run.thrust[part].std() / np.sqrt(max(count / 20.0, 1.0)),
@@ -188,6 +188,6 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
             f"speeds that differ by {SPEED_SPREAD:.0%} and more, for no_load_current, k_d1, k_v and resistance",
             "add a run at another speed",
         )
-    run, pitch, throttle, speed, current, thrust, torque, voltage, std, slope = (np.array(c) for c in zip(*rows))
+    index, pitch, throttle, speed, current, thrust, torque, voltage, std, slope = (np.array(c) for c in zip(*rows))
     known = None if np.isnan(torque).any() else torque
-    return Levels(run, pitch, throttle, speed, current, thrust, known, voltage, std, slope)
+    return Levels(index, pitch, throttle, speed, current, thrust, known, voltage, std, slope)
