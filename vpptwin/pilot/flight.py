@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from vpptwin.pilot.estimate import Estimate, correct, predict
+from vpptwin.estimation.kalman import FilterNoise, KalmanFilter
 from vpptwin.pilot.gusts import Gusts
 from vpptwin.twin import Twin
 from vpptwin.twin.health import find_diverged
@@ -98,8 +98,8 @@ def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:
 def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Tracks:
     """Fly from rest at the first target.
 
-    What the pilot sees is an estimate from motion capture, gyro and accelerometer, with the twin's errors of them, late
-    as its poses are, and the noise of the vehicle's sensors; the same readings go into the log.
+    What the pilot sees is the estimate of a Kalman filter from motion capture, gyro and accelerometer, with the twin's
+    errors of them, late as its poses are, and the noise of the vehicle's sensors.
 
     Args:
         twin: the drone, one simulation a flight.
@@ -122,7 +122,10 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
     state = twin.initial_state(pilot.target(0), time=-SETTLING)
     depth = history_depth(twin.effects.values(), period, ticks * period)
     past = start_sensors(state.qpos, state.qvel, depth, period)
-    estimate, memory = Estimate(state.qpos.copy(), state.qvel.copy()), np.zeros((n, 2))
+    estimate, memory = (
+        KalmanFilter(n, step, twin.vehicle.gravity, FilterNoise.of_vehicle(twin.vehicle)),
+        np.zeros((n, 2)),
+    )
     pose_std = sensor_noise(twin.vehicle)[0]
     imu_std = np.array([sensors.imu.gyro_std, sensors.imu.accel_std, sensors.imu.accel_std])
     frames = max(round(control.policy_rate / sensors.mocap.rate), 1)
@@ -130,16 +133,10 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
         now = tick * each
         here = twin.pose_at_time(state.qpos, state.qvel)
         if tick:
-            span = slice(now - each, now)
-            way = np.stack([pose[:, now - each], here], axis=1), np.stack([velocity[:, now - each], state.qvel], axis=1)
-            error = noise.fast[:, span, :3].mean(axis=1) * imu_std
-            gyro = measure_rate(twin.constants, (way[0][:, 1, 2] - way[0][:, 0, 2]) / period) + error[:, 0]
-            force = body_force(*way, period, twin.vehicle.gravity)[:, 0] + error[:, 1:]
-            estimate = predict(estimate, gyro, force, period, twin.vehicle.gravity)
             record_poses(past, here, state.qvel)
         if tick % frames == 0:
             seen, _ = read_sensors(twin.constants, past, here, state.qvel, state.time, period)
-            estimate = correct(estimate, seen + noise.pose[:, tick] * pose_std)
+            estimate.correct(seen + noise.pose[:, tick] * pose_std)
         target[:, tick] = pilot.target(tick - lead)
         command[:, tick], memory = pilot.command(tick - lead, estimate.pose, estimate.velocity, memory)
         if gusts is not None:
@@ -148,6 +145,11 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
             pose[:, k], velocity[:, k] = twin.pose_at_time(state.qpos, state.qvel), state.qvel
             speed[:, k] = state.rotor_speed
             twin.advance_policy(state, command[:, tick], step)
+            after = twin.pose_at_time(state.qpos, state.qvel)
+            way = np.stack([pose[:, k], after], axis=1), np.stack([velocity[:, k], state.qvel], axis=1)
+            error = noise.fast[:, k, :3] * imu_std
+            gyro = measure_rate(twin.constants, (after[:, 2] - pose[:, k, 2]) / step) + error[:, 0]
+            estimate.predict(gyro, body_force(*way, step, twin.vehicle.gravity)[:, 0] + error[:, 1:])
             layer = state.actuators
             blade[:, k] = layer["history"][np.arange(n), layer["newest"]]
             throttle[:, k] = state.throttle
