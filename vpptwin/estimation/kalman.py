@@ -29,6 +29,8 @@ GATE = 16.27
 if it were noisier by as much as takes it to the gate: sensors have errors that the filter does not know of."""
 SLACK = (0.05, 0.05, 0.15)
 """What a pose may be off beyond noise [m, m, rad]; one that is beyond the gate with this too is left out."""
+KNOWN = 0.05
+"""What the velocity of a craft that has been flying is known to [m/s]."""
 GIVE_UP = 20
 """After so many poses in a row that were left out the filter believes them, not itself."""
 
@@ -156,6 +158,16 @@ class KalmanFilter:
         self._base[ids] = np.nan
         self._imu[ids] = 0.0
         self._left_out[ids] = 0
+
+    def start(self, ids: np.ndarray, pose: np.ndarray, velocity: np.ndarray) -> None:
+        """Begin anew in the rows `ids` at poses and velocities (n, 3) that are known as well as in flight."""
+        spread = np.array([self._noise[2], self._noise[2], self._noise[3], KNOWN, KNOWN, *self._noise[[7, 8, 8]]])
+        self._base[ids], self._left_out[ids], self._imu[ids] = self.samples, 0, 0.0
+        self._mean[ids] = 0.0
+        self._mean[ids, :3], self._mean[ids, V_X : V_Z + 1] = pose, velocity[:, :2]
+        self._now[ids] = self._mean[ids]
+        self._imu[ids, (self.samples - 1) % DEPTH, 0] = velocity[:, 2]
+        self._covariance[ids] = np.diag(spread**2)
 
     def save(self) -> dict[str, np.ndarray]:
         """Everything that evolves, by name; copies."""

@@ -106,6 +106,7 @@ class TrainConfig:
         rollout: policy steps of every simulation between two updates.
         noise: sensor noise in the observation; 1 for that of vehicle.yaml.
         randomize: effects drawn from their priors at every reset, e.g. '[servo.lag,air.drag]'; paper or all for groups.
+        estimator: what the policy is shown, sensors for their readings, kalman for a filter's estimate from them.
         setup: the policy's inputs, VA, TA, PI or All: angle in radians or as sine and cosine, integral or none.
         paper_inputs: observe the paper's inputs, without the target's angle.
         curriculum: what gets harder in the course of training.
@@ -152,6 +153,7 @@ class TrainConfig:
     rollout: int = 32
     noise: float = 1.0
     randomize: list[str] = field(default_factory=lambda: ["paper"])
+    estimator: str = "sensors"
     setup: str = "All"
     paper_inputs: bool = False
     curriculum: Curriculum = field(default_factory=Curriculum)
@@ -271,7 +273,13 @@ def check_values(config: TrainConfig) -> None:
             raise InputError(found, "a share from 0 to 1", HELP)
     if config.lipschitz is not None and not config.lipschitz > 0.0:
         raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)
-    choices = {"setup": SETUPS, "critic": ("mlp", "lstm"), "collector": ("local", "ray"), "preset": tuple(PRESETS)}
+    choices = {
+        "estimator": ("sensors", "kalman"),
+        "setup": SETUPS,
+        "critic": ("mlp", "lstm"),
+        "collector": ("local", "ray"),
+        "preset": tuple(PRESETS),
+    }
     for name, known in choices.items():
         if getattr(config, name) not in known:
             raise InputError(f"{name}={getattr(config, name)}", f"one of {', '.join(known)}", HELP)

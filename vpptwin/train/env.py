@@ -17,6 +17,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
+from vpptwin.train.onboard import Onboard
 from vpptwin.train.privileged import privileged_size, see_everything
 from vpptwin.train.randomize import Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
@@ -59,6 +60,7 @@ class VppEnv(EnvBase):
         memory: steps that are shown to a critic; 0 for none at all.
         privileged: a critic sees `privileged.py`'s state instead of the policy's observation.
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
+        estimator: `kalman` for a policy that is shown what the Kalman filter on board estimates, not sensor readings.
 
     Attributes:
         state: of the twin.
@@ -87,6 +89,7 @@ class VppEnv(EnvBase):
         memory: int = 0,
         privileged: bool = True,
         fault_folder: Path | None = None,
+        estimator: str = "sensors",
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
         self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
@@ -106,6 +109,7 @@ class VppEnv(EnvBase):
         self._depth = history_depth(twin.effects.values(), self._period, self.duration)
         self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
         width = privileged_size(parameters) if privileged else len(self.sight.names)
+        self.onboard = Onboard(twin, noise) if estimator == "kalman" else None
         self.episodes = Episodes.allocate(n, len(self.sight.names), parameters, memory, width if memory else 0)
         self.failed_starts = FailedStarts.empty()
         self._make_specs(n)
@@ -160,6 +164,8 @@ class VppEnv(EnvBase):
         pose[near, 2] = target[near, 2] + rng.uniform(-NEAR, NEAR, int(near.sum()))
         self.state.write_rows(ids, self.twin.initial_state(pose, velocity, ids=ids))
         self.sensors.write_rows(ids, start_sensors(pose, velocity, self._depth, self._period))
+        if self.onboard is not None:
+            self.onboard.begin(ids, pose, velocity)
         episodes.target[ids], episodes.criterion[ids] = target, criterion
         episodes.turn[ids] = episodes.elapsed[ids] = episodes.age[ids] = episodes.total[ids] = episodes.stage[ids] = 0
         episodes.integral[ids] = episodes.action[ids] = 0.0
@@ -202,6 +208,8 @@ class VppEnv(EnvBase):
             level = self.difficulty
             pose += level * self._noise_std[0] * self.rng.standard_normal(pose.shape)
             velocity += level * self._noise_std[1] * self.rng.standard_normal(velocity.shape)
+        if self.onboard is not None:
+            pose, velocity = self.onboard.correct(pose, rows)
         target = episodes.target[rows]
         integral = accumulate_error(episodes.integral[rows], (target - pose)[:, :2])
         episodes.integral[rows] = integral
@@ -248,7 +256,11 @@ class VppEnv(EnvBase):
     def _fly(self, command: np.ndarray) -> np.ndarray:
         """Advance the twin under commands (N, 2) [N, rad/s]; tell which rows diverged and began anew, (N,) bool."""
         self._before.overwrite(self.state)
-        self.twin.advance_policy(self.state, command, self._period)
+        if self.onboard is None:
+            self.twin.advance_policy(self.state, command, self._period)
+        else:
+            path = self.twin.trace_policy(self.state, command, self._period)
+            self.onboard.follow(self.twin, path, self.state, self.difficulty, self.rng)
         record_poses(self.sensors, self.state.qpos, self.state.qvel)
         broken = find_diverged(self.state)
         ids = np.flatnonzero(broken)
@@ -335,7 +347,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
-        config.critic_memory, config.privileged, fault_folder,
+        config.critic_memory, config.privileged, fault_folder, config.estimator,
     )  # fmt: skip
 
 

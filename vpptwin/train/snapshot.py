@@ -29,6 +29,7 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
         "failed_starts": to_tensors(vars(env.failed_starts)),
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
+        "onboard": None if env.onboard is None else to_tensors(env.onboard.filter.save()),
         "faults": env.faults,
         "flown": env.flown,
     }
@@ -43,6 +44,8 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
     env.sensors = SensorState.from_arrays(to_arrays(snapshot["sensors"]))
     env.episodes = Episodes(**to_arrays(snapshot["episodes"]))
     env.failed_starts = FailedStarts(**to_arrays(snapshot["failed_starts"]))
+    if env.onboard is not None:
+        env.onboard.filter.restore(to_arrays(snapshot["onboard"]))
     env.rng.bit_generator.state = json.loads(snapshot["random"])
     env.faults, env.flown, env.restored = snapshot["faults"], snapshot["flown"], True
 

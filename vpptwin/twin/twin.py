@@ -196,9 +196,21 @@ class Twin:
 
     def advance_policy(self, state: TwinState, command: np.ndarray, duration: float = 0.01) -> None:
         """As `step_policy`, in place: `state` becomes the state `duration` later."""
+        self._run(state, round(duration / self.dt), self._hold(command), policy=True)
+
+    def trace_policy(
+        self, state: TwinState, command: np.ndarray, duration: float = 0.01
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As `advance_policy`; positions and velocities before every inner step, (N, steps, nq) and (N, steps, nv)."""
+        steps, model = round(duration / self.dt), self.spec.model
+        way = np.empty((self.num_sims, steps, model.nq)), np.empty((self.num_sims, steps, model.nv))
+        self._run(state, steps, self._hold(command) | {"qpos": way[0], "qvel": way[1]}, policy=True)
+        return way
+
+    def _hold(self, command: np.ndarray) -> dict[str, np.ndarray]:
+        """A policy's command on the tape, for the drone only."""
         _ = self.vehicle
-        held = np.array(np.broadcast_to(command, (self.num_sims, 2)), dtype=float)
-        self._run(state, round(duration / self.dt), {"command": held}, policy=True)
+        return {"command": np.array(np.broadcast_to(command, (self.num_sims, 2)), dtype=float)}
 
     def warm_up(self, layer: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first."""
