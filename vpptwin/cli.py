@@ -104,9 +104,16 @@ def build_parser() -> argparse.ArgumentParser:
 
     add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
 
-    identify = commands.add_parser("identify", help="fit an actuator to thrust-stand runs")
-    identify.add_argument("logs", type=Path, nargs="+", metavar="BENCH", help="MCAP logs of thrust-stand runs")
-    identify.add_argument("--out", type=Path, required=True, help="actuator YAML to write; a page goes beside it")
+    identify = commands.add_parser("identify", help="fit an actuator to thrust-stand runs, or a twin to flights")
+    identify.add_argument(
+        "logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights"
+    )
+    identify.add_argument("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
+    identify.add_argument("--twin", default="nominal", help="of flights: `nominal` (default) or a twin YAML")
+    add_effects(identify)
+    identify.add_argument(
+        "--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin"
+    )
     identify.add_argument("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
     add_topic_map(identify)
     identify.set_defaults(run=run_identify)
@@ -218,8 +225,12 @@ def run_play(options: argparse.Namespace) -> None:
 
 def run_identify(options: argparse.Namespace) -> None:
     """`vpptwin identify`."""
-    from vpptwin.identification.command import identify_bench
+    from vpptwin.identification.command import identify_bench, identify_flights
 
+    if options.parameters is not None:
+        given = (options.logs, options.parameters, options.twin, options.out, options.topic_map, options.effects)
+        identify_flights(*given)
+        return
     identify_bench(options.logs, options.out, options.topic_map, options.vehicle)
 
 

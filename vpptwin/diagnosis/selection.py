@@ -101,15 +101,21 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
 
 def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
     """Fit exactly these effects, whatever the evidence for them: what somebody who knows the truth would find."""
+    first = search.extend(search.start)
+    fit = fit_together(search, effects)
+    return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
+
+
+def fit_together(search: Search, effects: Sequence[str]) -> Fit:
+    """Free these effects one after the other, each from its best starts, all of them fitted together in the end."""
     fit = search.start
-    first = search.extend(fit)
     for effect in effects:
         starts = [start for start in search.rank(fit) if start.effect == effect][:STARTS]
         freed = fit.effects | {effect}
         found = [search.own(search.fit(freed, s.values, fit.about, fit.likelihood)) for s in starts]
         best = min(found, key=lambda f: f.cost)
         fit = search.adopt(best)
-    return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
+    return fit
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought: Mapping[str, float]) -> bool:

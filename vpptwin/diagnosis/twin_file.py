@@ -39,18 +39,7 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
         origin: where the values come from.
         folder: that the file will lie in, from which it names model and vehicle.
     """
-    content: dict[str, object] = {"model": name_file(spec.model_file, folder)}
-    if spec.vehicle_file is not None:
-        content["vehicle"] = name_file(spec.vehicle_file, folder)
-    content["effects"] = effects
-    if spec.effect_files:
-        content["effects_from"] = [os.path.relpath(file.resolve(), folder.resolve()) for file in spec.effect_files]
-    if spec.actuator_file is not None:
-        content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
-    if spec.controller != "map":
-        content["controller"] = spec.controller
-    if spec.signals is not None:
-        content["signals"] = spec.signals.model_dump()
+    content = name_twin(spec, folder) | {"effects": effects}
     intervals = {
         f"{cause.effect}.{name}": [round_digits(e.value + side * SIGMAS_90 * e.std) for side in (-1.0, 1.0)]
         for cause in verdict.causes
@@ -65,6 +54,23 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
         "intervals_90_percent": intervals,
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+
+
+def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
+    """The keys of a twin YAML in a folder, with the effects of `spec`."""
+    content: dict[str, object] = {"model": name_file(spec.model_file, folder)}
+    if spec.vehicle_file is not None:
+        content["vehicle"] = name_file(spec.vehicle_file, folder)
+    content["effects"] = spec.effects
+    if spec.effect_files:
+        content["effects_from"] = [os.path.relpath(file.resolve(), folder.resolve()) for file in spec.effect_files]
+    if spec.actuator_file is not None:
+        content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
+    if spec.controller != "map":
+        content["controller"] = spec.controller
+    if spec.signals is not None:
+        content["signals"] = spec.signals.model_dump()
+    return content
 
 
 def round_digits(value: float) -> float:

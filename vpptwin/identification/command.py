@@ -1,24 +1,31 @@
-"""`vpptwin identify BENCH.mcap...`: from thrust-stand runs to actuator.yaml and a page that shows the fits."""
+"""`vpptwin identify`: from thrust-stand runs to actuator.yaml and a page, or from flights to parameters of a twin."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import yaml
 from rich.console import Console
 from rich.table import Table
+from tqdm import tqdm
 
 from vpptwin.actuators.file import ActuatorFile
+from vpptwin.diagnosis.command import tell_stage
+from vpptwin.diagnosis.holdout import HORIZONS_S
 from vpptwin.diagnosis.provenance import Provenance, trace_origin
-from vpptwin.diagnosis.twin_file import round_digits
+from vpptwin.diagnosis.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
+from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
 from vpptwin.identification.report import render_page
 from vpptwin.identification.thrust_map import ThrustMap, inflow
+from vpptwin.logs.read import read_flight
+from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 SIGMAS_90 = 1.645
@@ -145,3 +152,83 @@ def print_found(found: Actuator, out: Path, page: Path) -> None:
         if constant.note:
             console.print(f"{constant.name} {constant.note}")
     console.print(f"{out} (a twin YAML refers to it by `actuator:`), {page}", soft_wrap=True)
+
+
+def identify_flights(
+    logs: Sequence[Path], parameters: str, twin: str, out: Path, topic_map: Path | None = None,
+    effects: Sequence[Path] = (),
+) -> None:  # fmt: skip
+    """Fit chosen effects of a twin to flights, write the twin with their values to `out`, and print what was found.
+
+    Args:
+        logs: flights.
+        parameters: effect ids, separated by commas.
+        twin: `nominal` or a twin YAML.
+        out: twin YAML to write.
+        topic_map: as of every command that reads logs.
+        effects: Python files with effects of the user's own.
+
+    Raises:
+        InputError: if a log, the twin or an id is not what it should be, or `out` cannot be written.
+    """
+    check_out(out)
+    spec = load_twin(twin, effects)
+    chosen = parse_parameters(spec, parameters)
+    flights = [read_flight(log, topic_map) for log in logs]
+    with tqdm(unit=" steps", unit_scale=True, desc="identify", dynamic_ncols=True, delay=1e-6) as bar:
+        found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
+    origin = trace_origin(sys.argv[1:], spec.name, logs)
+    write_both({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})
+    print_flight_fit(found, out)
+
+
+def compose_twin_file(spec: TwinSpec, found: FlightFit, origin: Provenance, out: Path) -> dict[str, object]:
+    """The twin with the fitted values, as YAML's plain data."""
+    content = name_twin(spec, out.parent)
+    content["effects"] = extend_effects(spec, {key: e.value for key, e in found.values.items()})
+    intervals = {
+        ".".join(key): [round_digits(e.value + side * SIGMAS_90 * e.std) for side in (-1.0, 1.0)]
+        for key, e in found.values.items()
+    }
+    content["provenance"] = {
+        "command": origin.command, "date": origin.date, "versions": origin.versions, "logs": origin.logs,
+        "intervals_90": intervals,
+    }  # fmt: skip
+    return content
+
+
+def print_flight_fit(found: FlightFit, out: Path) -> None:
+    """Print values, what can't be told apart, held-out errors, and where the twin lies."""
+    console = Console(highlight=False)
+    table = Table("parameter", "value", "90 % interval", "in the twin", "unit", box=None)
+    for key, e in found.values.items():
+        low, high = e.value - SIGMAS_90 * e.std, e.value + SIGMAS_90 * e.std
+        table.add_row(".".join(key), f"{e.value:.4g}", f"{low:.4g} to {high:.4g}", f"{e.nominal:.4g}", e.unit)
+    console.print(table)
+    for first, second, likeness in found.alike:
+        console.print(
+            f"can't be told apart: {'.'.join(first)} and {'.'.join(second)}, whose errors correlate by {likeness:+.2f}",
+            soft_wrap=True,
+        )
+    for key in found.vague:
+        console.print(f"hardly seen in these flights: {'.'.join(key)}", soft_wrap=True)
+    if found.drag is not None:
+        low, high = (found.drag.k_d + side * SIGMAS_90 * found.drag.std for side in (-1.0, 1.0))
+        console.print(
+            f"air drag by least squares on accelerations, as the paper has it: {found.drag.k_d:.4g} N s²/m² "
+            f"({low:.4g} to {high:.4g}, {found.drag.samples} samples)",
+            soft_wrap=True,
+        )
+    fitted, held_out = found.windows
+    console.print(
+        f"{fitted} windows fitted; on {held_out} held out chi² {found.before.chi2:.2f} -> {found.after.chi2:.2f}"
+    )
+    if found.before.position_rmse_m is not None and found.after.position_rmse_m is not None:
+        errors = (
+            f"{1000 * before:.1f} -> {1000 * after:.1f} mm after {horizon:g} s"
+            for horizon, before, after in zip(HORIZONS_S, found.before.position_rmse_m, found.after.position_rmse_m)
+        )
+        console.print(f"position error there: {', '.join(errors)}", soft_wrap=True)
+    for warning in found.warnings:
+        console.print(f"warning: {warning}", markup=False, soft_wrap=True)
+    console.print(f"twin: {out}", markup=False, soft_wrap=True)
