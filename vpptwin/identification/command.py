@@ -136,7 +136,7 @@ def compose_file(found: Actuator, vehicle: Vehicle, origin: Provenance) -> dict[
 
 def print_found(found: Actuator, out: Path, page: Path) -> None:
     """Print constants with their intervals, the thrust maps, and where the files lie."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=110)
     table = Table("constant", "value", "90 % interval", "unit", box=None)
     rows = [(f"rotor.{n}", v, s, "") for n, (v, s) in name_coefficients(found.thrust, found.thrust.reference).items()]
     for name, value, std, unit in [*rows, *((c.name, c.value, c.std, c.unit) for c in found.constants)]:
@@ -199,7 +199,7 @@ def compose_twin_file(spec: TwinSpec, found: FlightFit, origin: Provenance, out:
 
 def print_flight_fit(found: FlightFit, out: Path) -> None:
     """Print values, what can't be told apart, held-out errors, and where the twin lies."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=110)
     table = Table("parameter", "value", "90 % interval", "in the twin", "unit", box=None)
     for key, e in found.values.items():
         low, high = e.value - SIGMAS_90 * e.std, e.value + SIGMAS_90 * e.std
