@@ -45,7 +45,7 @@ demo: $(STAMP) ## diagnose the flights that ship with the project, write a repor
 
 # One thread per worker: two workers already fill two cores, and torch's own threads would fight them.
 test: $(STAMP) ## all tests but the long sweeps (make test SELECT= runs those too)
-	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python -m pytest -n 2 --dist loadfile -m "$(SELECT)" $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(SELECT)" $(PYTEST_ARGS)
 
 check: $(STAMP) ## lint, format, types
 	$(BIN)/ruff check .

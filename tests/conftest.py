@@ -30,8 +30,21 @@ def shared_data() -> Path:
     return folder
 
 
+LONG = (
+    "test_hidden_mechanics.py", "test_hidden_effects.py", "twin/test_independent.py", "test_cli.py",
+    "effects/test_catalogue.py", "twin/test_own_effects.py", "train/test_training.py", "test_reality_log.py",
+    "train/test_ray.py", "engine/test_cache.py", "test_own_effects.py", "test_antx.py", "test_reality.py",
+    "identification/test_identify.py", "identification/test_free_flight.py", "test_other_rigs.py",
+    "viz/test_browser.py", "diagnosis/test_experiment.py", "actuators/test_adaptive.py", "train/test_resume.py",
+)  # fmt: skip
+"""Files that take longest, first: two workers that share them file by file are then done at about the same time."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests marked `browser` where there is no Chromium."""
+    """Long files first; skip the tests marked `browser` where there is no Chromium."""
+    place = {file: i for i, file in enumerate(LONG)}
+    tests = Path(__file__).parent
+    items.sort(key=lambda item: place.get(item.path.relative_to(tests).as_posix(), len(LONG)))
     if shutil.which("chromium"):
         return
     for item in items:
