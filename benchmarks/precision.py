@@ -35,6 +35,9 @@ from vpptwin.train.reward import compute_reward  # noqa: E402
 
 Controller = Callable[[torch.Tensor], torch.Tensor]
 """From observations (N, 11) to actions (N, 2)."""
+REACH = {"delta_x": 0.1, "delta_z": 0.1, "integral_x": 1.0, "integral_z": 1.0, "velocity_x": 0.3, "velocity_z": 0.3,
+         "rate": 0.5}  # fmt: skip
+"""Distances over which a policy is made linear, in the units of its inputs."""
 BANDS = (0.0, 0.1, 0.25, 0.5, np.inf)
 """Of dry friction, N."""
 VERTICAL = ("delta_z", "velocity_z", "integral_z")
@@ -121,7 +124,11 @@ def tune_linear(env: VppEnv, policy: torch.nn.Module, evaluations: int, seed: in
     """Position error [m] and share of the best reward that rest lacks, of a policy and a tuned linear controller."""
     target = torch.zeros(1, len(OBSERVATION))
     target[0, OBSERVATION.index("cos_delta_theta")] = target[0, OBSERVATION.index("cos_target_theta")] = 1.0
-    gains = torch.autograd.functional.jacobian(lambda seen: policy(seen).atanh()[0], target)[:, 0]
+    # Over these distances, not at the target itself: there its inputs are magnified.
+    moves = torch.diag(torch.tensor([REACH.get(name, 0.1) for name in OBSERVATION]))
+    with torch.no_grad():
+        ahead, back = policy(target + moves).atanh(), policy(target - moves).atanh()
+    gains = ((ahead - back) / (2.0 * moves.diagonal()[:, None])).T
     up, along = ([OBSERVATION.index(name) for name in names] for names in (VERTICAL, LATERAL))
     with torch.no_grad():
         trim = float(policy(target).atanh()[0, 0])

@@ -15,7 +15,7 @@ from vpptwin.twin import TwinSpec, load_twin
 
 MODELS = ("vpp_planar", "rail_rig")
 # Flights drawn of each case, s of flight, and how many of them must be left without those that run into something.
-WHOLE = {"none": 300, "all": 220}, 1.0, 100
+WHOLE = {"none": 600, "all": 220}, 1.0, 100
 SINGLE = dict.fromkeys(DYNAMIC, 24), 0.5, 12
 CASES = [
     (model, case)
