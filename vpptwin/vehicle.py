@@ -52,8 +52,8 @@ class Rig(Section):
     travel_z: Travel
 
 
-class Rotor(Section):
-    """Propeller: governed speed [rad/s], thrust and drag constants, inertia [kg m^2], pitch_max [rad].
+class RotorConstants(Section):
+    """What a thrust stand tells of a propeller: thrust and drag constants, inertia [kg m^2].
 
     k_t [N s/rad^2], k_d1 [N m s^2], k_d2 [N m s^2/rad^2], k_d3 [N m s/rad].
 
@@ -62,7 +62,6 @@ class Rotor(Section):
     blade elements with inflow: s = ±x², x² + inflow x = k_t |α|.
     """
 
-    speed: Positive
     k_t: Positive
     k_t2: Number = 0.0
     k_t3: Number = 0.0
@@ -72,16 +71,27 @@ class Rotor(Section):
     k_d2: NonNegative
     k_d3: NonNegative
     inertia: Positive
+
+
+class Rotor(RotorConstants):
+    """Propeller: its constants, governed speed [rad/s], pitch_max [rad]."""
+
+    speed: Positive
     pitch_max: Positive
 
 
-class Motor(Section):
-    """Motor: k_v [rad/s/V], k_q [A/(N m)], resistance [ohm], no_load_current [A], battery [V]."""
+class MotorConstants(Section):
+    """What a thrust stand tells of a motor: k_v [rad/s/V], k_q [A/(N m)], resistance [ohm], no_load_current [A]."""
 
     k_v: Positive
     k_q: Positive
     resistance: Positive
     no_load_current: NonNegative
+
+
+class Motor(MotorConstants):
+    """Motor: its constants, battery [V]."""
+
     battery: Positive
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.reality.flight import fly_many
 from tests.reality.recording import write_mcap
 from vpptwin.cli import main
-from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
+from vpptwin.identification.free_flight import FlightFit, fit_flights, pair_up, parse_parameters
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
@@ -67,7 +69,9 @@ def test_the_command(
     fitted: FlightFit,
 ) -> None:  # fmt: skip
     """It prints values, pairs and errors, and writes a twin that has them."""
-    monkeypatch.setattr("vpptwin.identification.command.fit_flights", lambda *given: fitted)
+    pair = (("air.drag", "k_d"), ("servo.lag", "time_constant"), -0.95)
+    shown = replace(fitted, alike=[*fitted.alike, pair])
+    monkeypatch.setattr("vpptwin.identification.command.fit_flights", lambda *given: shown)
     out = tmp_path / "twin.yaml"
     assert main(["identify", *map(str, logs), "--parameters", "air.drag,servo.lag", "--out", str(out)]) == 0
     said = capsys.readouterr().out
@@ -76,9 +80,17 @@ def test_the_command(
     assert "held out chi²" in said
     spec = load_twin(out)
     assert spec.effects["air.drag"]["k_d"] == pytest.approx(fitted.values["air.drag", "k_d"].value, rel=1e-5)
-    for first, second, likeness in fitted.alike:
+    for first, second, likeness in shown.alike:
         assert f"{'.'.join(first)} and {'.'.join(second)}" in said
         assert abs(likeness) > 0.9
+
+
+def test_pairs_by_hand() -> None:
+    """Of three parameters the two whose errors go together are named, however small their units, with the sign."""
+    keys = [("a", "x"), ("b", "y"), ("c", "z")]
+    covariance = np.array([[1e-6, 0.5e-3, -0.97e-3], [0.5e-3, 1.0, 0.2], [-0.97e-3, 0.2, 1.0]])
+    assert pair_up(keys, covariance) == [(keys[2], keys[0], pytest.approx(-0.97))]
+    assert pair_up(keys, np.diag([1.0, 0.0, 2.0])) == []
 
 
 @pytest.mark.parametrize(

@@ -3,63 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from vpptwin.errors import InputError
-from vpptwin.vehicle import NonNegative, Number, Positive, Vehicle, describe_problem
+from vpptwin.vehicle import MotorConstants, NonNegative, RotorConstants, Section, Servo, Vehicle, describe_problem
 
 
-class Part(BaseModel):
-    """A part of the file: unknown keys are refused."""
+class DelayedServo(Servo):
+    """A servo with the delay of its commands [s]."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class RotorPart(Part):
-    """Keys of a vehicle's rotor that a thrust stand tells."""
-
-    k_t: Positive
-    k_t2: Number = 0.0
-    k_t3: Number = 0.0
-    inflow: NonNegative = 0.0
-    thrust_power: Annotated[float, Field(ge=1.0, le=2.0)] = 1.0
-    k_d1: NonNegative
-    k_d2: NonNegative
-    k_d3: NonNegative
-    inertia: Positive
-
-
-class MotorPart(Part):
-    """Keys of a vehicle's motor that a thrust stand tells."""
-
-    k_v: Positive
-    k_q: Positive
-    resistance: Positive
-    no_load_current: NonNegative
-
-
-class ServoPart(Part):
-    """Lag and delay of a servo [s]."""
-
-    time_constant: Positive
     delay: NonNegative = 0.0
 
 
-class ActuatorFile(Part):
+class ActuatorFile(Section):
     """The file. What follows `servo` is for people."""
 
-    rotor: RotorPart
-    motor: MotorPart
-    servo: ServoPart
-    intervals_90: dict[str, list[float]] = {}
-    thrust_map: dict[str, object] = {}
-    speed_disturbance: list[float] = []
-    held_out: dict[str, dict[str, object]] = {}
-    notes: list[str] = []
-    provenance: dict[str, object] = {}
+    rotor: RotorConstants
+    motor: MotorConstants
+    servo: DelayedServo
+    intervals_90: dict[str, list[float]] = Field(default_factory=dict)
+    thrust_map: dict[str, object] = Field(default_factory=dict)
+    speed_disturbance: list[float] = Field(default_factory=list)
+    held_out: dict[str, dict[str, object]] = Field(default_factory=dict)
+    notes: list[str] = Field(default_factory=list)
+    provenance: dict[str, object] = Field(default_factory=dict)
 
 
 def load_actuator(path: Path) -> ActuatorFile:

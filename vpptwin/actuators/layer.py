@@ -13,7 +13,7 @@ from numba.extending import register_jitable
 from vpptwin.actuators.adaptive import SIZE
 from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.motor import compute_current, step_speed
-from vpptwin.actuators.numbers import VehicleNumbers
+from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
 
 Record = Any
@@ -105,7 +105,7 @@ def command_from_policy(
 
 
 @register_jitable
-def supply(constants: Record, time: float) -> float:
+def supply(constants: Record, time: Number) -> Number:
     """Share of its voltage that the battery still has at a time [s]."""
     return np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
 

@@ -17,7 +17,7 @@ from vpptwin.actuators.file import ActuatorFile
 from vpptwin.diagnosis.command import tell_stage
 from vpptwin.diagnosis.holdout import HORIZONS_S
 from vpptwin.diagnosis.provenance import Provenance, trace_origin
-from vpptwin.diagnosis.twin_file import extend_effects, name_twin, round_digits
+from vpptwin.diagnosis.twin_file import SIGMAS_90, extend_effects, name_twin, round_digits
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
@@ -27,9 +27,6 @@ from vpptwin.identification.thrust_map import ThrustMap, inflow
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
-
-SIGMAS_90 = 1.645
-"""Half a 90 % interval in standard deviations."""
 
 
 def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = None, vehicle: Path | None = None) -> None:

@@ -16,7 +16,7 @@ from vpptwin.diagnosis.suspects import solve_hypothesis
 from vpptwin.diagnosis.verdict import Estimate
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
-from vpptwin.estimation.measurements import Measurements
+from vpptwin.identification.actuator import solve_linear
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
@@ -123,28 +123,29 @@ def fit_flights(
         before, after = material.held_out.score({}), material.held_out.score(fit.values)
     freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects, search.scale)
-    covariance = solution.covariance[np.ix_(freed, freed)]
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    likeness = covariance / deviation[:, None] / deviation
-    keys = [search.unknowns[i].key for i in freed]
-    pairs = [(keys[i], keys[j], float(likeness[i, j])) for i in range(len(keys)) for j in range(i)]
     own = [search.unknowns[i] for i in freed]
     logs = list(zip(flights, material.measurements))
     return FlightFit(
         values={unknown.key: estimate(unknown, fit) for unknown in own},
-        alike=sorted((pair for pair in pairs if abs(pair[2]) > ALIKE), key=lambda pair: -abs(pair[2])),
+        alike=pair_up([unknown.key for unknown in own], solution.covariance[np.ix_(freed, freed)]),
         vague=[unknown.key for unknown in own if fit.std[unknown.key] > VAGUE * unknown.width / 3.0],
         before=before,
         after=after,
         windows=(len(search.bench.windows), len(material.held_out.short.windows)),
-        drag=regress_drag(spec, flights, material.measurements) if "air.drag" in effects else None,
+        drag=regress_drag(spec, flights) if "air.drag" in effects else None,
         warnings=[f"{f.path.name}: {text}" for f, m in logs for text in (*f.warnings, *m.warnings)],
     )
 
 
-def regress_drag(
-    spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements]
-) -> LeastSquares | None:
+def pair_up(keys: Sequence[Key], covariance: np.ndarray) -> list[tuple[Key, Key, float]]:
+    """Pairs whose errors correlate by more than `ALIKE`, with the correlation, the worst first; covariance (P, P)."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    likeness = covariance / deviation[:, None] / deviation
+    pairs = [(keys[i], keys[j], float(likeness[i, j])) for i in range(len(keys)) for j in range(i)]
+    return sorted((pair for pair in pairs if abs(pair[2]) > ALIKE), key=lambda pair: -abs(pair[2]))
+
+
+def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | None:
     """k_d by least squares from thrust commands and recorded accelerations; None where a log lacks one of them.
 
     Along z, where neither carriage nor horizontal rail come in: m (a + g) = f cos θ - k_d |v| v_z, with a + g from the
@@ -180,7 +181,5 @@ def regress_drag(
     if len(pushed) < 50 or not np.any(pushed):
         return None
     inputs = np.column_stack([pushed, np.ones(len(pushed))])
-    found = np.linalg.lstsq(inputs, missed, rcond=None)[0]
-    left = missed - inputs @ found
-    covariance = np.linalg.inv(inputs.T @ inputs) * float(left @ left) / max(len(left) / 10.0 - 2.0, 1.0)
-    return LeastSquares(float(found[0]), float(np.sqrt(covariance[0, 0])), len(pushed))
+    found, std = solve_linear(inputs, missed, 10.0)
+    return LeastSquares(float(found[0]), float(std[0]), len(pushed))

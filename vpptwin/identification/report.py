@@ -8,13 +8,12 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from vpptwin.diagnosis.provenance import Provenance
+from vpptwin.diagnosis.twin_file import SIGMAS_90
 from vpptwin.identification.actuator import WINDOW, Actuator, find_steps, lag_pitch
 from vpptwin.identification.bench import BenchRun
 from vpptwin.identification.thrust_map import ThrustMap, fit_map
 from vpptwin.viz.figure import name_axes, open_figure, write_svg
 from vpptwin.viz.palette import BLUE, GREEN, ORANGE, VERMILION
-
-SIGMAS_90 = 1.645
 
 
 def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -> str:
@@ -34,7 +33,7 @@ def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -
     largest = float(np.abs(found.levels.thrust).max())
     return environment.get_template("identify.html.j2").render(
         found=found, rows=rows, maps=sorted(found.maps, key=lambda m: m.held_out), largest=largest, line=line,
-        figures=[draw_thrust(found, line), draw_misses(found, line), draw_current(found), draw_step(found, runs)],
+        figures=[draw_thrust(found), draw_misses(found, line), draw_current(found), draw_step(found, runs)],
         disturbance=describe_polynomial(found.disturbance), origin=origin,
     )  # fmt: skip
 
@@ -46,7 +45,7 @@ def describe_polynomial(values: np.ndarray) -> str:
     return " + ".join(terms).replace("+ -", "- ")
 
 
-def draw_thrust(found: Actuator, line: ThrustMap) -> str:
+def draw_thrust(found: Actuator) -> str:
     """Thrust of the levels against pitch, with the chosen map at each speed."""
     levels = found.levels
     with open_figure(4.6, 3.4) as figure:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vpptwin.actuators.layer import supply
 from vpptwin.actuators.motor import compute_current
 from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.logs.flight import Stream
@@ -30,8 +31,8 @@ def record_streams(tracks: Tracks, row: int = 0) -> dict[str, Stream]:
     force = body_force(pose[None], velocity[None], tracks.step, vehicle.gravity)[0]
     force = 0.5 * (force[lead - 1 : -1] + force[lead:]) + sensors.imu.accel_std * noise[:, 1:3]
     rate = measure_rate(constants, velocity[lead:-1, 2]) + sensors.imu.gyro_std * noise[:, 0]
-    supply = vehicle.motor.battery * np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
-    voltage = tracks.throttle[row, lead - 1 : -2] * supply[:, None]
+    full = vehicle.motor.battery * supply(constants, time)
+    voltage = tracks.throttle[row, lead - 1 : -2] * full[:, None]
     current = compute_current(record_vehicle(vehicle)[0].motor, voltage, speed[lead:-1])
     target = tracks.target[row, lead_ticks:]
     changed = np.append(True, (np.diff(target, axis=0) != 0.0).any(axis=1))
@@ -53,7 +54,7 @@ def record_streams(tracks: Tracks, row: int = 0) -> dict[str, Stream]:
             },
         ),
         "/setpoint/pose": Stream(ticks[changed], name_pose(target[changed])),
-        "/battery": Stream(time[seconds], {"voltage": supply[seconds]}),
+        "/battery": Stream(time[seconds], {"voltage": full[seconds]}),
     }
 
 

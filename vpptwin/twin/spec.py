@@ -25,8 +25,6 @@ EffectValues = dict[str, dict[str, float]]
 Controller = Literal["map", "adaptive"]
 """How the drone's firmware turns thrust into blade pitch: by the vehicle's map, or learning what the map gets wrong."""
 
-NO_CONTROLLER = "it with our drone only: other rigs are driven as their log says", "leave it out"
-
 
 def refuse_bool(value: object) -> object:
     """Refuse what YAML reads from `yes` and `on`, which would otherwise count as 1."""
@@ -121,7 +119,9 @@ class TwinSpec:
         if controller not in known:
             raise InputError(f"unknown controller {controller!r}", f"one of {', '.join(known)}", "check the name")
         if self.vehicle is None and controller != "map":
-            raise InputError(f"{self.name}: controller {controller!r} without vehicle", *NO_CONTROLLER)
+            raise InputError(
+                f"{self.name}: controller {controller!r} without vehicle", "it with our drone only", "leave it out"
+            )
         return replace(self, controller=cast(Controller, controller))
 
     def value(self, effect: Effect, parameter: str) -> float:
@@ -236,8 +236,6 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         if actuator.servo.delay > 0.0:
             given.setdefault("command.delay", {"delay": actuator.servo.delay})
     model = compile_model(model_file, vehicle)
-    if vehicle is None and file.controller != "map":
-        raise InputError(f"{name}: controller {file.controller!r} without vehicle", *NO_CONTROLLER)
     if vehicle is not None:
         if file.signals is not None:
             raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
@@ -258,19 +256,11 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         driven_joints = frozenset(file.signals.driven if file.signals is not None else {})
         catalogue = extend_catalogue(catalogue, effect_files, Rig(model, vehicle, driven_joints), vehicle)
     effects = check_effects(given, catalogue, name)
-    return TwinSpec(
-        name,
-        model_file,
-        model,
-        vehicle,
-        catalogue,
-        effects,
-        file.signals,
-        vehicle_file,
-        effect_files,
-        file.controller,
-        actuator_file,
-    )
+    spec = TwinSpec(
+        name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files,
+        actuator_file=actuator_file,
+    )  # fmt: skip
+    return spec.with_controller(file.controller)
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
