@@ -133,6 +133,9 @@ def build_parser() -> argparse.ArgumentParser:
         help="effects drawn from their priors, separated by commas, or paper (default), all, none",
     )  # fmt: skip
     evaluate.add_argument("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
+    evaluate.add_argument(
+        "--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)"
+    )
     add_effects(evaluate)
     evaluate.add_argument("--json", type=Path)
     evaluate.set_defaults(run=run_evaluate)
@@ -298,7 +301,7 @@ def run_evaluate(options: argparse.Namespace) -> None:
     names = [name for name in options.randomize.split(",") if name not in ("", "none")]
     conditions = Conditions(
         options.task, options.tracks, options.seed, options.twin, options.noise, names, options.thrust_to_weight,
-        [str(file) for file in options.effects],
+        [str(file) for file in options.effects], options.estimator,
     )  # fmt: skip
     result = evaluate(options.checkpoint, conditions, options.json)
     print(json.dumps(result, indent=2))

@@ -28,6 +28,7 @@ ABLATIONS = {
     "no randomization": ["randomize=[]"],
     "no averaging": ["average=0"],
     "paper's reward": ["task.weights.near=0"],
+    "estimated states": ["estimator=kalman"],
 }
 """One thing left out or exchanged, the rest as `All`."""
 TASKS = {

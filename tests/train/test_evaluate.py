@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,17 +69,20 @@ def test_conditions_decide_what_is_flown(tiny_run: Path) -> None:
     strong = configure_flights(trained, Conditions("wall-backtrack", thrust_to_weight=3.0))
     assert strong.task.thrust_to_weight == 3.0
     assert WALL_BACKTRACK.thrust_to_weight == 2.5
-    assert same.setup == trained.setup
+    assert (same.setup, same.estimator) == (trained.setup, "sensors")
+    assert configure_flights(trained, Conditions(estimator="kalman")).estimator == "kalman"
+    assert configure_flights(replace(trained, estimator="kalman"), Conditions()).estimator == "kalman"
 
 
 def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`vpptwin evaluate` prints what was flown: no effects with `--randomize none`, names and groups otherwise."""
     command = ["evaluate", str(tiny_run), "--tracks", "2", "--seed", "3", "--noise", "0.5"]
     for given, expected in (("none", []), ("air.drag,servo.lag", ["air.drag", "servo.lag"])):
-        assert main([*command, "--randomize", given, "--thrust-to-weight", "2"]) == 0
+        assert main([*command, "--randomize", given, "--thrust-to-weight", "2", "--estimator", "kalman"]) == 0
         result = json.loads(capsys.readouterr().out)
         assert sorted(result["randomized"]) == expected
         assert (result["noise"], result["seed"], result["thrust_to_weight"]) == (0.5, 3, 2.0)
+        assert result["estimator"] == "kalman"
 
 
 @pytest.mark.parametrize(
@@ -89,6 +93,7 @@ def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.Capture
         (Conditions(tracks=4, twin="nowhere.yaml"), "out.json", "nowhere.yaml"),
         (Conditions(tracks=4, randomize=["air.drog"]), "out.json", "air.drog"),
         (Conditions(tracks=4, thrust_to_weight=0.9), "out.json", "thrust_to_weight=0.9"),
+        (Conditions(tracks=4, estimator="luenberger"), "out.json", "unknown estimator 'luenberger'"),
         (Conditions(tracks=4), "missing/out.json", "cannot write"),
     ],
 )

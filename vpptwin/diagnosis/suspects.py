@@ -209,7 +209,7 @@ def solve_hypothesis(
     bounds = (low[moving] - margin) / unit, (high[moving] + margin) / unit
     inside = np.linalg.solve(factor.T, wanted)
     if np.any(inside < bounds[0]) or np.any(inside > bounds[1]):
-        inside = lsq_linear(factor.T, wanted, bounds=bounds).x
+        inside = lsq_linear(factor.T, wanted, bounds=bounds, method="bvls").x
     step = inside * unit
     deviation = np.zeros(len(unknowns))
     deviation[moving] = step

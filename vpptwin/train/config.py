@@ -12,6 +12,8 @@ from vpptwin.errors import InputError
 from vpptwin.train.observe import SETUPS, Sight
 from vpptwin.train.tasks import Task, check_task
 
+ESTIMATORS = ("sensors", "kalman")
+"""What a policy can be shown: readings, or a filter's estimate from them."""
 HELP = "`vpptwin train --help` lists every option"
 
 
@@ -274,7 +276,7 @@ def check_values(config: TrainConfig) -> None:
     if config.lipschitz is not None and not config.lipschitz > 0.0:
         raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)
     choices = {
-        "estimator": ("sensors", "kalman"),
+        "estimator": ESTIMATORS,
         "setup": SETUPS,
         "critic": ("mlp", "lstm"),
         "collector": ("local", "ray"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
-from vpptwin.train.config import TrainConfig
+from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
 from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
@@ -44,6 +44,7 @@ class Conditions:
         randomize: effects, or groups of them, drawn from their priors for every flight.
         thrust_to_weight: None for the task's.
         effects: Python files with effects of the user's own; those of training come with the twin of training.
+        estimator: what the policy is shown, `sensors` or `kalman`; None for that of training.
     """
 
     task: str | None = None
@@ -54,6 +55,7 @@ class Conditions:
     randomize: Sequence[str] = (PAPER,)
     thrust_to_weight: float | None = None
     effects: Sequence[str] = ()
+    estimator: str | None = None
 
 
 def evaluate(checkpoint: Path | str, conditions: Conditions | None = None) -> dict[str, Any]:
@@ -75,13 +77,15 @@ def evaluate(checkpoint: Path | str, conditions: Conditions | None = None) -> di
         raise InputError(f"tracks={given.tracks}", "at least 1", "ask for more, e.g. --tracks 100")
     content = read_checkpoint(checkpoint)
     policy, trained = build_policy(content, checkpoint)
-    env = make_env(configure_flights(trained, given))
+    config = configure_flights(trained, given)
+    env = make_env(config)
     flown = fly_tracks(env, policy)
     limits, kept = env.task.success, ~flown.failed
     return {
         "task": env.task.name, "twin": given.twin or trained.twin, "tracks": given.tracks, "seed": given.seed,
         "noise": given.noise, "randomized": list(env.randomized), "thrust_to_weight": env.task.thrust_to_weight,
-        "window_s": limits.window, "success_distance_m": limits.position, "success_angle_rad": limits.angle,
+        "estimator": config.estimator, "window_s": limits.window, "success_distance_m": limits.position,
+        "success_angle_rad": limits.angle,
         "fail_rate": float(flown.failed.mean()), "success_share": float(flown.success.mean()),
         "position_error_m": summarize(flown.position_error[kept]),
         "upright_error_m": summarize(flown.position_error[kept & ~flown.inverted]),
@@ -98,8 +102,10 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
     """The configuration of training with everything that evaluation decides for itself.
 
     Raises:
-        InputError: on an unknown task.
+        InputError: on an unknown task or estimator.
     """
+    if given.estimator not in (None, *ESTIMATORS):
+        raise InputError(f"unknown estimator {given.estimator!r}", f"one of {', '.join(ESTIMATORS)}", "check the name")
     if given.task is not None and given.task not in TASKS:
         raise InputError(f"unknown task {given.task!r}", f"one of {', '.join(TASKS)}", "check the name")
     task = trained.task if given.task in (None, trained.task.name) else TASKS[str(given.task)]
@@ -110,6 +116,7 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
     return replace(
         trained, task=task, num_envs=given.tracks, seed=given.seed, twin=given.twin or trained.twin, noise=given.noise,
         randomize=list(given.randomize), desynchronize=False, effects=[*own, *given.effects],
+        estimator=given.estimator or trained.estimator,
     )  # fmt: skip
 
 
