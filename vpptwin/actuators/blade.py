@@ -19,6 +19,20 @@ def is_straight(rotor: RotorNumbers) -> bool:
 
 
 @register_jitable
+def shape_thrust(k_t: Number, k_t2: Number, k_t3: Number, inflow: Number, pitch: Number) -> Number:
+    """Thrust per speed at blade pitch α [rad], N s/rad.
+
+    A polynomial in |α| that is odd in α, or, with inflow q, blade elements with momentum theory: √s solves
+    x² + q x = k_T |α|, as C_T = σa/2 (θ/3 - √(C_T/2)/2) has it.
+    """
+    size = np.abs(pitch)
+    if inflow > 0.0:
+        x = 0.5 * (np.sqrt(inflow * inflow + 4.0 * k_t * size) - inflow)
+        return np.sign(pitch) * x * x
+    return pitch * (k_t + size * (k_t2 + size * k_t3))
+
+
+@register_jitable
 def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     """Thrust [N] at speed [rad/s] and blade pitch [rad]; negative below zero pitch.
 
@@ -27,11 +41,7 @@ def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     if is_straight(rotor):
         return rotor.k_t * speed * pitch
     scale = speed * (speed / rotor.speed) ** (rotor.thrust_power - 1.0)
-    size = np.abs(pitch)
-    if rotor.inflow > 0.0:
-        x = 0.5 * (np.sqrt(rotor.inflow * rotor.inflow + 4.0 * rotor.k_t * size) - rotor.inflow)
-        return scale * np.sign(pitch) * x * x
-    return scale * pitch * (rotor.k_t + size * (rotor.k_t2 + size * rotor.k_t3))
+    return scale * shape_thrust(rotor.k_t, rotor.k_t2, rotor.k_t3, rotor.inflow, pitch)
 
 
 @register_jitable

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,17 +21,17 @@ SETTLE, HOLD = 0.25, 0.15
 """After a change of pitch or throttle a stretch settles for so long, and counts if it is held for as long again [s]."""
 STILL = 1e-4
 """Pitch commands that differ by less are the same one [rad]."""
+SAME = 0.002
+"""Held pitches that round to the same multiple of this are one [rad]."""
 PITCH_LEVELS, SPEED_SPREAD = 5, 0.05
 """Least number of different pitches, and least share by which rotor speeds have to differ."""
 
 
-@dataclass(frozen=True)
-class BenchRun:
-    """One run on one grid of time, `dt` apart; only the rotors that turn, r of them.
+@dataclass(frozen=True, kw_only=True)
+class Readings:
+    """What a stand tells at n times; only the rotors that turn, r of them.
 
     Attributes:
-        path: of the log.
-        dt: s.
         pitch: commanded, (n, r) rad.
         throttle: commanded, (n, r).
         speed: (n, r) rad/s.
@@ -41,8 +41,6 @@ class BenchRun:
         voltage: of the battery, (n,) V.
     """
 
-    path: Path
-    dt: float
     pitch: np.ndarray
     throttle: np.ndarray
     speed: np.ndarray
@@ -50,41 +48,42 @@ class BenchRun:
     thrust: np.ndarray
     torque: np.ndarray | None
     voltage: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchRun(Readings):
+    """One run on one grid of time.
+
+    Attributes:
+        path: of the log.
+        dt: s.
+    """
+
+    path: Path
+    dt: float
 
     @property
     def time(self) -> np.ndarray:
-        """(n,) s."""
+        """From the first reading, (n,) s."""
         return self.dt * np.arange(len(self.thrust))
 
 
-@dataclass(frozen=True)
-class Levels:
-    """Means over stretches in which nothing was changed, L of them; arrays of rotors are (L, r).
+@dataclass(frozen=True, kw_only=True)
+class Levels(Readings):
+    """Means over stretches in which nothing was changed.
 
     Attributes:
-        run: index of the run.
-        pitch, throttle, speed, current, thrust, voltage: as in `BenchRun`.
-        torque: N m, (L,); None where a run has none.
-        thrust_std: standard error of the mean thrust, (L,) N.
-        slope: what speed changes by meanwhile, (L, r) rad/s².
+        run: index of the run, (n,).
+        slope: what speed changes by meanwhile, (n, r) rad/s².
     """
 
     run: np.ndarray
-    pitch: np.ndarray
-    throttle: np.ndarray
-    speed: np.ndarray
-    current: np.ndarray
-    thrust: np.ndarray
-    torque: np.ndarray | None
-    voltage: np.ndarray
-    thrust_std: np.ndarray
     slope: np.ndarray
 
     @property
     def group(self) -> np.ndarray:
-        """Which of the different pitches of the first rotor each has, (L,)."""
-        rounded = np.round(self.pitch[:, 0] / 0.002).astype(int)
-        return np.unique(rounded, return_inverse=True)[1]
+        """Which of the different pitches of the first rotor each has, (n,)."""
+        return np.unique(np.round(self.pitch[:, 0] / SAME), return_inverse=True)[1]
 
 
 def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> BenchRun:
@@ -121,11 +120,16 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
         voltage = np.interp(time, battery.time, battery["voltage"])
     held = np.clip(np.searchsorted(command.time, time + 1e-9, side="right") - 1, 0, None)
     return BenchRun(
-        path, dt, command["blade_pitch"][held][:, turning], command["throttle"][held][:, turning],
-        interpolate(time, state, "speed")[:, turning], interpolate(time, state, "current")[:, turning],
-        np.interp(time, wrench.time, wrench["force_z"]),
-        np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None, voltage,
-    )  # fmt: skip
+        path=path,
+        dt=dt,
+        pitch=command["blade_pitch"][held][:, turning],
+        throttle=command["throttle"][held][:, turning],
+        speed=interpolate(time, state, "speed")[:, turning],
+        current=interpolate(time, state, "current")[:, turning],
+        thrust=np.interp(time, wrench.time, wrench["force_z"]),
+        torque=np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None,
+        voltage=voltage,
+    )
 
 
 def check_topics(flight: Flight) -> None:
@@ -156,38 +160,33 @@ def find_levels(runs: Sequence[BenchRun]) -> Levels:
     Raises:
         InputError: if there are too few different pitches or speeds, saying for which constants.
     """
-    rows: list[tuple] = []
+    stretches: list[tuple[int, slice]] = []
     for number, run in enumerate(runs):
         changed = (np.abs(np.diff(run.pitch, axis=0)) > STILL).any(axis=1)
         edges = np.concatenate([[0], np.flatnonzero(changed) + 1, [len(run.pitch)]])
         settle, hold = round(SETTLE / run.dt), round(HOLD / run.dt)
-        for start, end in pairwise(edges):
-            if end - start < settle + hold:
-                continue
-            part = slice(start + settle, end)
-            count = end - start - settle
-            rows.append((
-                number, run.pitch[part].mean(axis=0), run.throttle[part].mean(axis=0), run.speed[part].mean(axis=0),
-                run.current[part].mean(axis=0), run.thrust[part].mean(),
-                np.nan if run.torque is None else run.torque[part].mean(), run.voltage[part].mean(),
-                run.thrust[part].std() / np.sqrt(max(count / 20.0, 1.0)),
-                np.polyfit(run.time[part], run.speed[part], 1)[0],
-            ))  # fmt: skip
-    names = ", ".join(str(run.path) for run in runs)
-    pitches = {round(float(row[1][0]) / 0.002) for row in rows}
-    if len(pitches) < PITCH_LEVELS:
+        kept = [(start + settle, end) for start, end in pairwise(edges) if end - start >= settle + hold]
+        stretches += [(number, slice(*ends)) for ends in kept]
+
+    def average(name: str) -> np.ndarray:
+        return np.array([getattr(runs[number], name)[part].mean(axis=0) for number, part in stretches])
+
+    slopes = [np.polyfit(runs[i].time[part], runs[i].speed[part], 1)[0] for i, part in stretches]
+    torque = None if any(run.torque is None for run in runs) else average("torque")
+    means = {f.name: average(f.name) for f in fields(Readings) if f.name != "torque"}
+    levels = Levels(run=np.array([i for i, _ in stretches]), slope=np.array(slopes), torque=torque, **means)
+    names, pitches = ", ".join(str(run.path) for run in runs), len(np.unique(levels.group)) if stretches else 0
+    if pitches < PITCH_LEVELS:
         raise InputError(
-            f"{names}: {len(pitches)} different pitches held for {SETTLE + HOLD:g} s and more",
+            f"{names}: {pitches} different pitches held for {SETTLE + HOLD:g} s and more",
             f"{PITCH_LEVELS} at least, of both signs, for the thrust map and for k_d1, k_d2, k_d3",
             "step through more pitches, or hold each for longer",
         )
-    speeds = np.array([float(row[3].mean()) for row in rows])
+    speeds = levels.speed.mean(axis=1)
     if np.ptp(speeds) < SPEED_SPREAD * speeds.mean():
         raise InputError(
             f"{names}: one rotor speed, {speeds.mean():.0f} rad/s",
             f"speeds that differ by {SPEED_SPREAD:.0%} and more, for no_load_current, k_d1, k_v and resistance",
             "add a run at another speed",
         )
-    index, pitch, throttle, speed, current, thrust, torque, voltage, std, slope = (np.array(c) for c in zip(*rows))
-    known = None if np.isnan(torque).any() else torque
-    return Levels(index, pitch, throttle, speed, current, thrust, known, voltage, std, slope)
+    return levels

@@ -11,27 +11,28 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from vpptwin.actuators.blade import shape_thrust
+
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """From pitch, (n,) rad, and coefficients to s(α)."""
 
 
 def bend(order: int) -> Shape:
-    """A polynomial in |α| that is odd in α: k_1 α + k_2 α|α| + k_3 α³ + ..."""
+    """A polynomial in |α| that is odd in α, of up to third order."""
 
     def shape(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
-        size, total = np.abs(pitch), np.zeros_like(pitch)
-        for power in range(order, 0, -1):
-            total = total * size + values[power - 1]
-        return total * pitch
+        k_t, k_t2, k_t3 = np.concatenate([values[:order], np.zeros(3 - order)])
+        bent: np.ndarray = shape_thrust(k_t, k_t2, k_t3, 0.0, pitch)
+        return bent
 
     return shape
 
 
 def inflow(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Blade elements with momentum theory: √s solves x² + q x = p |α|, as C_T = σa/2 (θ/3 - √(C_T/2)/2) has it."""
+    """Blade elements with momentum theory; of coefficients that a search made negative the size counts."""
     p, q = np.abs(values)
-    x = 0.5 * (-q + np.sqrt(q * q + 4.0 * p * np.abs(pitch)))
-    return np.sign(pitch) * x * x
+    bent: np.ndarray = shape_thrust(p, 0.0, 0.0, q, pitch)
+    return bent
 
 
 @dataclass(frozen=True)
