@@ -95,8 +95,7 @@ def finish(run: Run, tracks: int) -> dict:
         call(["evaluate", str(run.out), "--tracks", str(tracks), "--json", str(judged)], run.folder / "evaluate.log")
     result = json.loads(judged.read_text())
     curve = {name: read_curve(run.out, name) for name in ("return", "exam_error_m", "exam_failures")}
-    result["evaluation_seed"] = result["seed"]
-    return {**result, "variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text())}
+    return {"variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text()), **result}
 
 
 def call(arguments: list[str], log: Path) -> None:

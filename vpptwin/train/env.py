@@ -103,7 +103,6 @@ class VppEnv(EnvBase):
         self._priors = Priors.of(twin.effects[effect] for effect in self.randomized)
         self.rng = np.random.default_rng(seed)
         self.duration = task.episode if lesson is None else task.training_episode or task.episode
-        self.reach = task.success.reach if lesson is None else task.success.training_reach or task.success.reach
         n, parameters = twin.num_sims, len(self._priors.keys)
         self.state = twin.initial_state()
         self._before = self.state.copy()
@@ -286,7 +285,7 @@ class VppEnv(EnvBase):
         ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
         if not len(ids):
             return
-        episodes.missed[ids] |= episodes.closest[ids] > (self.reach or np.inf)
+        episodes.missed[ids] |= episodes.closest[ids] > (self.task.success.reach or np.inf)
         episodes.closest[ids] = np.inf
         episodes.stage[ids] += 1
         episodes.surprised[ids] = not target.expected

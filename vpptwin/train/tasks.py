@@ -145,17 +145,14 @@ class Success:
         angle: largest mean angle error over the last `window`, rad.
         window: s.
         reach: every angle that was asked for has to be met within this at some time while it was, rad; null for no such
-            condition.
-        training_reach: the same in training, where a flight that misses an angle ends there: by the paper's reward
-            alone a craft that can't stay at an angle had better not go there. Stricter, as a policy goes as far as it
-            has to; null for `reach`.
+            condition. A flight of training that misses one ends there: by the paper's reward alone a craft that can't
+            stay at an angle had better not go there.
     """
 
     position: float = 0.05
     angle: float = 0.2
     window: float = 1.0
     reach: float | None = None
-    training_reach: float | None = None
 
 
 @dataclass
@@ -222,7 +219,7 @@ WALL_BACKTRACK = Task(
     ),
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False),
-    success=Success(reach=math.radians(15.0), training_reach=math.radians(10.0)),
+    success=Success(reach=math.radians(15.0)),
 )
 TASKS: dict[str, Task] = {task.name: task for task in (HOVER, FLIP, WALL_BACKTRACK)}
 """Every task by name."""
@@ -258,10 +255,6 @@ def check_task(task: Task) -> None:
         if not 0.0 <= value < math.inf or (f.name == "width" and value == 0.0):
             expected = "a width above 0" if f.name == "width" else "0 or more"
             raise InputError(f"task.weights.{f.name}={value}", expected, "correct it")
-    for name in ("reach", "training_reach"):
-        angle = getattr(task.success, name)
-        if angle is not None and angle <= 0.0:
-            raise InputError(f"task.success.{name}={angle}", "an angle above 0, or null", "correct it")
     if task.training_episode is not None and task.training_episode <= 0.0:
         raise InputError(f"task.training_episode={task.training_episode}", "a time above 0, or null", "correct it")
     if not 0.0 <= task.again <= 1.0:
