@@ -95,7 +95,8 @@ def finish(run: Run, tracks: int) -> dict:
         call(["evaluate", str(run.out), "--tracks", str(tracks), "--json", str(judged)], run.folder / "evaluate.log")
     result = json.loads(judged.read_text())
     curve = {name: read_curve(run.out, name) for name in ("return", "exam_error_m", "exam_failures")}
-    return {"variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text()), **result}
+    result["evaluation_seed"] = result["seed"]
+    return {**result, "variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text())}
 
 
 def call(arguments: list[str], log: Path) -> None:

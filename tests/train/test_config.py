@@ -99,6 +99,8 @@ def test_every_task_is_valid(task: str) -> None:
         (["task.target.quiet=-1"], "from 0"),
         (["task=wall-backtrack", "task.target.hold=[0,1]"], "times above 0"),
         (["task=wall-backtrack", "task.target.hold=[2,1]"], "[low, high]"),
+        (["task=wall-backtrack", "task.target.margin=0.4"], "below the shortest hold"),
+        (["task=hover", "task.target.margin=-1"], "from 0 to below"),
         (["task.thrust_to_weight=1"], "more than 1"),
         (["task.thrust_to_weight=nan"], "more than 1"),
     ],

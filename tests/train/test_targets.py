@@ -205,9 +205,28 @@ def test_success_needs_the_vertical_to_be_reached() -> None:
     assert env.episodes.missed.tolist() == [False, False, True, True, True]
 
 
+def test_training_takes_an_angle_away_sooner() -> None:
+    """With a margin of 0.2 s holds of 0.3 s last from 0.1 to 0.3 s in training, and 0.3 s in a flight."""
+    times = ("task.target.dwell=[0.1,0.1]", "task.target.hold=[0.3,0.3]", "task.target.margin=0.2")
+    overrides = ("task=wall-backtrack", "num_envs=100", *times)
+    for lesson, shortest in ((None, 0.3), (Lesson(Curriculum(enabled=False), 1000), 0.1)):
+        env = tiny_env(*overrides, lesson=lesson)
+        env.reset()
+        held = np.zeros(100)
+        for _ in range(50):
+            env.state.qpos[:], env.state.qvel[:] = env.episodes.target, 0.0
+            held += 0.01 * (env.episodes.stage == 1)
+            step(env)
+        assert (env.episodes.stage == 2).all()
+        # Steps of 0.01 s; of 100 draws some lie within 5 % of the range's lower end.
+        assert held.min() == pytest.approx(shortest, abs=0.02)
+        assert held.max() == pytest.approx(0.3, abs=0.02)
+
+
 def test_training_ends_where_an_angle_was_missed() -> None:
     """With the trigger that takes the unmet angle away an episode of training fails; one that is flown goes on."""
-    overrides = ("task=wall-backtrack", "task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.1]")
+    times = ("task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.1]", "task.target.margin=0")
+    overrides = ("task=wall-backtrack", *times)
     flown, trained = tiny_env(*overrides), tiny_env(*overrides, lesson=Lesson(Curriculum(enabled=False), 1000))
     for env in (flown, trained):
         env.reset()

@@ -6,7 +6,7 @@ A task is a value, not a class: every number of it can be overridden on the comm
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -59,6 +59,7 @@ class Target:
         in_order: take the angles from first to last, once, instead of at random.
         dwell: uniform distribution of the time until the next trigger, s; null for no trigger.
         hold: in order, the same for the angles between first and last, s; null for as long as `dwell`.
+        margin: in training the shortest hold is shorter by this, s: who has practised faster is there in time.
         turns: share of triggers that ask for a full turn instead of another angle.
         turn_rate: of the target's angle during a full turn, in either direction, rad/s.
         quiet: no trigger in so much of the end of an episode, s; in training there may be.
@@ -73,6 +74,7 @@ class Target:
     in_order: bool = False
     dwell: Range | None = None
     hold: Range | None = None
+    margin: float = 0.0
     turns: float = 0.0
     turn_rate: float = 12.0
     quiet: float = 2.0
@@ -187,6 +189,13 @@ class Task:
     limits: Limits = field(default_factory=Limits)
     success: Success = field(default_factory=Success)
 
+    def practised(self) -> Task:
+        """The task as training has it."""
+        hold = self.target.hold
+        if hold is not None:
+            hold = (hold[0] - self.target.margin, hold[1])
+        return replace(self, episode=self.training_episode or self.episode, target=replace(self.target, hold=hold))
+
 
 WIDE = Start(
     z=(0.9, 1.9), theta=(-math.pi, math.pi), velocity_x=(-1.0, 1.0), velocity_z=(-1.0, 1.0), rate=(-4.0, 4.0)
@@ -216,6 +225,7 @@ WALL_BACKTRACK = Task(
         expected=True,
         dwell=(1.0, 2.0),
         hold=(0.4, 0.7),
+        margin=0.05,
     ),
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False),
@@ -247,6 +257,9 @@ def check_task(task: Task) -> None:
         times = getattr(target, name)
         if times is not None and times[0] <= 0.0:
             raise InputError(f"task.target.{name}={list(times)}", "times above 0", "correct the range")
+    if target.margin < 0.0 or (target.hold is not None and target.margin >= target.hold[0]):
+        expected = "from 0 to below the shortest hold"
+        raise InputError(f"task.target.margin={target.margin}", expected, "correct it")
     if not 0.0 <= target.turns <= 1.0 or target.turn_rate <= 0.0 or target.quiet < 0.0:
         found = f"task.target.turns={target.turns} turn_rate={target.turn_rate} quiet={target.quiet}"
         raise InputError(found, "a share from 0 to 1, a rate above 0, a time from 0", "correct it")
