@@ -7,12 +7,13 @@ every run, which pytest prints first; a failure prints how to repeat it (`VPPTWI
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 
 from tests.reality import fly_many, true_size, write_mcap
 from tests.reality.flight import FlightPlan
@@ -63,6 +64,12 @@ FAMILIES = {
 def read_seed() -> int:
     """The seed of this run (tests/conftest.py draws it)."""
     return int(os.environ["VPPTWIN_SEED"])
+
+
+def mark_undrawn(names: Sequence[str], count: int) -> list[ParameterSet]:
+    """Parameters of a test, all marked `slow` but `count` that the seed of this run draws."""
+    drawn = np.random.default_rng([read_seed(), *names[0].encode()]).permutation(len(names))[:count]
+    return [pytest.param(name, marks=[] if i in drawn else [pytest.mark.slow]) for i, name in enumerate(names)]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 
 from tests.reality import ALIEN, draw_effect
-from tests.sessions import FAMILIES, STRONG, Session, Sessions, find_claims, find_faults
+from tests.sessions import FAMILIES, STRONG, Session, Sessions, find_claims, find_faults, mark_undrawn
 
 SINGLES = ("rotors", "servo and timing", "sensors")
 
@@ -22,7 +22,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py")
 
 
-@pytest.mark.parametrize("family", SINGLES)
+@pytest.mark.parametrize("family", mark_undrawn(SINGLES, 2))
 def test_a_single_hidden_effect_is_named(sessions: Sessions, family: str) -> None:
     """One effect of a family, of any sign: named first or in the first cause's group, with its size, and it helps."""
     sessions.require(family, find_faults)

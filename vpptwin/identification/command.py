@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -16,6 +15,7 @@ from tqdm import tqdm
 from vpptwin.actuators.file import ActuatorFile
 from vpptwin.diagnosis.command import tell_stage
 from vpptwin.diagnosis.holdout import HORIZONS_S
+from vpptwin.diagnosis.output import stage_results
 from vpptwin.diagnosis.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.twin_file import SIGMAS_90, extend_effects, name_twin, round_digits
 from vpptwin.errors import InputError
@@ -49,7 +49,7 @@ def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = Non
     content = compose_file(found, believed, origin)
     ActuatorFile.model_validate(content)
     page = out.with_suffix(".html")
-    write_both({
+    write_files({
         out: yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120),
         page: render_page(found, runs, origin),
     })  # fmt: skip
@@ -68,20 +68,12 @@ def check_out(out: Path) -> None:
         raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")
 
 
-def write_both(files: dict[Path, str]) -> None:
-    """Write files so that all of them appear or none."""
-    partial = {path: path.with_name(f".{path.name}.{os.getpid()}") for path in files}
-    try:
-        for path, text in files.items():
-            partial[path].write_text(text, encoding="utf-8")
-        for path in files:
-            os.replace(partial[path], path)
-    except OSError as error:
-        found = f"{error.filename or next(iter(files))} cannot be written ({error.strerror})"
-        raise InputError(found, "a folder to write to", "choose another --out") from error
-    finally:
-        for path in partial.values():
-            path.unlink(missing_ok=True)
+def write_files(texts: dict[Path, str]) -> None:
+    """Write files of one folder so that all of them appear or none."""
+    folder = next(iter(texts)).parent
+    with stage_results(folder, [path.name for path in texts]) as staged:
+        for path, text in texts.items():
+            (staged / path.name).write_text(text, encoding="utf-8")
 
 
 def name_coefficients(thrust: ThrustMap, speed: float) -> dict[str, tuple[float, float]]:
@@ -175,7 +167,7 @@ def identify_flights(
     with tqdm(unit=" steps", unit_scale=True, desc="identify", dynamic_ncols=True, delay=1e-6) as bar:
         found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
     origin = trace_origin(sys.argv[1:], spec.name, logs)
-    write_both({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})
+    write_files({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})
     print_flight_fit(found, out)
 
 
