@@ -220,14 +220,18 @@ def test_nonsense_leaves_beliefs_within_reason() -> None:
     assert 0.4 <= memory[DRAG] <= 2.5
 
 
-@pytest.fixture(scope="module")
-def hidden() -> TwinSpec:
-    """The drone with what the controller is there for."""
+@pytest.fixture(scope="module", params=["straight map", "bent map"])
+def hidden(request: pytest.FixtureRequest) -> TwinSpec:
+    """The drone with what the controller is there for, by the paper's map and by one a bench may have found."""
+    spec, rotor = load_twin(), NOMINAL.rotor
+    if request.param == "bent map":
+        bent = {"k_t": 0.75 * rotor.k_t, "k_t2": 0.25 * rotor.k_t / rotor.pitch_max, "thrust_power": 2.0}
+        spec = replace(spec, vehicle=NOMINAL.model_copy(update={"rotor": rotor.model_copy(update=bent)}))
     effects = {
         "servo.trim": {"offset_1": 0.015, "offset_2": -0.01}, "servo.backlash": {"gap": 0.02},
         "rotor.drag": {"gain": 1.2},
     }  # fmt: skip
-    return load_twin("nominal").with_effects(effects)
+    return spec.with_effects(effects)
 
 
 def test_it_learns_inside_the_twin(hidden: TwinSpec) -> None:
