@@ -180,7 +180,7 @@ class TwinRigs(Rigs):
 class EnvRigs(Rigs):
     """`VppEnv`, stepped as TorchRL's collector does: sensors with noise, reward, resets that draw every effect anew."""
 
-    def __init__(self, count: int, threads: int, seed: int) -> None:
+    def __init__(self, count: int, threads: int, seed: int, estimator: str = "sensors") -> None:
         super().__init__(count, threads, seed)
         import torch
 
@@ -189,7 +189,8 @@ class EnvRigs(Rigs):
         torch.set_num_threads(1)
         spec = load_twin()
         every = [e.id for e in spec.catalogue]
-        self.env = VppEnv(Twin(spec, count, every, threads), TASK, seed, 1.0, every, desynchronize=True)
+        twin = Twin(spec, count, every, threads)
+        self.env = VppEnv(twin, TASK, seed, 1.0, every, desynchronize=True, estimator=estimator)
         self.now, self.tensor = self.env.reset(), torch.tensor
         self.scale = np.array([self.vehicle.control.thrust_max, self.vehicle.control.rate_max])
 
@@ -229,5 +230,9 @@ CONTENDERS: dict[str, tuple[str, Callable[[int, int, int], Rigs]]] = {
         lambda n, threads, seed: TwinRigs(n, threads, seed, every=True),
     ),
     "environment": ("VppEnv: all effects, sensors, reward, resets", EnvRigs),
+    "environment, kalman": (
+        "VppEnv with estimator=kalman",
+        lambda n, threads, seed: EnvRigs(n, threads, seed, "kalman"),
+    ),
 }
 """What is measured: title and how to make N rigs of it with a number of threads and a seed."""

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-NAMES = ("raw", "raw, clock stopped", "raw, no friction", "twin", "twin, all effects", "environment")
+NAMES = (
+    "raw", "raw, clock stopped", "raw, no friction", "twin", "twin, all effects", "environment", "environment, kalman",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
