@@ -25,7 +25,9 @@ sys.path.insert(0, str(ROOT))
 
 from same_rig.report import describe_machine  # noqa: E402
 from training.campaign import SETUPS, VARIANTS, Run, run_campaign  # noqa: E402
-from training.pictures import draw_curves  # noqa: E402
+
+from vpptwin.viz.curves import draw_curves  # noqa: E402
+from vpptwin.viz.plot import write_story  # noqa: E402
 
 PAPER = {
     "VA": (0.035, 0.082, 0.08),
@@ -68,7 +70,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.json.write_text(json.dumps(about | describe_machine() | {"runs": results}) + "\n")
     print(format_table(results))
     if args.pictures:
-        draw_curves(results, args.pictures / "training_curves.svg")
+        variants = dict.fromkeys(result["variant"] for result in results)
+        curves = {name: [r["curve"] for r in results if r["variant"] == name] for name in variants}
+        write_story(draw_curves(curves, "Training curves"), args.pictures / "training_curves.svg")
     return 0
 
 

@@ -94,13 +94,18 @@ def build_parser() -> argparse.ArgumentParser:
     play.add_argument(
         "log", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the split files of one recording"
     )
-    play.add_argument("--twin", help="`nominal` or a twin YAML, driven by the log's commands")
-    add_effects(play)
-    play.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
-    play.add_argument("--free", action="store_true", help="let the twin run freely from the start")
+    add_beside(play)
     play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
-    add_topic_map(play)
     play.set_defaults(run=run_play)
+
+    plot = commands.add_parser("plot", help="draw a log over time, the twin beside it, or training curves")
+    plot.add_argument(
+        "source", type=Path, nargs="+", metavar="SOURCE", help="a log (or its split files), or folders of training runs"
+    )
+    add_beside(plot)
+    plot.add_argument("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
+    plot.add_argument("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
+    plot.set_defaults(run=run_plot)
 
     add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
 
@@ -168,6 +173,15 @@ def add_logs(parser: argparse.ArgumentParser) -> None:
     add_topic_map(parser)
 
 
+def add_beside(parser: argparse.ArgumentParser) -> None:
+    """Arguments of commands that show the twin beside a log."""
+    parser.add_argument("--twin", help="`nominal` or a twin YAML, driven by the log's commands")
+    add_effects(parser)
+    parser.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
+    parser.add_argument("--free", action="store_true", help="let the twin run freely from the start")
+    add_topic_map(parser)
+
+
 def add_effects(parser: argparse.ArgumentParser) -> None:
     """The argument that adds effects of the user's own."""
     parser.add_argument(
@@ -224,6 +238,14 @@ def run_play(options: argparse.Namespace) -> None:
 
     restart = None if options.free else options.restart
     play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects)
+
+
+def run_plot(options: argparse.Namespace) -> None:
+    """`vpptwin plot`."""
+    from vpptwin.viz.command import plot
+
+    restart = None if options.free else options.restart
+    plot(options.source, options.twin, options.out, restart, options.theme, options.topic_map, options.effects)
 
 
 def run_identify(options: argparse.Namespace) -> None:

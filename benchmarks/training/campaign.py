@@ -12,8 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
+
+from vpptwin.viz.curves import PANELS, read_curve
 
 ROOT = Path(__file__).resolve().parents[2]
 SETUPS = {name: [f"setup={name}"] for name in ("VA", "TA", "PI", "All")}
@@ -94,7 +95,7 @@ def finish(run: Run, tracks: int) -> dict:
     if not judged.exists():
         call(["evaluate", str(run.out), "--tracks", str(tracks), "--json", str(judged)], run.folder / "evaluate.log")
     result = json.loads(judged.read_text())
-    curve = {name: read_curve(run.out, name) for name in ("return", "exam_error_m", "exam_failures")}
+    curve = {name: read_curve(run.out, name) for name in PANELS}
     result["evaluation_seed"] = result["seed"]
     return {**result, "variant": run.variant, "seed": run.seed, "curve": curve, **json.loads(timing.read_text())}
 
@@ -107,10 +108,3 @@ def call(arguments: list[str], log: Path) -> None:
         done = subprocess.run(command, cwd=ROOT, env=environment, stdout=file, stderr=subprocess.STDOUT)
     if done.returncode:
         raise RuntimeError(f"{' '.join(arguments)}: exit {done.returncode}\n{log.read_text()[-800:]}")
-
-
-def read_curve(out: Path, name: str, points: int = 60) -> list[list[float]]:
-    """A logged scalar as [steps, values], averaged to at most `points` points."""
-    rows = np.loadtxt(out / "log" / "scalars" / f"{name}.csv", delimiter=",", ndmin=2)
-    parts = np.array_split(rows, min(points, len(rows)))
-    return [[round(float(p[:, 0].mean())) for p in parts], [float(np.nanmean(p[:, 1])) for p in parts]]

@@ -94,7 +94,7 @@ def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.Capture
         (Conditions(tracks=4, randomize=["air.drog"]), "out.json", "air.drog"),
         (Conditions(tracks=4, thrust_to_weight=0.9), "out.json", "thrust_to_weight=0.9"),
         (Conditions(tracks=4, estimator="luenberger"), "out.json", "unknown estimator 'luenberger'"),
-        (Conditions(tracks=4), "missing/out.json", "cannot write"),
+        (Conditions(tracks=4), "/proc/out.json", "cannot write"),
     ],
 )
 def test_bad_evaluations(tiny_run: Path, tmp_path: Path, conditions: Conditions, name: str, found: str) -> None:

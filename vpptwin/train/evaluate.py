@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.files import write_whole
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
@@ -135,11 +135,5 @@ def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path
     """
     result = evaluate(checkpoint, conditions)
     if json_path is not None:
-        path = Path(json_path)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            temporary.write_text(json.dumps(result, indent=2) + "\n")
-            os.replace(temporary, path)
-        except OSError as error:
-            raise InputError(f"cannot write {path} ({error.strerror})", "a writable path", "choose another") from error
+        write_whole(Path(json_path), json.dumps(result, indent=2) + "\n")
     return result

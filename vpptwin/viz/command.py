@@ -1,4 +1,4 @@
-"""`vpptwin play`: a log in meshcat, and beside it the twin driven by the log's commands."""
+"""`vpptwin play` and `vpptwin plot`: a log, and beside it the twin driven by the log's commands; training curves."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.replay import replay
+from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
-from vpptwin.twin.spec import load_twin
+from vpptwin.twin.spec import TwinSpec, load_twin
+from vpptwin.viz.curves import is_run, tell_runs
+from vpptwin.viz.panels import tell_flight
 from vpptwin.viz.playback import play_live, play_page
+from vpptwin.viz.plot import check_format, write_story
 
 
 def play_log(
@@ -31,6 +34,21 @@ def play_log(
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own.
     """
+    flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
+    if html is None:
+        play_live(flight, prediction, spec=spec)
+    else:
+        print(play_page(flight, prediction, html, spec=spec))
+
+
+def read_both(
+    logs: Sequence[Path], twin: str | None, restart: float | None, topic_map: Path | None, effects: Sequence[Path]
+) -> tuple[Flight, Prediction | None, TwinSpec]:
+    """A recording, what the twin does under its commands, and the rig.
+
+    Raises:
+        InputError: if one of them is not what it should be.
+    """
     if restart is not None and not restart > 0.0:
         raise InputError(f"--restart {restart:g}", "seconds above 0", "use --free for a twin that is never restarted")
     spec = load_twin(twin or "nominal", effects)
@@ -40,10 +58,43 @@ def play_log(
     prediction = None if twin is None else replay(spec, flight, restart)
     for warning in flight.warnings:
         print(f"{flight.path.name}: {warning}", file=sys.stderr)
-    if html is None:
-        play_live(flight, prediction, spec=spec)
+    return flight, prediction, spec
+
+
+def plot(
+    sources: Sequence[Path],
+    twin: str | None,
+    out: Path | None,
+    restart: float | None = 0.5,
+    theme: str = "light",
+    topic_map: Path | None = None,
+    effects: Sequence[Path] = (),
+) -> None:
+    """Draw one recording, or training runs.
+
+    Args:
+        sources: MCAP files of one recording, or folders of training runs.
+        twin: `nominal` or a twin YAML to draw beside a log; None for the log alone.
+        out: .png, .svg or .html; None for a PNG named like the first source, in the current folder.
+        restart: seconds between the twin's restarts; None lets it run freely.
+        theme: `light` or `dark`.
+        topic_map: YAML that renames topics of other people's bags.
+        effects: Python files with effects of the user's own.
+
+    Raises:
+        InputError: if a source is not what it should be, or the picture cannot be written.
+    """
+    out = out or Path(f"{sources[0].resolve().stem}.png")
+    check_format(out)
+    runs = [source for source in sources if is_run(source)]
+    if not runs:
+        story = tell_flight(*read_both(sources, twin, restart, topic_map, effects))
+    elif len(runs) < len(sources) or twin is not None:
+        other = f"--twin {twin}" if twin is not None else next(str(s) for s in sources if s not in runs)
+        raise InputError(f"{runs[0]} is a training run, and {other}", "logs or runs", "plot them one after the other")
     else:
-        print(play_page(flight, prediction, html, spec=spec))
+        story = tell_runs(runs)
+    print(write_story(story, out, theme))
 
 
 def check_craft(flight: Flight) -> None:

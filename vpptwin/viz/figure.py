@@ -26,6 +26,7 @@ STYLE: dict[Any, object] = {  # keys: rcParams, which matplotlib types as one lo
     "font.family": "sans-serif",
     "font.size": 10.0,
     "text.color": INK,
+    "axes.facecolor": "none",
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.titlesize": 10.0,
@@ -44,9 +45,9 @@ STYLE: dict[Any, object] = {  # keys: rcParams, which matplotlib types as one lo
 
 
 @contextmanager
-def open_figure(width: float, height: float) -> Iterator[Figure]:
-    """A figure of width x height [inch] in our style; draw and write it inside the with block."""
-    with mpl.rc_context(STYLE):
+def open_figure(width: float, height: float, ink: str = INK) -> Iterator[Figure]:
+    """A figure of width x height [inch] in our style, text in `ink`; draw and write it inside the with block."""
+    with mpl.rc_context({key: ink if value == INK else value for key, value in STYLE.items()}):
         figure = Figure(figsize=(width, height), layout="constrained", facecolor="none")
         FigureCanvasSVG(figure)
         yield figure
@@ -74,6 +75,13 @@ def write_svg(figure: Figure, title: str) -> str:
     label = html.escape(title, quote=True)
     opening = f'<svg role="img" aria-label="{label}" style="max-width: 100%; height: auto"'
     return svg.replace("<svg", opening, 1).strip()
+
+
+def follow_reader(svg: str) -> str:
+    """An SVG that stands alone: its text is dark, or light where the reader's screen is dark."""
+    style = "<style>svg { color: #1a1c1f } @media (prefers-color-scheme: dark) { svg { color: #e8eaed } }</style>"
+    opening, rest = svg.split(">", 1)
+    return f"{opening}>{style}{rest}\n"
 
 
 def name_axes(axes: Axes, x_label: str, y_label: str, title: str = "") -> None:

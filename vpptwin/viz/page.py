@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -16,7 +14,7 @@ import meshcat
 import numpy as np
 import umsgpack
 
-from vpptwin.errors import InputError
+from vpptwin.files import write_whole
 from vpptwin.viz import palette
 from vpptwin.viz.camera import View, frame_view
 from vpptwin.viz.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
@@ -157,13 +155,4 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
             }
         ),
     )
-    draft = out.with_name(f".{out.name}.{os.getpid()}")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(html, encoding="utf-8")
-        os.replace(draft, out)
-    except OSError as error:
-        with suppress(OSError):  # where its folder is none, so is the draft
-            draft.unlink()
-        raise InputError(f"cannot write {out}: {error.strerror}", "a writable path", "choose another") from error
-    return out
+    return write_whole(out, html)

@@ -1,0 +1,215 @@
+"""What `vpptwin plot` shows of a flight: panels over time with the log, the twin beside it, setpoint and triggers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from scipy.signal import savgol_filter
+
+from vpptwin.actuators.blade import compute_thrust
+from vpptwin.errors import InputError
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.viz.figure import INK
+from vpptwin.viz.motion import interpolate
+from vpptwin.viz.palette import ORANGE, PURPLE, SKY, TARGET, TWIN
+
+if TYPE_CHECKING:
+    from vpptwin.estimation.replay import Prediction
+    from vpptwin.logs.flight import Flight, Stream
+
+SMOOTHED = 0.07
+"""Window of the quadratic that velocities are the slope of, s."""
+TURNED = 0.01
+"""Change of the setpoint's angle that counts as a trigger, rad."""
+SPINNING = 0.1
+"""A setpoint's angle that goes on changing within this time is one trigger, s."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a panel.
+
+    Attributes:
+        name: what the legend calls it.
+        time: (n,) s from the start of the log.
+        values: (n,); NaN breaks the line.
+        band: from and to around it, (2, n); None for none.
+        colour: "#RRGGBB"; `INK` for that of text.
+        dash: `-`, `--`, `:`.
+        steps: whether a value holds until the next.
+    """
+
+    name: str
+    time: np.ndarray
+    values: np.ndarray
+    colour: str
+    dash: str = "-"
+    steps: bool = False
+    band: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Lines that share an axis, logarithmic or not, whose label carries the unit in brackets."""
+
+    label: str
+    lines: list[Line] = field(default_factory=list)
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class Story:
+    """A flight, or a training run, in panels.
+
+    Attributes:
+        title: its name.
+        panels: in reading order.
+        triggers: times at which another angle was asked for, (k,) s.
+        across: label of the axis that panels share.
+        columns: panels side by side.
+    """
+
+    title: str
+    panels: list[Panel]
+    triggers: np.ndarray = field(default_factory=lambda: np.empty(0))
+    across: str = "time [s]"
+    columns: int = 1
+
+
+def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> Story:
+    """Panels of what the log holds.
+
+    Args:
+        flight: the log.
+        prediction: the twin's motion under the log's commands; None for the log alone.
+        spec: whose rig it is.
+
+    Raises:
+        InputError: if the log holds nothing to draw.
+    """
+    panels = tell_rig(flight, prediction, spec) if spec.vehicle is None else tell_craft(flight, prediction, spec)
+    if not panels:
+        present = ", ".join([*flight.streams, *flight.joints]) or "none"
+        raise InputError(
+            f"{flight.path}: nothing to plot, topics {present}",
+            "a log of our craft, or of the joints that the twin's signals name",
+            "name the rig's twin with --twin, or use a topic map",
+        )
+    return Story(flight.path.name, panels, find_triggers(flight))
+
+
+def find_triggers(flight: Flight) -> np.ndarray:
+    """Times at which the setpoint's angle changes, (k,) s; of an angle that turns, the time at which it begins."""
+    stream = flight.streams.get("/setpoint/pose")
+    if stream is None or len(stream) < 2:
+        return np.empty(0)
+    times = stream.time[1:][np.abs(np.diff(stream["theta"])) > TURNED]
+    begun: np.ndarray = np.diff(times, prepend=-np.inf) > SPINNING
+    return times[begun]
+
+
+def tell_craft(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
+    """Position, velocity, angle, rate, thrust and rotor speed of our craft, as far as they were recorded."""
+    pose, target = flight.streams.get("/mocap/pose"), flight.streams.get("/setpoint/pose")
+    panels = []
+    for joint, column, label, rate in (
+        (0, "x", "x [m]", "x velocity [m/s]"),
+        (1, "z", "z [m]", "z velocity [m/s]"),
+        (2, "theta", "θ [rad]", ""),
+    ):
+        if pose is None:
+            break
+        asked = [] if target is None else [setpoint_line(target, column, pose)]
+        panels.append(Panel(label, [measured(pose.time, pose[column]), *asked, *twin_line(prediction, "qpos", joint)]))
+        if rate and len(pose) > 4:
+            slope = differentiate(pose.time, pose[column])
+            panels.append(Panel(rate, [measured(pose.time, slope), *twin_line(prediction, "qvel", joint)]))
+    gyro, command = flight.streams.get("/imu/data"), flight.streams.get("/cmd/rate_thrust")
+    if gyro is not None:
+        lines = [measured(gyro.time, gyro["rate"])]
+        if command is not None:
+            lines.append(Line("commanded", command.time, command["rate"], PURPLE, ":", steps=True))
+        panels.append(Panel("q [rad/s]", [*lines, *twin_line(prediction, "qvel", 2)]))
+    return panels + tell_rotors(flight, prediction, spec)
+
+
+def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
+    """The setpoint of x, z or θ; of an angle the turn that the craft is nearest to when the next one is asked for."""
+    values = target[column]
+    if column == "theta":
+        until = np.append(target.time[1:], pose.time[-1])
+        values = values + 2.0 * np.pi * np.round((np.interp(until, pose.time, pose["theta"]) - values) / (2.0 * np.pi))
+    time, values = np.append(target.time, pose.time[-1]), np.append(values, values[-1])
+    return Line("setpoint", time, values, TARGET, ":", steps=True)
+
+
+def tell_rotors(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
+    """Thrust of each rotor by the twin's map, and their speeds."""
+    command, state = flight.streams.get("/rotor/command"), flight.streams.get("/rotor/state")
+    assert spec.vehicle is not None
+    rotor, panels = spec.vehicle.rotor, []
+    looks = ORANGE, SKY
+    if command is not None:
+        speed = np.full((len(command), 2), rotor.speed)
+        if state is not None:
+            speed = interpolate(state.time, state["speed"], command.time)
+        thrust = compute_thrust(rotor, speed, command["blade_pitch"])
+        lines = [Line(f"rotor {i + 1}, by the map", command.time, thrust[:, i], c) for i, c in enumerate(looks)]
+        asked = flight.streams.get("/cmd/rate_thrust")
+        if asked is not None:
+            lines.append(Line("commanded, half of both", asked.time, 0.5 * asked["thrust"], PURPLE, ":", steps=True))
+        panels.append(Panel("thrust [N]", lines))
+    if state is not None:
+        lines = [Line(f"rotor {i + 1}", state.time, state["speed"][:, i], c) for i, c in enumerate(looks)]
+        panels.append(Panel("rotor speed [rad/s]", lines))
+    return panels
+
+
+def tell_rig(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
+    """Position and velocity of each joint of another rig, and the inputs of its actuators, as far as recorded."""
+    panels = []
+    topics = spec.signals.joints if spec.signals is not None else {}
+    for joint, topic in topics.items():
+        stream, model = flight.joints.get(topic, {}).get(joint), spec.model.joint(joint)
+        turns = spec.model.jnt_type[model.id] == mujoco.mjtJoint.mjJNT_HINGE
+        if stream is None:
+            continue
+        for column, unit, kind, place in (
+            ("position", "rad" if turns else "m", "qpos", model.qposadr[0]),
+            ("velocity", "rad/s" if turns else "m/s", "qvel", model.dofadr[0]),
+        ):
+            if column in stream.values:
+                lines = [measured(stream.time, stream[column]), *twin_line(prediction, kind, int(place))]
+                panels.append(Panel(f"{joint} {column} [{unit}]", lines))
+    inputs = spec.signals.actuators if spec.signals is not None else {}
+    for actuator, topic in inputs.items():
+        stream = flight.joints.get(topic, {}).get(actuator)
+        if stream is not None and "effort" in stream.values:
+            panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream["effort"])]))
+    return panels
+
+
+def measured(time: np.ndarray, values: np.ndarray) -> Line:
+    """The log's line."""
+    return Line("log", time, values, INK)
+
+
+def twin_line(prediction: Prediction | None, kind: str, joint: int) -> list[Line]:
+    """The twin's line of `qpos` or `qvel`, broken where it was set back to the log; none without a twin."""
+    if prediction is None:
+        return []
+    values = np.array(getattr(prediction, kind)[:, joint], dtype=float)
+    values[np.searchsorted(prediction.time, prediction.restarts[1:] - 1e-9).clip(0, len(values) - 1)] = np.nan
+    return [Line("twin", prediction.time, values, TWIN, "--")]
+
+
+def differentiate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Slope of a quadratic over `SMOOTHED` around every sample (n,), per second; the times are nearly regular."""
+    step = float(np.median(np.diff(time)))
+    window = min(max(2 * round(0.5 * SMOOTHED / step) + 1, 3), (len(time) - 1) // 2 * 2 + 1)
+    regular = np.arange(time[0], time[-1] + 0.5 * step, step)
+    slope = savgol_filter(np.interp(regular, time, values), window, 2, deriv=1, delta=step)
+    return np.interp(time, regular, slope)

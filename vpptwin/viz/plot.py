@@ -1,0 +1,167 @@
+"""Panels as a file: PNG, SVG or an interactive page."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from vpptwin.errors import InputError
+from vpptwin.files import write_whole
+from vpptwin.viz.figure import INK, follow_reader, open_figure, thin, write_svg
+from vpptwin.viz.palette import VERMILION
+from vpptwin.viz.panels import Line, Panel, Story
+
+WIDTH, HEIGHT = 9.0, 1.7
+"""Of a figure and of one panel, inch."""
+TALL = 3.0
+"""Of panels side by side."""
+MOST_SAMPLES = 6000
+"""Of a line; a screen has fewer columns."""
+DPI = 150
+FORMATS = (".png", ".svg", ".html")
+PLOTLY_DASH = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours of text and ground."""
+
+    ink: str
+    paper: str
+
+
+THEMES = {"light": Theme("#1A1C1F", "#FFFFFF"), "dark": Theme("#E8EAED", "#15181C")}
+
+
+def check_format(out: Path) -> None:
+    """Refuse what is no picture's name.
+
+    Raises:
+        InputError: naming the formats.
+    """
+    if out.suffix.lower() not in FORMATS:
+        raise InputError(f"--out {out}", f"a name that ends in {', '.join(FORMATS)}", "e.g. --out flight.png")
+
+
+def write_story(story: Story, out: Path, theme: str = "light") -> Path:
+    """Write a story in the format that the name asks for.
+
+    Args:
+        story: what to show.
+        out: .png, .svg or .html; a page is one self-contained file that works offline.
+        theme: of PNG and page, `light` or `dark`; an SVG follows its reader's.
+
+    Raises:
+        InputError: if the format is unknown or the file cannot be written.
+    """
+    check_format(out)
+    kind = out.suffix.lower()
+    if kind == ".html":
+        return write_whole(out, render_page(story, THEMES[theme]))
+    ink = THEMES[theme].ink if kind == ".png" else INK
+    rows = -(-len(story.panels) // story.columns)
+    with open_figure(WIDTH, (HEIGHT if story.columns == 1 else TALL) * rows + 0.6, ink) as figure:
+        draw_story(figure, story, ink)
+        if kind == ".png":
+            return write_whole(out, render_png(figure, THEMES[theme]))
+        return write_whole(out, follow_reader(write_svg(figure, story.title)))
+
+
+def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
+    """All panels, over a common axis."""
+    rows = -(-len(story.panels) // story.columns)
+    grid = figure.subplots(rows, story.columns, sharex=True, squeeze=False)
+    for axes, panel in zip(grid.flat, story.panels):
+        draw_panel(axes, panel, story.triggers, ink)
+    for axes in grid[-1]:
+        axes.set_xlabel(story.across)
+    if story.columns == 1:
+        for axes in grid.flat:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9.0)
+    else:
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        fitting = max(110 // (max(map(len, labels)) + 8), 1)
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(fitting, len(labels)))
+    figure.suptitle(story.title, x=0.01, horizontalalignment="left", fontsize=11.0)
+    figure.align_ylabels()
+
+
+def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None:
+    """The lines of one panel, and the triggers across it."""
+    for i, time in enumerate(triggers):
+        axes.axvline(time, color=VERMILION, linestyle="--", linewidth=1.0, label="trigger" if i == 0 else None)
+    for line in panel.lines:
+        time, values = thin_line(line)
+        log = line.colour == INK
+        style = "steps-post" if line.steps else "default"
+        axes.plot(
+            time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=line.name,
+            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0,
+        )  # fmt: skip
+        if line.band is not None:
+            axes.fill_between(line.time, *line.band, color=line.colour, alpha=0.12, linewidth=0.0)
+    axes.set_ylabel(panel.label)
+    axes.margins(x=0.0)
+    if panel.log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+
+
+def thin_line(line: Line) -> tuple[np.ndarray, np.ndarray]:
+    """Time and values of a line, at most so many samples of it; where it is broken it stays broken."""
+    kept = np.union1d(thin(len(line.time), MOST_SAMPLES), np.flatnonzero(~np.isfinite(line.values)))
+    return line.time[kept], line.values[kept]
+
+
+def render_png(figure: Figure, theme: Theme) -> bytes:
+    """The drawn figure as PNG."""
+    FigureCanvasAgg(figure)
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper)
+    return out.getvalue()
+
+
+def render_page(story: Story, theme: Theme) -> str:
+    """A page with plotly inside, to zoom into and to read values from."""
+    from plotly.graph_objects import Scatter
+    from plotly.subplots import make_subplots
+
+    rows = -(-len(story.panels) // story.columns)
+    figure = make_subplots(rows=rows, cols=story.columns, shared_xaxes=True, vertical_spacing=0.03 / rows)
+    named: set[str] = set()
+    for i, panel in enumerate(story.panels):
+        place = {"row": i // story.columns + 1, "col": i % story.columns + 1}
+        for line in panel.lines:
+            time, values = thin_line(line)
+            look = {
+                "color": theme.ink if line.colour == INK else line.colour, "dash": PLOTLY_DASH[line.dash],
+                "shape": "hv" if line.steps else "linear",
+            }  # fmt: skip
+            first = line.name not in named
+            named.add(line.name)
+            about = {"name": line.name, "legendgroup": line.name, "showlegend": first, "mode": "lines"}
+            figure.add_trace(Scatter(x=time, y=values, line=look, **about), **place)
+        figure.update_yaxes(title_text=panel.label, type="log" if panel.log else "linear", **place)
+        for time in story.triggers:
+            figure.add_vline(x=float(time), line={"color": VERMILION, "dash": "dash", "width": 1}, **place)
+    for column in range(story.columns):
+        figure.update_xaxes(title_text=story.across, row=rows, col=column + 1)
+    faint = "rgba(127,127,127,0.25)"
+    figure.update_xaxes(gridcolor=faint, zeroline=False).update_yaxes(gridcolor=faint, zeroline=False)
+    style: dict[str, object] = {
+        "template": "none",
+        "paper_bgcolor": theme.paper,
+        "plot_bgcolor": theme.paper,
+        "font": {"color": theme.ink},
+    }
+    height = (190 if story.columns == 1 else 420) * rows + 120
+    figure.update_layout(title=story.title, height=height, hovermode="x unified", margin={"l": 80, "r": 20}, **style)
+    text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
+    return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)
