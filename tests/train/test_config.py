@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import Ramp, TrainConfig, to_config, to_plain
+from vpptwin.train.config import TrainConfig, to_config, to_plain
 from vpptwin.train.overrides import compose_config
+from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS, Start
 
 
@@ -99,8 +100,7 @@ def test_every_task_is_valid(task: str) -> None:
         (["task.target.quiet=-1"], "from 0"),
         (["task=wall-backtrack", "task.target.hold=[0,1]"], "times above 0"),
         (["task=wall-backtrack", "task.target.hold=[2,1]"], "[low, high]"),
-        (["task=wall-backtrack", "task.target.margin=0.4"], "below the shortest hold"),
-        (["task=hover", "task.target.margin=-1"], "from 0 to below"),
+        (["task=wall-backtrack", "task.target.easing.end=-0.4"], "holds that stay above 0"),
         (["task.thrust_to_weight=1"], "more than 1"),
         (["task.thrust_to_weight=nan"], "more than 1"),
     ],

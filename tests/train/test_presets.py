@@ -11,9 +11,10 @@ import pytest
 
 from tests.train.conftest import tiny_config
 from vpptwin.train.checkpoint import make_policy
-from vpptwin.train.config import PRESETS, Ramp, TrainConfig, to_config, to_plain
+from vpptwin.train.config import PRESETS, TrainConfig, to_config, to_plain
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config, describe_options, list_options
+from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS
 
 

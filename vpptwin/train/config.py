@@ -10,34 +10,12 @@ from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
 from vpptwin.train.observe import SETUPS, Sight
+from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import Task, check_task
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""
 HELP = "`vpptwin train --help` lists every option"
-
-
-@dataclass
-class Ramp:
-    """A value that is constant, then changes linearly, then is constant again, over the course of training.
-
-    Attributes:
-        start: first value.
-        end: last value.
-        begin: share of training at which the change starts.
-        finish: share of training at which it is over.
-    """
-
-    start: float
-    end: float
-    begin: float = 0.1
-    finish: float = 0.7
-
-    def at(self, progress: float) -> float:
-        """Value at a share of training between 0 and 1."""
-        span = max(self.finish - self.begin, 1e-9)
-        part = min(max((progress - self.begin) / span, 0.0), 1.0)
-        return self.start + part * (self.end - self.start)
 
 
 @dataclass
@@ -75,9 +53,13 @@ class Lesson:
     steps: int
     repeats: float = 0.0
 
+    def progress_at(self, flown: int) -> float:
+        """Share of training that so many policy steps are; all of it without a curriculum."""
+        return flown / self.steps if self.curriculum.enabled else 1.0
+
     def difficulty_at(self, flown: int) -> float:
         """Difficulty after so many policy steps."""
-        return self.curriculum.difficulty.at(flown / self.steps) if self.curriculum.enabled else 1.0
+        return self.curriculum.difficulty.at(self.progress_at(flown)) if self.curriculum.enabled else 1.0
 
     def single(self, flown: int) -> bool:
         """Whether episodes are judged by one criterion each."""

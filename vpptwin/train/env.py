@@ -92,7 +92,6 @@ class VppEnv(EnvBase):
         estimator: str = "sensors",
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
-        task = task if lesson is None else task.practised()
         self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
         self.noise, self.randomized, self.sight = noise, tuple(randomized), sight or Sight()
         self.desynchronize, self.lesson, self.fault_folder = desynchronize, lesson, fault_folder
@@ -106,7 +105,8 @@ class VppEnv(EnvBase):
         n, parameters = twin.num_sims, len(self._priors.keys)
         self.state = twin.initial_state()
         self._before = self.state.copy()
-        self._depth = history_depth(twin.effects.values(), self._period, task.episode)
+        self.duration = task.episode if lesson is None else task.training_episode or task.episode
+        self._depth = history_depth(twin.effects.values(), self._period, self.duration)
         self.sensors = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
         width = privileged_size(parameters) if privileged else len(self.sight.names)
         self.onboard = Onboard(twin, noise) if estimator == "kalman" else None
@@ -146,7 +146,7 @@ class VppEnv(EnvBase):
         ids = np.arange(self.twin.num_sims) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
         self._begin(ids)
         if self.desynchronize and mask is None:
-            self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.task.episode, len(ids))
+            self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.duration, len(ids))
             self._schedule(ids)
         return self._pack(false, false)
 
@@ -192,8 +192,9 @@ class VppEnv(EnvBase):
     def _schedule(self, ids: np.ndarray) -> None:
         """Draw when the next triggers come; none in an episode judged by its position, nor in the quiet of a flight."""
         episodes, target = self.episodes, self.task.target
-        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
-        last = np.inf if self.lesson is not None else self.task.episode - target.quiet
+        progress = None if self.lesson is None else self.lesson.progress_at(self.flown * self.twin.num_sims)
+        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids], progress)
+        last = np.inf if self.lesson is not None else self.duration - target.quiet
         never = (time > last) | (episodes.criterion[ids] == POSITION)
         episodes.switch[ids] = np.where(never, np.inf, time)
 
@@ -244,7 +245,7 @@ class VppEnv(EnvBase):
         if self.lesson is not None:
             self._remember(terminated)
             terminated |= episodes.missed
-        truncated = (episodes.elapsed > self.task.episode - 0.5 * self._period) & ~terminated
+        truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
 
     def _remember(self, failed: np.ndarray) -> None:

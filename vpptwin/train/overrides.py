@@ -17,7 +17,8 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import HELP, PRESETS, Curriculum, Ramp, TrainConfig, to_config
+from vpptwin.train.config import HELP, PRESETS, Curriculum, TrainConfig, to_config
+from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS
 
 EXAMPLES = """\

@@ -12,8 +12,8 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 from torchrl.trainers import Trainer, TrainerHookBase
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import Ramp
 from vpptwin.train.networks import Exploration, Policy, bound_layers
+from vpptwin.train.ramp import Ramp
 
 
 class Advantages:
