@@ -96,6 +96,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     add_beside(play)
     play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
+    play.add_argument("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
     play.set_defaults(run=run_play)
 
     plot = commands.add_parser("plot", help="draw a log over time, the twin beside it, or training curves")
@@ -237,7 +238,7 @@ def run_play(options: argparse.Namespace) -> None:
     from vpptwin.viz.command import play_log
 
     restart = None if options.free else options.restart
-    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects)
+    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
 
 
 def run_plot(options: argparse.Namespace) -> None:

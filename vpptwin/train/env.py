@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,6 +29,9 @@ from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
 from vpptwin.twin.sensors import read_sensors, sensor_noise
 from vpptwin.twin.spec import TwinSpec, check_effects
+
+if TYPE_CHECKING:
+    from vpptwin.train.render import Watcher
 
 Rows = np.ndarray | slice
 """Which simulations: their numbers, or a slice of all."""
@@ -112,6 +116,7 @@ class VppEnv(EnvBase):
         self.onboard = Onboard(twin, noise) if estimator == "kalman" else None
         self.episodes = Episodes.allocate(n, len(self.sight.names), parameters, memory, width if memory else 0)
         self.failed_starts = FailedStarts.empty()
+        self._watcher: Watcher | None = None
         self._make_specs(n)
 
     @property
@@ -133,6 +138,28 @@ class VppEnv(EnvBase):
         self.reward_spec = scalar(torch.float32)
         flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(**flags, shape=(n,))
+
+    @property
+    def max_steps(self) -> int:
+        """Policy steps of an episode; TorchRL's rlrender asks for it."""
+        return round(self.duration / self._period)
+
+    def render(self, mode: str = "rgb_array") -> np.ndarray:
+        """The first simulation seen from the side, (400, 640, 3) uint8.
+
+        Args:
+            mode: `rgb_array`, the only one.
+
+        Raises:
+            InputError: on another mode.
+        """
+        if mode != "rgb_array":
+            raise InputError(f"render mode {mode!r}", "rgb_array", "leave it out")
+        if self._watcher is None:
+            from vpptwin.train.render import Watcher
+
+            self._watcher = Watcher(self)
+        return self._watcher.draw(self)
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = np.random.default_rng(seed)

@@ -31,11 +31,13 @@ class View:
         return self.half_height / float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
 
 
-def frame_view(places: np.ndarray, margin: float = MARGIN) -> View:
-    """The view that holds all places (n, 3) [m] with a margin [m]."""
+def frame_view(
+    places: np.ndarray, margin: float = MARGIN, smallest: float = SMALLEST_HALF_HEIGHT, aspect: float = SCREEN_ASPECT
+) -> View:
+    """The view that holds all places (n, 3) [m] with a margin [m] and at least `smallest` [m] above its centre."""
     low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
     half, centre = 0.5 * (high - low), 0.5 * (low + high)
-    return View(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / SCREEN_ASPECT, SMALLEST_HALF_HEIGHT))
+    return View(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / aspect, smallest))
 
 
 def place_camera(vis: Visualizer, view: View) -> None:

@@ -14,6 +14,7 @@ from vpptwin.viz.curves import is_run, tell_runs
 from vpptwin.viz.panels import tell_flight
 from vpptwin.viz.playback import play_live, play_page
 from vpptwin.viz.plot import check_format, write_story
+from vpptwin.viz.video import check_video, write_video
 
 
 def play_log(
@@ -23,22 +24,28 @@ def play_log(
     restart: float | None = 0.5,
     topic_map: Path | None = None,
     effects: Sequence[Path] = (),
+    video: Path | None = None,
 ) -> None:
     """Play one recording.
 
     Args:
         logs: its MCAP files.
         twin: `nominal` or a twin YAML; None plays the log alone, on the nominal rig.
-        html: the page to write; None serves meshcat until Ctrl-C.
+        html: the page to write; without it, and without `video`, meshcat is served until Ctrl-C.
         restart: seconds between the twin's restarts; None lets it run freely.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own.
+        video: the animation to write, .gif or .webp; None for none.
     """
+    if video is not None:
+        check_video(video)
     flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
-    if html is None:
-        play_live(flight, prediction, spec=spec)
-    else:
+    if video is not None:
+        print(write_video(flight, prediction, video, spec=spec))
+    if html is not None:
         print(play_page(flight, prediction, html, spec=spec))
+    if html is None and video is None:
+        play_live(flight, prediction, spec=spec)
 
 
 def read_both(

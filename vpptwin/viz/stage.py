@@ -53,12 +53,12 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
     return tracks
 
 
-def view_flight(show: Show) -> View:
-    """The view that holds our craft's path, or every moving body of another rig."""
+def view_flight(show: Show, **options: float) -> View:
+    """The view that holds our craft's path, or every moving body of another rig; options are those of `frame_view`."""
     position, _ = pose_bodies(show.model, show.log.qpos)
     if show.vehicle is not None:
-        return frame_view(position[:, find_craft(show.model)])
-    return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3))
+        return frame_view(position[:, find_craft(show.model)], **options)
+    return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3), **options)
 
 
 def draw_log(vis: Visualizer, show: Show) -> list[Track]:

@@ -1,0 +1,122 @@
+"""A flight as an animation that README files and chats show: GIF or WebP."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from vpptwin.errors import InputError
+from vpptwin.files import write_whole
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.viz import palette
+from vpptwin.viz.figure import thin
+from vpptwin.viz.frames import Painter, Spin
+from vpptwin.viz.motion import Rotors, hold
+from vpptwin.viz.show import Show, prepare_show
+from vpptwin.viz.stage import view_flight
+
+if TYPE_CHECKING:
+    from vpptwin.estimation.replay import Prediction
+    from vpptwin.logs.flight import Flight
+
+FORMATS = (".gif", ".webp")
+RATE = 25.0  # frames a second; a GIF's frames last multiples of 10 ms
+LONGEST = 120.0  # s; longer ones are not what anybody loads
+TRAIL_DURATION = 1.5  # s
+MARGIN, SMALLEST_HALF_HEIGHT = 0.4, 0.55  # m; nearer than a page, which can be turned and zoomed
+
+
+def check_video(out: Path) -> None:
+    """Refuse what is no animation's name.
+
+    Raises:
+        InputError: naming the formats.
+    """
+    if out.suffix.lower() not in FORMATS:
+        raise InputError(f"--video {out}", f"a name that ends in {' or '.join(FORMATS)}", "e.g. --video flip.gif")
+
+
+def write_video(
+    flight: Flight,
+    prediction: Prediction | None,
+    out: Path,
+    *,
+    spec: TwinSpec,
+    size: tuple[int, int] = (640, 400),
+) -> Path:
+    """Write a flight, and the twin beside it, as an animation in real time that repeats.
+
+    Args:
+        flight: the log.
+        prediction: the twin's answer to the log's commands, drawn translucent; None for the log alone.
+        out: .gif or .webp.
+        spec: the twin whose rig is drawn.
+        size: of a frame, width and height in pixels.
+
+    Raises:
+        InputError: if the log has nothing to draw or is too long, or the file cannot be written.
+    """
+    check_video(out)
+    show = prepare_show(flight, prediction, spec)
+    if show.time[-1] > LONGEST:
+        found = f"{flight.path}: {show.time[-1]:.0f} s"
+        raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html")
+    view = view_flight(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
+    painter = Painter(show.model, show.vehicle, view, size)
+    times = np.arange(0.0, show.time[-1], 1.0 / RATE)
+    bar = tqdm(paint_show(painter, show, times), total=len(times), leave=False, disable=None, desc="video")
+    frames = [Image.fromarray(frame) for frame in bar]
+    content = io.BytesIO()
+    options: dict[str, object] = {"save_all": True, "duration": round(1000 / RATE), "loop": 0}
+    if out.suffix.lower() == ".gif":
+        # One palette for all frames: else colours flicker, and unchanged pixels cost again.
+        colours = choose_palette(frames)
+        frames = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
+        options["optimize"] = True
+    frames[0].save(content, format=out.suffix[1:].upper(), append_images=frames[1:], **options)
+    return write_whole(out, content.getvalue())
+
+
+def choose_palette(frames: Sequence[Image.Image]) -> Image.Image:
+    """The colours of a few frames from first to last, and those that have a meaning."""
+    some = [frames[i] for i in thin(len(frames), 12)]
+    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some) + 40))
+    for row, frame in enumerate(some):
+        sheet.paste(frame, (0, row * frame.height))
+    colours = (palette.POSITIVE_THRUST, palette.NEGATIVE_THRUST, palette.TWIN, palette.TARGET, palette.TOP_MARK)
+    width = sheet.width // len(colours)
+    for i, colour in enumerate(colours):
+        sheet.paste(colour, (i * width, sheet.height - 40, (i + 1) * width, sheet.height))
+    return sheet.quantize(160, Image.Quantize.MAXCOVERAGE)
+
+
+def paint_show(painter: Painter, show: Show, times: np.ndarray) -> Iterator[np.ndarray]:
+    """Frames of a show at times (k,) [s] from its start."""
+    nearest = np.searchsorted(show.time, times).clip(0, len(show.time) - 1)
+    target = show.target
+    for time, row in zip(times, nearest):
+        asked = None
+        if target is not None and time >= target.time[0]:
+            at = np.array([time])
+            asked = np.concatenate([hold(target.time, values, at) for values in (target.x, target.z, target.theta)])
+        twin = None if show.twin is None or not show.twin.shown[row] else show.twin.qpos[row]
+        past = show.log.qpos[(show.time > time - TRAIL_DURATION) & (show.time <= time)]
+        yield painter.draw(
+            show.log.qpos[row],
+            spin=None if show.log.rotors is None else pick(show.log.rotors, row),
+            twin=twin,
+            target=asked,
+            trail=past[:, :2] if show.vehicle is not None else None,
+            text=[f"{time + show.frames[0]:5.2f} s"],
+        )
+
+
+def pick(rotors: Rotors, row: int) -> Spin:
+    """Both rotors at one frame."""
+    return Spin(rotors.angle[row], rotors.blade_pitch[row], rotors.thrust[row])
