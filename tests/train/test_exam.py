@@ -94,7 +94,7 @@ def test_exams_come_when_they_are_due(tiny_run: Path) -> None:
 def test_schedule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: tuple[str], expected: list[int]) -> None:
     """With batches of 50 steps: every so many, none early, one at the end of training, none if they are off."""
     none = np.zeros(1, bool)
-    monkeypatch.setattr(Exam, "_fly", lambda self: Flights(np.zeros(1), np.zeros(1), none, none, none, 0, 0))
+    monkeypatch.setattr(Exam, "_fly", lambda self: Flights(np.zeros(1), np.zeros(1), none, none, none, none, 0, 0))
     exam, taken = Exam(tiny_config(*overrides), some_policy(0), tmp_path), []
     for steps in range(50, 1001, 50):
         exam.trainer = SimpleNamespace(collected_frames=steps, total_frames=1000)  # type: ignore[assignment]
@@ -108,7 +108,7 @@ def test_the_best_policy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     scores = iter([0.4, 0.2, 0.3, 0.2, 0.45])
     none = np.zeros(1, bool)
     monkeypatch.setattr(
-        Exam, "_fly", lambda self: Flights(np.array([next(scores)]), np.zeros(1), none, none, none, 0, 0)
+        Exam, "_fly", lambda self: Flights(np.array([next(scores)]), np.zeros(1), none, none, none, none, 0, 0)
     )
     policy, kept = some_policy(0), []
     exam = Exam(tiny_config(*SMALL), policy, tmp_path)
@@ -130,7 +130,7 @@ def test_the_error_is_of_flights_that_did_not_fail(
 ) -> None:
     """A craft that fell metres away counts in the score, as `LOST`, and not in the error."""
     none = np.zeros(2, bool)
-    flown = Flights(np.array([0.1, 7.0]), np.zeros(2), np.array(failed), none, none, 0, 0)
+    flown = Flights(np.array([0.1, 7.0]), np.zeros(2), np.array(failed), none, none, none, 0, 0)
     monkeypatch.setattr(Exam, "_fly", lambda self: flown)
     exam = Exam(tiny_config(*SMALL), some_policy(0), tmp_path)
     exam.trainer = SimpleNamespace(collected_frames=100, total_frames=100)  # type: ignore[assignment]

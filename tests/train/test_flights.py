@@ -78,11 +78,11 @@ def test_a_turn_right_at_the_end_is_judged_by_the_last_step() -> None:
 
 
 def test_score_counts_a_lost_craft_as_a_large_error() -> None:
-    """The mean of 0.1, 0.5 for a failure however near it ended, 0.5 for one that is a metre off, and 0.2 m."""
-    error = np.array([0.1, 0.01, 1.0, 0.2])
-    failed, none = np.array([False, True, False, False]), np.zeros(4, bool)
-    flights = Flights(error, error, failed, none, none, 0, 0)
-    assert flights.score(0.5) == pytest.approx((0.1 + 0.5 + 0.5 + 0.2) / 4.0)
+    """The mean of 0.1, 0.5 for a failure or a missed angle however near it ended, 0.5 for a metre off, and 0.2 m."""
+    error = np.array([0.1, 0.01, 0.01, 1.0, 0.2])
+    failed, missed, none = np.arange(5) == 1, np.arange(5) == 2, np.zeros(5, bool)
+    flights = Flights(error, error, failed, missed, none, none, 0, 0)
+    assert flights.score(0.5) == pytest.approx((0.1 + 0.5 + 0.5 + 0.5 + 0.2) / 5.0)
 
 
 def test_flights_are_measured_step_by_step() -> None:

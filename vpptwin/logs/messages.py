@@ -22,6 +22,15 @@ _BATTERY_CONSTANTS = "\n".join(
     for value, name in enumerate(names)
 )
 
+_MARKERS = (
+    "ARROW CUBE SPHERE CYLINDER LINE_STRIP LINE_LIST CUBE_LIST SPHERE_LIST POINTS TEXT_VIEW_FACING MESH_RESOURCE "
+    "TRIANGLE_LIST"
+)
+_MARKER_CONSTANTS = "\n".join(
+    [f"int32 {name}={value}" for value, name in enumerate(_MARKERS.split())]
+    + ["int32 ADD=0", "int32 MODIFY=0", "int32 DELETE=2", "int32 DELETEALL=3"]
+)
+
 DEFINITIONS: dict[str, str] = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -48,6 +57,25 @@ DEFINITIONS: dict[str, str] = {
         "uint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\nfloat32[] cell_temperature\n"
         "string location\nstring serial_number"
     ),
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data",
+    "visualization_msgs/Marker": (
+        f"{_MARKER_CONSTANTS}\nstd_msgs/Header header\nstring ns\nint32 id\nint32 type\nint32 action\n"
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\n"
+        "builtin_interfaces/Duration lifetime\nbool frame_locked\ngeometry_msgs/Point[] points\n"
+        "std_msgs/ColorRGBA[] colors\nstring texture_resource\nsensor_msgs/CompressedImage texture\n"
+        "visualization_msgs/UVCoordinate[] uv_coordinates\nstring text\nstring mesh_resource\n"
+        "visualization_msgs/MeshFile mesh_file\nbool mesh_use_embedded_materials"
+    ),
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
     "vpptwin_msgs/RateThrust": "std_msgs/Header header\nfloat64 thrust\nfloat64 rate",
     "vpptwin_msgs/RotorCommand": "std_msgs/Header header\nfloat64[2] blade_pitch\nfloat64[2] throttle",
     "vpptwin_msgs/RotorState": "std_msgs/Header header\nfloat64[2] speed\nfloat64[2] current",
@@ -75,7 +103,7 @@ def compose_definition(name: str) -> str:
         if current in ordered:
             continue
         ordered.append(current)
-        bases = (line.split()[0] for line in DEFINITIONS[current].splitlines())
+        bases = (line.split()[0].partition("[")[0] for line in DEFINITIONS[current].splitlines())
         pending += [base for base in bases if base in DEFINITIONS]
     sections = [DEFINITIONS[ordered[0]]] + [
         f"MSG: {dependency}\n{DEFINITIONS[dependency]}" for dependency in ordered[1:]

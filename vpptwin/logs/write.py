@@ -6,7 +6,8 @@ import contextlib
 import math
 import os
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from errno import EISDIR
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import IO, Self
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
+from mcap_ros2._dynamic import serialize_dynamic
 
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
@@ -40,6 +42,23 @@ STRUCT_CODES = {
     "f4": "f",
     "f8": "d",
 }
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a type that holds no samples of ours.
+
+    Attributes:
+        topic: any.
+        message_type: one of those in `vpptwin.logs.messages`, e.g. `tf2_msgs/msg/TFMessage`.
+        time: when it was recorded [s since time zero].
+        fields: by name, headers included; what is left out is zero or empty.
+    """
+
+    topic: str
+    message_type: str
+    time: float
+    fields: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -76,6 +95,7 @@ class FlightWriter:
         self._schemas: dict[str, int] = {}
         self._templates: dict[tuple[str, tuple[str, ...], tuple[str, ...]], _Template] = {}
         self._sequence: dict[str, int] = {}
+        self._encoders: dict[str, Callable[[Mapping[str, object]], bytes]] = {}
         self._partial = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         try:
             if self.path.is_dir():
@@ -155,6 +175,16 @@ class FlightWriter:
             template.fill(column, [joints[name][column] for name in names])
         self._add(topic, JOINT_STATE, template, time, log_time)
 
+    def write_message(self, message: Message) -> None:
+        """Write a message of any type that we have a definition of, encoded by mcap-ros2-support."""
+        kind, topic = message.message_type, message.topic
+        if kind not in self._encoders:
+            self._encoders[kind] = serialize_dynamic(kind, compose_definition(kind))[kind]
+        stamp = self.start_ns + round(message.time * 1e9)
+        self._sequence[topic] = self._sequence.get(topic, 0) + 1
+        content = self._encoders[kind](message.fields)
+        self._writer.add_message(self._find_channel(topic, kind, {}), stamp, content, stamp, self._sequence[topic])
+
     def _find_template(
         self,
         topic: str,
@@ -185,14 +215,15 @@ class FlightWriter:
             self._find_channel(topic, message_type), logged, bytes(template.message), stamp, self._sequence[topic]
         )
 
-    def _find_channel(self, topic: str, message_type: str) -> int:
+    def _find_channel(self, topic: str, message_type: str, units: Mapping[str, str] | None = None) -> int:
         if topic not in self._channels:
             if message_type not in self._schemas:
                 text = compose_definition(message_type).encode()
                 self._schemas[message_type] = self._writer.register_schema(message_type, SchemaEncoding.ROS2, text)
-            units = JOINT_COLUMNS
-            if message_type != JOINT_STATE:
-                units = {column.name: column.unit for column in find_channel(topic).columns}
+            if units is None:
+                units = JOINT_COLUMNS
+                if message_type != JOINT_STATE:
+                    units = {column.name: column.unit for column in find_channel(topic).columns}
             metadata = {
                 "offered_qos_profiles": "",
                 "units": ", ".join(f"{name} {unit}" for name, unit in units.items()),
@@ -230,6 +261,7 @@ def write_flight(
     joints: Mapping[str, Mapping[str, Stream]] | None = None,
     start_ns: int = START_NS,
     metadata: Mapping[str, str] | None = None,
+    messages: Iterable[Message] = (),
 ) -> None:
     """Write whole streams, in order of time.
 
@@ -239,17 +271,23 @@ def write_flight(
         joints: JointState topic -> name -> samples; one message per name and sample.
         start_ns: stamp of time zero [ns].
         metadata: stored in the file.
+        messages: more of them, of other types, in order of time.
     """
+    waiting = deque(messages)
     entries = [(stream.time, topic, "", stream) for topic, stream in streams.items()]
     entries += [(s.time, topic, name, s) for topic, names in (joints or {}).items() for name, s in names.items()]
     with FlightWriter(path, start_ns, metadata) as writer:
         for index, row in _merge_times([entry[0] for entry in entries]):
             time, topic, name, stream = entries[index]
+            while waiting and waiting[0].time <= time[row]:
+                writer.write_message(waiting.popleft())
             sample = {column: values[row] for column, values in stream.values.items()}
             if name:
                 writer.write_joints(topic, float(time[row]), {name: sample})
             else:
                 writer.write(topic, float(time[row]), sample)
+        for message in waiting:
+            writer.write_message(message)
 
 
 def _merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from vpptwin.pilot.recording import record_streams
 from vpptwin.pilot.safety import find_danger
 from vpptwin.twin import Twin, TwinSpec
 from vpptwin.vehicle import Vehicle
+from vpptwin.viz.markers import describe_scene
+from vpptwin.viz.scene import fit_craft
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,10 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
         "vpptwin": __version__, "twin": spec.name, "effects": json.dumps(spec.effects), "seed": str(sortie.seed),
         "gusts": str(sortie.gusts).lower(), "controller": spec.controller, **sortie.about,
     }  # fmt: skip
-    write_flight(sortie.out, record_streams(tracks), metadata=metadata)
+    streams, model = record_streams(tracks), copy.copy(spec.model)
+    fit_craft(model, vehicle)
+    scene = describe_scene(model, streams["/mocap/pose"], streams.get("/setpoint/pose"))
+    write_flight(sortie.out, streams, metadata=metadata, messages=scene)
     describe_flight(tracks, vehicle, sortie)
     return tracks
 

@@ -26,6 +26,7 @@ class Flights:
         position_error: mean distance over the last window of the task, (N,) m.
         angle_error: likewise, (N,) rad.
         failed: whether a limit was exceeded, (N,) bool.
+        missed: whether an angle that the task asks to be met was not, (N,) bool.
         success: whether the task's measure of success is met, (N,) bool.
         inverted: whether the last target is upside-down, (N,) bool.
         turns: number of full turns that were asked for in flights that did not fail.
@@ -35,14 +36,15 @@ class Flights:
     position_error: np.ndarray
     angle_error: np.ndarray
     failed: np.ndarray
+    missed: np.ndarray
     success: np.ndarray
     inverted: np.ndarray
     turns: int
     turned: int
 
     def score(self, lost: float) -> float:
-        """Mean position error, a failed flight counted as `lost` and none as more, m."""
-        return float(np.where(self.failed, lost, np.minimum(self.position_error, lost)).mean())
+        """Mean position error, a flight that failed or missed an angle counted as `lost` and none as more, m."""
+        return float(np.where(self.failed | self.missed, lost, np.minimum(self.position_error, lost)).mean())
 
 
 @torch.no_grad()
@@ -63,10 +65,11 @@ def fly_tracks(env: VppEnv, policy: Policy) -> Flights:
         theta[k], turn[k] = env.state.qpos[:, 2], env.episodes.turn
     position_error, angle_error = distance[-window:].mean(axis=0), angle[-window:].mean(axis=0)
     limits = task.success
-    success = ~failed & (position_error <= limits.position) & (angle_error <= limits.angle) & ~env.episodes.missed
+    missed = env.episodes.missed.copy()
+    success = ~failed & (position_error <= limits.position) & (angle_error <= limits.angle) & ~missed
     turns, turned = count_turns(theta[:, ~failed], turn[:, ~failed], round(TURN_GRACE / period))
     inverted = np.abs(wrap_angle(env.episodes.target[:, 2])) > 0.5 * np.pi
-    return Flights(position_error, angle_error, failed, success, inverted, turns, turned)
+    return Flights(position_error, angle_error, failed, missed, success, inverted, turns, turned)
 
 
 def count_turns(theta: np.ndarray, turn: np.ndarray, grace: int) -> tuple[int, int]:
