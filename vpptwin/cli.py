@@ -108,6 +108,10 @@ def build_parser() -> argparse.ArgumentParser:
     plot.add_argument("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
     plot.set_defaults(run=run_plot)
 
+    layouts = commands.add_parser("layouts", help="write layouts of Foxglove and PlotJuggler for our logs")
+    layouts.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
+    layouts.set_defaults(run=run_layouts)
+
     add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
 
     identify = commands.add_parser("identify", help="fit an actuator to thrust-stand runs, or a twin to flights")
@@ -247,6 +251,14 @@ def run_plot(options: argparse.Namespace) -> None:
 
     restart = None if options.free else options.restart
     plot(options.source, options.twin, options.out, restart, options.theme, options.topic_map, options.effects)
+
+
+def run_layouts(options: argparse.Namespace) -> None:
+    """`vpptwin layouts`."""
+    from vpptwin.viz.layouts import write_layouts
+
+    for file in write_layouts(options.folder):
+        print(file)
 
 
 def run_identify(options: argparse.Namespace) -> None:

@@ -1,0 +1,19 @@
+"""Layouts in which Foxglove and PlotJuggler show a log of ours."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from vpptwin.files import write_whole
+
+NAMES = ("foxglove.json", "plotjuggler.xml")
+
+
+def write_layouts(folder: Path) -> list[Path]:
+    """Copy the layouts into a folder, which is made if need be; returns their paths.
+
+    Raises:
+        InputError: if it cannot be written to.
+    """
+    return [write_whole(folder / name, (files(__name__) / name).read_bytes()) for name in NAMES]
