@@ -237,23 +237,6 @@ def test_training_leaves_more_time_first_and_less_in_the_end(
     assert max(held) == pytest.approx(longest, abs=0.02 * (longest - shortest))
 
 
-def test_training_asks_for_less_at_first() -> None:
-    """An angle met within 40° counts at first, where 60° are allowed, and no longer in the end; nor in a flight."""
-    easing = ("task.success.easing.start=4", "task.success.easing.begin=0", "task.success.easing.finish=1")
-    overrides = ("task=wall-backtrack", "num_envs=4", *easing)
-    for lesson, flown, missed in (
-        (None, 0, True),
-        (Lesson(Curriculum(), 1000), 0, False),
-        (Lesson(Curriculum(), 1000), 1000, True),
-    ):
-        env = tiny_env(*overrides, lesson=lesson)
-        env.flown = flown // 4
-        env.reset()
-        env.episodes.stage[:], env.episodes.closest[:], env.episodes.switch[:] = 1, math.radians(40.0), 0.0
-        env._move_targets()
-        assert env.episodes.missed.tolist() == 4 * [missed]
-
-
 def test_training_ends_where_an_angle_was_missed() -> None:
     """With the trigger that takes the unmet angle away an episode of training fails; one that is flown goes on."""
     times = ("task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.1]", "task.target.easing.end=0")

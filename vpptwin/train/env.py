@@ -317,7 +317,7 @@ class VppEnv(EnvBase):
         ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
         if not len(ids):
             return
-        episodes.missed[ids] |= episodes.closest[ids] > self.task.success.reach_at(self.progress)
+        episodes.missed[ids] |= episodes.closest[ids] > (self.task.success.reach or np.inf)
         episodes.closest[ids] = np.inf
         episodes.stage[ids] += 1
         episodes.surprised[ids] = not target.expected

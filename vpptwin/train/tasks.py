@@ -159,19 +159,12 @@ class Success:
         reach: every angle that was asked for has to be met within this at some time while it was, rad; null for no such
             condition. A flight of training that misses one ends there: by the paper's reward alone a craft that can't
             stay at an angle had better not go there.
-        easing: what training multiplies `reach` with: asked for all of it at once, some policies learn never to go.
     """
 
     position: float = 0.05
     angle: float = 0.2
     window: float = 1.0
     reach: float | None = None
-    easing: Ramp = field(default_factory=lambda: Ramp(1.0, 1.0))
-
-    def reach_at(self, progress: float | None) -> float:
-        """How near an angle has to be met, rad, after this share of training; of a flight for None."""
-        eased = 1.0 if progress is None else self.easing.at(progress)
-        return math.inf if self.reach is None else self.reach * eased
 
 
 @dataclass
@@ -235,11 +228,11 @@ WALL_BACKTRACK = Task(
         expected=True,
         dwell=(1.0, 2.0),
         hold=(0.4, 0.7),
-        easing=Ramp(0.0, -0.05, begin=0.4, finish=0.7),
+        easing=Ramp(0.0, -0.05, begin=0.6, finish=0.8),
     ),
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False),
-    success=Success(reach=math.radians(15.0), easing=Ramp(4.0, 1.0, begin=0.2, finish=0.5)),
+    success=Success(reach=math.radians(15.0)),
 )
 TASKS: dict[str, Task] = {task.name: task for task in (HOVER, FLIP, WALL_BACKTRACK)}
 """Every task by name."""
@@ -267,9 +260,6 @@ def check_task(task: Task) -> None:
         times = getattr(target, name)
         if times is not None and times[0] <= 0.0:
             raise InputError(f"task.target.{name}={list(times)}", "times above 0", "correct the range")
-    if min(task.success.easing.start, task.success.easing.end) <= 0.0:
-        found = f"task.success.easing from {task.success.easing.start} to {task.success.easing.end}"
-        raise InputError(found, "factors above 0", "correct it")
     if target.hold is not None and target.hold[0] + min(target.easing.start, target.easing.end) <= 0.0:
         found = f"task.target.easing from {target.easing.start} to {target.easing.end}"
         raise InputError(found, "holds that stay above 0", "correct it")
