@@ -92,11 +92,14 @@ def build_parser() -> argparse.ArgumentParser:
 
     play = commands.add_parser("play", help="watch a log in meshcat, the twin beside it")
     play.add_argument(
-        "log", type=Path, nargs="+", metavar="LOG", help="an MCAP file, or the split files of one recording"
+        "log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording"
     )
     add_beside(play)
     play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
     play.add_argument("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
+    play.add_argument(
+        "--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it"
+    )
     play.set_defaults(run=run_play)
 
     plot = commands.add_parser("plot", help="draw a log over time, the twin beside it, or training curves")
@@ -239,7 +242,11 @@ def run_compare(options: argparse.Namespace) -> None:
 
 def run_play(options: argparse.Namespace) -> None:
     """`vpptwin play`."""
-    from vpptwin.viz.command import play_log
+    from vpptwin.viz.command import play_log, play_policy
+
+    if options.live is not None:
+        play_policy(options.live, options.log)
+        return
 
     restart = None if options.free else options.restart
     play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)

@@ -48,6 +48,20 @@ def play_log(
         play_live(flight, prediction, spec=spec)
 
 
+def play_policy(checkpoint: Path, logs: Sequence[Path]) -> None:
+    """Fly a policy in real time until Ctrl-C.
+
+    Raises:
+        InputError: if the checkpoint is not what it should be, or a log is given too.
+    """
+    if logs:
+        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
+    from vpptwin.train.live import LiveFlight
+    from vpptwin.viz.live import fly_live
+
+    fly_live(LiveFlight(checkpoint))
+
+
 def read_both(
     logs: Sequence[Path], twin: str | None, restart: float | None, topic_map: Path | None, effects: Sequence[Path]
 ) -> tuple[Flight, Prediction | None, TwinSpec]:
@@ -56,6 +70,8 @@ def read_both(
     Raises:
         InputError: if one of them is not what it should be.
     """
+    if not logs:
+        raise InputError("no LOG", "an MCAP file", "name one, or a policy with --live")
     if restart is not None and not restart > 0.0:
         raise InputError(f"--restart {restart:g}", "seconds above 0", "use --free for a twin that is never restarted")
     spec = load_twin(twin or "nominal", effects)

@@ -1,0 +1,190 @@
+"""`vpptwin play --live`: flips and pushes on demand, the page's requests, and the page in a real browser."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.viz.browser import Browser
+from tests.viz.test_browser import hear_interrupts
+from vpptwin.cli import main
+from vpptwin.train.live import KICK, LiveFlight
+from vpptwin.train.observe import wrap_angle
+from vpptwin.viz.live import KEYS, Panel
+
+
+@pytest.fixture(scope="module")
+def flight() -> LiveFlight:
+    """The shipped policy."""
+    return LiveFlight("flip", seed=3)
+
+
+def fly(flight: LiveFlight, seconds: float) -> np.ndarray:
+    """Poses (n, 3) of so many seconds."""
+    poses = []
+    for _ in range(round(seconds / flight.period)):
+        flight.step()
+        poses.append(flight.env.state.qpos[0].copy())
+    return np.array(poses)
+
+
+def test_it_flips_on_demand_and_stays_in_the_air(flight: LiveFlight) -> None:
+    """Nothing happens by itself; a flip turns the craft over within a second, another one back."""
+    fly(flight, 4.0)
+    before = flight.env.episodes.target[0, 2]
+    fly(flight, 3.0)
+    assert flight.env.episodes.target[0, 2] == before
+    for _ in range(2):
+        flight.commands["flip"]()
+        assert abs(wrap_angle(flight.env.episodes.target[:1, 2] - before)[0]) == pytest.approx(np.pi)
+        before = flight.env.episodes.target[0, 2]
+        fly(flight, 1.5)
+        told = flight.tell()
+        assert told["angle"] < 0.5
+        assert told["distance"] < 0.2
+    assert flight.begun == 1
+
+
+@pytest.mark.parametrize(("command", "sign"), [("turn left", 1.0), ("turn right", -1.0)])
+def test_a_full_turn_goes_the_way_it_was_asked(flight: LiveFlight, command: str, sign: float) -> None:
+    """Through 2 pi, left is counter-clockwise."""
+    fly(flight, 2.0)
+    start = flight.env.state.qpos[0, 2]
+    flight.commands[command]()
+    angle = fly(flight, 2.0)[:, 2] - start
+    assert angle[-1] == pytest.approx(sign * 2.0 * np.pi, abs=0.6)
+
+
+def test_pushes_change_the_motion(flight: LiveFlight) -> None:
+    """Each pushes the way it is called, and the craft comes back."""
+    fly(flight, 2.0)
+    for command, axis, sign in (("push left", 0, -1), ("push right", 0, 1), ("push up", 1, 1), ("push down", 1, -1)):
+        before = flight.env.state.qvel[0].copy()
+        flight.commands[command]()
+        np.testing.assert_allclose(flight.env.state.qvel[0] - before, np.eye(3)[axis] * sign * KICK, atol=1e-12)
+        fly(flight, 2.5)
+        assert flight.tell()["distance"] < 0.1
+    flight.commands["spin"]()
+    fly(flight, 2.5)
+    assert flight.tell()["angle"] < 0.4
+    assert flight.begun == 1
+
+
+def test_the_target_moves_within_reach(flight: LiveFlight) -> None:
+    """A step at a time, not beyond the rig."""
+    place = flight.env.episodes.target[0, 0]
+    flight.commands["target right"]()
+    assert flight.env.episodes.target[0, 0] == pytest.approx(place + 0.2)
+    for _ in range(30):
+        flight.commands["target right"]()
+        flight.commands["target down"]()
+    np.testing.assert_allclose(flight.env.episodes.target[0, :2], [1.2, 0.65])
+    for _ in range(30):
+        flight.commands["target left"]()
+        flight.commands["target up"]()
+    np.testing.assert_allclose(flight.env.episodes.target[0, :2], [-1.2, 2.0])
+
+
+def test_every_key_asks_for_something_there_is(flight: LiveFlight) -> None:
+    """Keys and commands are the same set."""
+    assert sorted(KEYS.values()) == sorted(flight.commands)
+
+
+@pytest.fixture
+def panel() -> Iterator[Panel]:
+    """A page around no scene."""
+    panel = Panel("about:blank", ["flip", "push up"])
+    yield panel
+    panel.close()
+
+
+def ask(address: str, body: bytes | None = None) -> bytes:
+    """Answer to a request."""
+    with urllib.request.urlopen(address, data=body, timeout=10.0) as answer:
+        content: bytes = answer.read()
+        return content
+
+
+def test_the_page_takes_commands_and_tells_the_state(panel: Panel) -> None:
+    """What is known waits in order; what is not is refused, as are other addresses."""
+    assert b"vpptwin live" in ask(panel.address)
+    panel.state = {"time": 1.5}
+    assert json.loads(ask(panel.address + "state")) == {"time": 1.5}
+    ask(panel.address, b"push up")
+    ask(panel.address, b"flip")
+    assert [panel.asked.get_nowait(), panel.asked.get_nowait()] == ["push up", "flip"]
+    for address, body in ((panel.address, b"format the disk"), (panel.address + "etc/passwd", None)):
+        with pytest.raises(urllib.error.HTTPError):
+            ask(address, body)
+    assert panel.asked.empty()
+    assert panel.address.startswith("http://127.0.0.1:")
+
+
+@pytest.mark.browser
+def test_a_button_flips_the_craft_in_the_browser(tmp_path: Path) -> None:
+    """The printed page shows the scene; a key asks for a flip, and thrust turns negative. Ctrl-C ends it."""
+    server = subprocess.Popen(
+        [sys.executable, "-u", "-m", "vpptwin.cli", "play", "--live", "flip"],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+        preexec_fn=hear_interrupts,
+    )
+    assert server.stdout is not None
+    try:
+        address = next(line.split()[0] for line in server.stdout if "shows the flight" in line)
+        with Browser(tmp_path, offline=False) as browser:
+            browser.open(address)
+            wait_until(lambda: sum(count_arrows(browser)) > 200)
+            green, orange = count_arrows(browser)
+            browser.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'})); 0")
+            wait_until(lambda: np.argmax(count_arrows(browser)) != np.argmax([green, orange]))
+            text = "document.getElementById('state').textContent"
+            wait_until(lambda: "from the target" in browser.evaluate(text))
+            assert [c for c in browser.complaints if "favicon" not in c] == []
+    finally:
+        os.kill(server.pid, signal.SIGINT)
+    assert server.wait(20) == 0
+
+
+def count_arrows(browser: Browser) -> tuple[int, int]:
+    """Pixels of the window in the colours of positive and of negative thrust."""
+    seen = np.asarray(Image.open(io.BytesIO(browser.take_picture())).convert("RGB")).astype(int)
+    red, green, blue = seen.reshape(-1, 3).T
+    return np.count_nonzero((green > red + 60) & (green > blue + 20)), np.count_nonzero(
+        (red > green + 60) & (red > 180)
+    )
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Until it holds, half a minute at most."""
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+
+
+def test_a_log_and_a_policy_are_one_too_many(capsys: pytest.CaptureFixture[str]) -> None:
+    """Told so in a line, as are neither of them, and a policy that does not exist."""
+    for arguments, hint in (
+        (["a.mcap", "--live", "flip"], "leave one out"),
+        ([], "--live"),
+        (["--live", "flop"], "flop"),
+    ):
+        assert main(["play", *arguments]) == 2
+        said = capsys.readouterr().err.strip()
+        assert hint in said
+        assert "\n" not in said

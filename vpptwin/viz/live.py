@@ -1,0 +1,220 @@
+"""`vpptwin play --live`: a policy in meshcat in real time, with a page of buttons and keys around it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import threading
+import time
+from collections.abc import Iterable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from queue import Empty, SimpleQueue
+
+import meshcat.transformations as tf
+import mujoco
+import numpy as np
+from meshcat import Visualizer
+
+from vpptwin.actuators.blade import compute_thrust, max_thrust
+from vpptwin.train.live import LiveFlight
+from vpptwin.vehicle import Vehicle
+from vpptwin.viz.camera import View, place_camera, set_backdrop
+from vpptwin.viz.page import TEMPLATES
+from vpptwin.viz.rotors import (
+    ARROW_LENGTH,
+    PITCH_EXAGGERATION,
+    SHORTEST_ARROW,
+    TURN_SIGNS,
+    TURN_SLOWDOWN,
+    draw_arrows,
+    draw_rotors,
+)
+from vpptwin.viz.scene import (
+    ROOT,
+    draw_bodies,
+    draw_geom,
+    draw_grid,
+    draw_surroundings,
+    find_craft,
+    fit_craft,
+    make_matrix,
+    name_body,
+)
+from vpptwin.viz.stage import GRID_DEPTH, TARGET_PAINT
+
+VIEW = View(np.array([0.1, 0.0, 1.25]), 1.35)
+FRAME = 0.025
+"""Time between pictures, s."""
+KEYS = {
+    "f": "flip", "q": "turn left", "e": "turn right", "ArrowLeft": "push left", "ArrowRight": "push right",
+    "ArrowUp": "push up", "ArrowDown": "push down", "s": "spin", "j": "target left", "l": "target right",
+    "i": "target up", "k": "target down",
+}  # fmt: skip
+"""Keys of the page, and what they ask for."""
+
+
+class LiveStage:
+    """The rig in meshcat, moved by hand.
+
+    Args:
+        vis: where to draw.
+        model: the rig.
+        vehicle: numbers of the craft.
+    """
+
+    def __init__(self, vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
+        self._model, self._vehicle, self._data = copy.copy(model), vehicle, mujoco.MjData(model)
+        fit_craft(self._model, vehicle)
+        self._node = vis[f"{ROOT}/log"]
+        self._craft = self._node[name_body(model, find_craft(model))]
+        self._ghost = vis[f"{ROOT}/target"]
+        set_backdrop(vis)
+        draw_surroundings(vis[f"{ROOT}/world"], self._model)
+        draw_bodies(self._node, self._model)
+        draw_rotors(self._craft, self._model, vehicle)
+        draw_arrows(self._craft)
+        for geom in np.flatnonzero(self._model.geom_bodyid == find_craft(self._model)):
+            draw_geom(self._ghost, self._model, int(geom), TARGET_PAINT)
+        reach = VIEW.half_height * np.array([2.0, 1.2])
+        centre = VIEW.centre[[0, 2]]
+        draw_grid(vis[f"{ROOT}/grid"], np.maximum(centre - reach, [-np.inf, 0.0]), centre + reach, GRID_DEPTH)
+        place_camera(vis, VIEW)
+
+    def show(
+        self, qpos: np.ndarray, target: np.ndarray, angle: np.ndarray, pitch: np.ndarray, thrust: np.ndarray
+    ) -> None:
+        """Move everything.
+
+        Args:
+            qpos: joint positions (nq,).
+            target: x, z, θ (3,) m, m, rad.
+            angle: turned by the rotors, (2,) rad.
+            pitch: of the blades, (2,) rad.
+            thrust: of the rotors along body z, (2,) N.
+        """
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        for body in np.flatnonzero(self._model.body_weldid != 0):
+            pose = make_matrix(self._data.xpos[body], self._data.xquat[body])
+            self._node[name_body(self._model, int(body))].set_transform(pose)
+        half = -0.5 * target[2]  # θ turns about -y
+        turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
+        full = max_thrust(self._vehicle.rotor)
+        for i, sign in enumerate(TURN_SIGNS):
+            rotor = self._craft[f"rotor_{i + 1}"]
+            rotor["spin"].set_transform(tf.rotation_matrix(sign * angle[i] / TURN_SLOWDOWN, [0, 0, 1]))
+            for blade in ("blade_a", "blade_b"):
+                feather = tf.rotation_matrix(sign * PITCH_EXAGGERATION * pitch[i], [1, 0, 0])
+                rotor["spin"][blade]["feather"].set_transform(feather)
+            for name, factor in (("positive", 1.0), ("negative", -1.0)):
+                length = float(max(factor * thrust[i] / full * ARROW_LENGTH, SHORTEST_ARROW))
+                arrow = rotor[f"{name}_thrust"]
+                arrow.set_property("visible", length > SHORTEST_ARROW)
+                arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
+                arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
+
+
+class Panel:
+    """A page on this machine with the scene, buttons and keys; what is asked for waits in `asked`.
+
+    Args:
+        scene: address of meshcat.
+        commands: what may be asked for.
+    """
+
+    def __init__(self, scene: str, commands: Iterable[str]) -> None:
+        self.asked: SimpleQueue[str] = SimpleQueue()
+        self.state: dict[str, float] = {}
+        known = set(commands)
+        page = TEMPLATES.get_template("live.html").render(scene=scene, keys=json.dumps(KEYS), buttons=KEYS).encode()
+        panel = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                if self.path == "/":
+                    self._answer(page, "text/html; charset=utf-8")
+                elif self.path == "/state":
+                    self._answer(json.dumps(panel.state).encode(), "application/json")
+                else:
+                    self.send_error(HTTPStatus.NOT_FOUND)
+
+            def do_POST(self) -> None:
+                length = min(int(self.headers.get("Content-Length") or 0), 100)
+                what = self.rfile.read(length).decode("utf-8", "replace")
+                if what not in known:
+                    self.send_error(HTTPStatus.BAD_REQUEST)
+                    return
+                panel.asked.put(what)
+                self._answer(b"", "text/plain")
+
+            def _answer(self, content: bytes, kind: str) -> None:
+                self.send_response(HTTPStatus.OK)
+                self.send_header("Content-Type", kind)
+                self.send_header("Content-Length", str(len(content)))
+                self.end_headers()
+                self.wfile.write(content)
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Say nothing."""
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://127.0.0.1:{self._server.server_address[1]}/"
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def fly_live(flight: LiveFlight, seconds: float | None = None) -> None:
+    """Fly in real time until Ctrl-C, or for so long [s], and print where to look.
+
+    Args:
+        flight: what is flown.
+        seconds: None for ever.
+    """
+    env, vehicle = flight.env, flight.env.twin.vehicle
+    vis = Visualizer()
+    panel = Panel(vis.url(), flight.commands)
+    try:
+        stage = LiveStage(vis, env.twin.spec.model, vehicle)
+        print(
+            f"{panel.address} shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end.",
+            flush=True,
+        )
+        angle, redraw, began = np.zeros(2), 0.0, time.perf_counter()
+        due = began
+        while seconds is None or due - began < seconds:
+            while True:
+                try:
+                    flight.commands[panel.asked.get_nowait()]()
+                except Empty:
+                    break
+            flight.step()
+            panel.state = flight.tell()
+            actuators = env.state.actuators
+            speed, pitch = actuators["rotor_speed"][0], actuators["blade"][0]
+            angle += speed * flight.period
+            due += flight.period
+            now = time.perf_counter()
+            if now >= redraw:
+                thrust = compute_thrust(vehicle.rotor, speed, pitch)
+                stage.show(env.state.qpos[0], env.episodes.target[0], angle, pitch, thrust)
+                # Drawing takes half of the time at most: the flight is to keep pace with the clock.
+                redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
+            if due > now:
+                time.sleep(due - now)
+            elif now - due > 0.5:
+                due = now  # a machine too slow for real time does not hurry afterwards
+    except KeyboardInterrupt:
+        pass
+    finally:
+        panel.close()
+        vis.window.server_proc.terminate()
