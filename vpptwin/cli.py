@@ -1,20 +1,28 @@
-"""The command line: one entry point, each command a thin function. Heavy packages load only where they are used."""
+"""The command line: one entry point and its grammar; what commands do is in `vpptwin.commands`."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from vpptwin import __version__
+from vpptwin.commands import (
+    run_compare,
+    run_diagnose,
+    run_effects,
+    run_evaluate,
+    run_fly,
+    run_identify,
+    run_layouts,
+    run_play,
+    run_plot,
+    run_train,
+)
 from vpptwin.errors import InputError
-
-if TYPE_CHECKING:
-    from vpptwin.pilot.flight import Pilot
 
 
 class Parser(argparse.ArgumentParser):
@@ -201,152 +209,6 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
 def add_topic_map(parser: argparse.ArgumentParser) -> None:
     """The argument that renames topics and fields of other people's bags."""
     parser.add_argument("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
-
-
-def run_effects(options: argparse.Namespace) -> None:
-    """`vpptwin effects`."""
-    from vpptwin.effects.table import print_catalogue
-    from vpptwin.twin.spec import load_twin
-
-    spec = load_twin(options.twin, options.effects)
-    if options.pictures and spec.vehicle is None:
-        raise InputError(
-            f"{spec.name} is not the drone", "the drone, which the pictures' flight is for", "leave it out"
-        )
-    if options.pictures:
-        from vpptwin.viz.fingerprint import draw_catalogue
-
-        files = draw_catalogue(spec, Path(options.pictures))
-        print(f"{len(files)} pictures in {options.pictures}")
-        return
-    print_catalogue(spec.catalogue, options.markdown, "effects" if spec.vehicle is not None else "")
-
-
-def run_diagnose(options: argparse.Namespace) -> None:
-    """`vpptwin diagnose`."""
-    from vpptwin.diagnosis.command import diagnose_logs
-
-    for i, log in enumerate(options.logs):
-        if log.resolve() in [other.resolve() for other in options.logs[:i]]:
-            expected = "every flight once, as those that judge must not be those that are fitted"
-            raise InputError(f"{log} is given twice", expected, "leave one out")
-    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
-
-
-def run_compare(options: argparse.Namespace) -> None:
-    """`vpptwin compare`."""
-    from vpptwin.diagnosis.compare import compare_logs
-
-    compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
-
-
-def run_play(options: argparse.Namespace) -> None:
-    """`vpptwin play`."""
-    from vpptwin.viz.command import play_log, play_policy
-
-    if options.live is not None:
-        play_policy(options.live, options.log)
-        return
-
-    restart = None if options.free else options.restart
-    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
-
-
-def run_plot(options: argparse.Namespace) -> None:
-    """`vpptwin plot`."""
-    from vpptwin.viz.command import plot
-
-    restart = None if options.free else options.restart
-    plot(options.source, options.twin, options.out, restart, options.theme, options.topic_map, options.effects)
-
-
-def run_layouts(options: argparse.Namespace) -> None:
-    """`vpptwin layouts`."""
-    from vpptwin.viz.layouts import write_layouts
-
-    for file in write_layouts(options.folder):
-        print(file)
-
-
-def run_identify(options: argparse.Namespace) -> None:
-    """`vpptwin identify`."""
-    from vpptwin.identification.command import identify_bench, identify_flights
-
-    if options.parameters is not None:
-        given = (options.logs, options.parameters, options.twin, options.out, options.topic_map, options.effects)
-        identify_flights(*given)
-        return
-    identify_bench(options.logs, options.out, options.topic_map, options.vehicle)
-
-
-def run_fly(options: argparse.Namespace) -> None:
-    """`vpptwin fly`."""
-    from vpptwin.pilot.command import Sortie, check_out, fly_log, print_library, require_drone
-    from vpptwin.twin.spec import load_twin
-
-    if options.list:
-        print_library()
-        return
-    scripted = check_pilot(options)
-    if options.seed < 0:
-        raise InputError(f"--seed {options.seed}", "a number from 0 on", "choose another")
-    spec = load_twin(options.twin, options.effects)
-    vehicle, out = require_drone(spec), check_out(options.out)
-    if options.controller is not None:
-        spec = spec.with_controller(options.controller)
-    pilot: Pilot
-    if scripted:
-        from vpptwin.pilot.library import LIBRARY
-        from vpptwin.pilot.manoeuvre import find_manoeuvre, parse_settings
-        from vpptwin.pilot.scripted import ScriptedPilot
-
-        manoeuvre, given = find_manoeuvre(LIBRARY, options.manoeuvre), parse_settings(options.set)
-        pilot = ScriptedPilot(vehicle, [manoeuvre.plan(vehicle, given, options.duration)])
-        chosen = " ".join(f"{name}={value:g}" for name, value in manoeuvre.choose(given).items())
-        about = {"manoeuvre": manoeuvre.name, "settings": chosen}
-    else:
-        from vpptwin.train.pilot import load_pilot
-
-        pilot, spec = load_pilot(options.checkpoint, options.task, spec, options.duration, options.seed)
-        about = {"policy": str(options.checkpoint), "task": pilot.task}
-    fly_log(pilot, Sortie(spec, out, options.seed, options.gusts, about))
-
-
-def check_pilot(options: argparse.Namespace) -> bool:
-    """Whether the scripted pilot flies; refuse options that do not go together."""
-    scripted = options.pilot == "scripted" or (options.pilot is None and options.checkpoint is None)
-    wrong = {"a checkpoint": options.checkpoint, "--task": options.task}
-    if not scripted:
-        wrong = {"--manoeuvre": options.manoeuvre, "--set": options.set}
-    given = [name for name, value in wrong.items() if value]
-    who = "scripted pilot" if scripted else "policy"
-    if given:
-        raise InputError(f"{given[0]} for the {who}", "a checkpoint, or --manoeuvre NAME", "leave one out")
-    if (options.manoeuvre if scripted else options.checkpoint) is None:
-        missing = "--manoeuvre" if scripted else "checkpoint"
-        raise InputError(f"no {missing} for the {who}", "--manoeuvre NAME, or a checkpoint", "see `vpptwin fly --list`")
-    return scripted
-
-
-def run_train(overrides: Sequence[str]) -> None:
-    """`vpptwin train`."""
-    from vpptwin.train.main import run_train as train
-
-    print(train(list(overrides)))
-
-
-def run_evaluate(options: argparse.Namespace) -> None:
-    """`vpptwin evaluate`."""
-    from vpptwin.train.evaluate import Conditions
-    from vpptwin.train.evaluate import run_evaluate as evaluate
-
-    names = [name for name in options.randomize.split(",") if name not in ("", "none")]
-    conditions = Conditions(
-        options.task, options.tracks, options.seed, options.twin, options.noise, names, options.thrust_to_weight,
-        [str(file) for file in options.effects], options.estimator,
-    )  # fmt: skip
-    result = evaluate(options.checkpoint, conditions, options.json)
-    print(json.dumps(result, indent=2))
 
 
 if __name__ == "__main__":
