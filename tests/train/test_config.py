@@ -100,7 +100,6 @@ def test_every_task_is_valid(task: str) -> None:
         (["task.target.quiet=-1"], "from 0"),
         (["task=wall-backtrack", "task.target.hold=[0,1]"], "times above 0"),
         (["task=wall-backtrack", "task.target.hold=[2,1]"], "[low, high]"),
-        (["task=wall-backtrack", "task.target.easing.end=-0.4"], "holds that stay above 0"),
         (["task.thrust_to_weight=1"], "more than 1"),
         (["task.thrust_to_weight=nan"], "more than 1"),
     ],

@@ -53,13 +53,9 @@ class Lesson:
     steps: int
     repeats: float = 0.0
 
-    def progress_at(self, flown: int) -> float:
-        """Share of training that so many policy steps are; all of it without a curriculum."""
-        return flown / self.steps if self.curriculum.enabled else 1.0
-
     def difficulty_at(self, flown: int) -> float:
         """Difficulty after so many policy steps."""
-        return self.curriculum.difficulty.at(self.progress_at(flown)) if self.curriculum.enabled else 1.0
+        return self.curriculum.difficulty.at(flown / self.steps) if self.curriculum.enabled else 1.0
 
     def single(self, flown: int) -> bool:
         """Whether episodes are judged by one criterion each."""

@@ -124,11 +124,6 @@ class VppEnv(EnvBase):
         """Level of the curriculum, 0 to 1."""
         return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.twin.num_sims)
 
-    @property
-    def progress(self) -> float | None:
-        """Share of training that is over; None in a flight."""
-        return None if self.lesson is None else self.lesson.progress_at(self.flown * self.twin.num_sims)
-
     def _make_specs(self, n: int) -> None:
         def scalar(dtype: torch.dtype) -> Unbounded:
             return Unbounded(shape=(n, 1), dtype=dtype)
@@ -224,7 +219,7 @@ class VppEnv(EnvBase):
     def _schedule(self, ids: np.ndarray) -> None:
         """Draw when the next triggers come; none in an episode judged by its position, nor in the quiet of a flight."""
         episodes, target = self.episodes, self.task.target
-        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids], self.progress)
+        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
         last = np.inf if self.lesson is not None else self.duration - target.quiet
         never = (time > last) | (episodes.criterion[ids] == POSITION)
         episodes.switch[ids] = np.where(never, np.inf, time)

@@ -12,7 +12,6 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.train.observe import wrap_angle
-from vpptwin.train.ramp import Ramp
 from vpptwin.train.reward import RewardWeights
 from vpptwin.vehicle import Vehicle
 
@@ -60,8 +59,6 @@ class Target:
         in_order: take the angles from first to last, once, instead of at random.
         dwell: uniform distribution of the time until the next trigger, s; null for no trigger.
         hold: in order, the same for the angles between first and last, s; null for as long as `dwell`.
-        easing: what training adds to `hold`, s, below zero to its lower end only: who has practised faster is there in
-            time.
         turns: share of triggers that ask for a full turn instead of another angle.
         turn_rate: of the target's angle during a full turn, in either direction, rad/s.
         quiet: no trigger in so much of the end of an episode, s; in training there may be.
@@ -76,7 +73,6 @@ class Target:
     in_order: bool = False
     dwell: Range | None = None
     hold: Range | None = None
-    easing: Ramp = field(default_factory=lambda: Ramp(0.0, 0.0))
     turns: float = 0.0
     turn_rate: float = 12.0
     quiet: float = 2.0
@@ -89,23 +85,15 @@ class Target:
         angle = np.full(count, self.angles[0]) if self.in_order else rng.choice(self.angles, count)
         return np.column_stack([place, angle])
 
-    def draw_dwell(self, rng: np.random.Generator, stage: np.ndarray, progress: float | None = None) -> np.ndarray:
-        """Times until the next trigger after so many (n,), (n,) s; infinite when there is none.
-
-        Args:
-            rng: to draw from.
-            stage: number of triggers so far, (n,).
-            progress: share of training that is over; None for a flight.
-        """
+    def draw_dwell(self, rng: np.random.Generator, stage: np.ndarray) -> np.ndarray:
+        """Times until the next trigger after so many (n,), (n,) s; infinite when there is none."""
         if self.dwell is None:
             return np.full(len(stage), math.inf)
         time = rng.uniform(*self.dwell, len(stage))
         if not self.in_order:
             return time
         if self.hold is not None:
-            more = 0.0 if progress is None else self.easing.at(progress)
-            low, high = self.hold[0] + more, self.hold[1] + max(more, 0.0)
-            time = np.where(stage > 0, rng.uniform(low, high, len(stage)), time)
+            time = np.where(stage > 0, rng.uniform(*self.hold, len(stage)), time)
         return np.where(stage < len(self.angles) - 1, time, math.inf)
 
     def draw_other_angle(self, rng: np.random.Generator, angle: np.ndarray, stage: np.ndarray) -> np.ndarray:
@@ -228,7 +216,6 @@ WALL_BACKTRACK = Task(
         expected=True,
         dwell=(1.0, 2.0),
         hold=(0.4, 0.7),
-        easing=Ramp(0.0, -0.05, begin=0.6, finish=0.8),
     ),
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False),
@@ -260,9 +247,6 @@ def check_task(task: Task) -> None:
         times = getattr(target, name)
         if times is not None and times[0] <= 0.0:
             raise InputError(f"task.target.{name}={list(times)}", "times above 0", "correct the range")
-    if target.hold is not None and target.hold[0] + min(target.easing.start, target.easing.end) <= 0.0:
-        found = f"task.target.easing from {target.easing.start} to {target.easing.end}"
-        raise InputError(found, "holds that stay above 0", "correct it")
     if not 0.0 <= target.turns <= 1.0 or target.turn_rate <= 0.0 or target.quiet < 0.0:
         found = f"task.target.turns={target.turns} turn_rate={target.turn_rate} quiet={target.quiet}"
         raise InputError(found, "a share from 0 to 1, a rate above 0, a time from 0", "correct it")
