@@ -48,7 +48,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--options", nargs="*", default=[], help="overrides for every run, e.g. preset=paper")
     parser.add_argument("--folder", type=Path, default=Path("runs/paper_table"), help="where runs are kept")
     parser.add_argument("--json", type=Path, help="write results here")
-    parser.add_argument("--pictures", type=Path, help="folder for training_curves.svg")
+    parser.add_argument("--pictures", type=Path, help="folder for training_curves.svg of --variants")
     parser.add_argument("--report", type=Path, nargs="+", help="print tables of earlier results, train nothing")
     return parser.parse_args(argv)
 
@@ -70,8 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.json.write_text(json.dumps(about | describe_machine() | {"runs": results}) + "\n")
     print(format_table(results))
     if args.pictures:
-        variants = dict.fromkeys(result["variant"] for result in results)
-        curves = {name: [r["curve"] for r in results if r["variant"] == name] for name in variants}
+        curves = {name: [r["curve"] for r in results if r["variant"] == name] for name in args.variants}
+        curves = {name: runs for name, runs in curves.items() if runs}
         write_story(draw_curves(curves, "Training curves"), args.pictures / "training_curves.svg")
     return 0
 

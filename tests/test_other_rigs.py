@@ -73,6 +73,7 @@ def test_dry_friction_of_a_cart_is_named(tmp_path: Path) -> None:
     assert (first["model"], second["model"]) == ("../rig.xml", "../../rig.xml")
 
 
+@pytest.mark.slow
 def test_damping_of_a_pendulum_is_named(tmp_path: Path) -> None:
     """A pendulum pushed to and fro by its motor: viscous, not coulomb."""
     check_named(diagnose_rig(PENDULA, DAMPING, tmp_path), "swing.viscous", "damping", DAMPING)
