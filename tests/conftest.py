@@ -35,7 +35,8 @@ LONG = (
     "effects/test_catalogue.py", "twin/test_own_effects.py", "train/test_training.py", "test_reality_log.py",
     "train/test_ray.py", "engine/test_cache.py", "test_own_effects.py", "test_antx.py", "test_reality.py",
     "identification/test_identify.py", "identification/test_free_flight.py", "test_other_rigs.py",
-    "viz/test_browser.py", "viz/test_live.py", "viz/test_frames.py", "diagnosis/test_experiment.py", "actuators/test_adaptive.py", "train/test_resume.py",
+    "viz/test_browser.py", "viz/test_live.py", "viz/test_frames.py", "diagnosis/test_experiment.py",
+    "actuators/test_adaptive.py", "train/test_resume.py",
 )  # fmt: skip
 """Files that take longest, first: two workers that share them file by file are then done at about the same time."""
 

@@ -53,14 +53,23 @@ def run_compare(options: argparse.Namespace) -> None:
 
 def run_play(options: argparse.Namespace) -> None:
     """`vpptwin play`."""
-    from vpptwin.viz.command import play_log, play_policy
+    from vpptwin.viz.command import play_log
 
     if options.live is not None:
         play_policy(options.live, options.log)
         return
-
     restart = None if options.free else options.restart
     play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
+
+
+def play_policy(checkpoint: Path, logs: Sequence[Path]) -> None:
+    """Fly a policy in real time until Ctrl-C; refuse a log that is given too."""
+    from vpptwin.train.live import LiveFlight
+    from vpptwin.viz.live import fly_live
+
+    if logs:
+        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
+    fly_live(LiveFlight(checkpoint))
 
 
 def run_plot(options: argparse.Namespace) -> None:
@@ -94,6 +103,7 @@ def run_fly(options: argparse.Namespace) -> None:
     """`vpptwin fly`."""
     from vpptwin.pilot.command import Sortie, check_out, fly_log, print_library, require_drone
     from vpptwin.twin.spec import load_twin
+    from vpptwin.viz.markers import describe_flight
 
     if options.list:
         print_library()
@@ -120,7 +130,7 @@ def run_fly(options: argparse.Namespace) -> None:
 
         pilot, spec = load_pilot(options.checkpoint, options.task, spec, options.duration, options.seed)
         about = {"policy": str(options.checkpoint), "task": pilot.task}
-    fly_log(pilot, Sortie(spec, out, options.seed, options.gusts, about))
+    fly_log(pilot, Sortie(spec, out, options.seed, options.gusts, about, describe_flight))
 
 
 def check_pilot(options: argparse.Namespace) -> bool:

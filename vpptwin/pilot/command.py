@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,8 @@ from rich.console import Console
 from vpptwin import __version__
 from vpptwin.actuators.adaptive import DRAG, FAULT, FAULTS, HALF_GAP, TRIM
 from vpptwin.errors import InputError
-from vpptwin.logs.write import write_flight
+from vpptwin.logs.flight import Stream
+from vpptwin.logs.write import Message, write_flight
 from vpptwin.pilot.flight import SETTLING, Pilot, Tracks, fly
 from vpptwin.pilot.gusts import CARRIERS, Gusts
 from vpptwin.pilot.library import LIBRARY
@@ -22,8 +22,6 @@ from vpptwin.pilot.recording import record_streams
 from vpptwin.pilot.safety import find_danger
 from vpptwin.twin import Twin, TwinSpec
 from vpptwin.vehicle import Vehicle
-from vpptwin.viz.markers import describe_scene
-from vpptwin.viz.scene import fit_craft
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,7 @@ class Sortie:
         seed: of noise and gusts.
         gusts: whether gusts of 1 % of the weight blow.
         about: what is flown, stored in the log.
+        describe: what the log says besides, say for 3D panels: from twin and streams to messages in order of time.
     """
 
     spec: TwinSpec
@@ -43,6 +42,7 @@ class Sortie:
     seed: int
     gusts: bool
     about: Mapping[str, str]
+    describe: Callable[[TwinSpec, Mapping[str, Stream]], Iterable[Message]] = lambda spec, streams: ()
 
 
 def require_drone(spec: TwinSpec) -> Vehicle:
@@ -94,10 +94,8 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
         "vpptwin": __version__, "twin": spec.name, "effects": json.dumps(spec.effects), "seed": str(sortie.seed),
         "gusts": str(sortie.gusts).lower(), "controller": spec.controller, **sortie.about,
     }  # fmt: skip
-    streams, model = record_streams(tracks), copy.copy(spec.model)
-    fit_craft(model, vehicle)
-    scene = describe_scene(model, streams["/mocap/pose"], streams.get("/setpoint/pose"))
-    write_flight(sortie.out, streams, metadata=metadata, messages=scene)
+    streams = record_streams(tracks)
+    write_flight(sortie.out, streams, metadata=metadata, messages=sortie.describe(spec, streams))
     describe_flight(tracks, vehicle, sortie)
     return tracks
 

@@ -48,20 +48,6 @@ def play_log(
         play_live(flight, prediction, spec=spec)
 
 
-def play_policy(checkpoint: Path, logs: Sequence[Path]) -> None:
-    """Fly a policy in real time until Ctrl-C.
-
-    Raises:
-        InputError: if the checkpoint is not what it should be, or a log is given too.
-    """
-    if logs:
-        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
-    from vpptwin.train.live import LiveFlight
-    from vpptwin.viz.live import fly_live
-
-    fly_live(LiveFlight(checkpoint))
-
-
 def read_both(
     logs: Sequence[Path], twin: str | None, restart: float | None, topic_map: Path | None, effects: Sequence[Path]
 ) -> tuple[Flight, Prediction | None, TwinSpec]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
 
 import meshcat.transformations as tf
 import mujoco
@@ -17,7 +18,6 @@ import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust, max_thrust
-from vpptwin.train.live import LiveFlight
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.camera import View, place_camera, set_backdrop
 from vpptwin.viz.page import TEMPLATES
@@ -42,6 +42,9 @@ from vpptwin.viz.scene import (
     name_body,
 )
 from vpptwin.viz.stage import GRID_DEPTH, TARGET_PAINT
+
+if TYPE_CHECKING:
+    from vpptwin.train.live import LiveFlight
 
 VIEW = View(np.array([0.1, 0.0, 1.25]), 1.35)
 FRAME = 0.025

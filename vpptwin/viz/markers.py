@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 
 import mujoco
@@ -10,8 +11,9 @@ import numpy as np
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import START_NS, Message
 from vpptwin.twin.model import CRAFT_JOINTS
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.palette import TARGET, to_rgb
-from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, find_craft
+from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, find_craft, fit_craft
 from vpptwin.viz.shapes import PLANE_HALF_SIZE, PLANE_THICKNESS, Paint, read_paint
 
 TRANSFORMS, MARKERS = "/tf", "/rig/markers"
@@ -22,6 +24,15 @@ RATE = 50.0
 EVERY = 1.0
 """Markers come again after so long, for those who start in the middle [s]."""
 CUBE, SPHERE, CYLINDER = 1, 2, 3
+
+
+def describe_flight(spec: TwinSpec, streams: Mapping[str, Stream]) -> list[Message]:
+    """Messages that show the streams of a flight of our craft on its rig; none for other rigs."""
+    if spec.vehicle is None:
+        return []
+    model = copy.copy(spec.model)
+    fit_craft(model, spec.vehicle)
+    return describe_scene(model, streams["/mocap/pose"], streams.get("/setpoint/pose"))
 
 
 def describe_scene(
