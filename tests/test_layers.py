@@ -12,7 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "vpptwin"
 ORDER = (
-    "effects", "engine", "actuators", "twin", "logs", "estimation", "pilot", "viz", "diagnosis", "identification", "train",
+    "effects", "engine", "actuators", "twin", "logs", "estimation", "pilot", "viz", "diagnosis", "identification",
+    "train",
 )  # fmt: skip
 """Each package imports only from those before it."""
 
@@ -54,5 +55,7 @@ def test_imports_run_one_way(package: str) -> None:
 
 def test_a_wrong_import_would_be_seen() -> None:
     """Inside of a function too, but not below TYPE_CHECKING."""
-    text = "if TYPE_CHECKING:\n    from vpptwin.train import a\ndef f():\n    from vpptwin import cli\n    import vpptwin.viz.page\n"
+    text = (
+        "if TYPE_CHECKING:\n from vpptwin.train import a\ndef f():\n from vpptwin import cli\n import vpptwin.viz.page"
+    )
     assert set(find_imports(ast.parse(text))) == {"vpptwin", "vpptwin.cli", "vpptwin.viz.page"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 import yaml
 
 from tests.bench_logs import write_bench
+from tests.viz.browser import Browser
 from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust, strengthen_rotor
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.cli import main
@@ -97,14 +100,36 @@ def test_errors_are_of_what_was_left_out(bent: Path) -> None:
         assert fitted.held_out >= fitted.residual
 
 
-def test_the_command_writes_file_and_page(bent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def written(bent: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder with what the command writes, and what it says."""
+    folder, said = tmp_path_factory.mktemp("identified"), io.StringIO()
+    with redirect_stdout(said):
+        assert main(["identify", str(bent), "--out", str(folder / "actuator.yaml")]) == 0
+    return folder, said.getvalue()
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1200, 400])
+def test_the_page_in_a_browser(written: tuple[Path, str], tmp_path: Path, width: int) -> None:
+    """Offline, without complaint, all four pictures drawn, nothing sticks out sideways on a desk or a phone."""
+    with Browser(tmp_path, size=(width, 900)) as browser:
+        browser.open(written[0] / "actuator.html")
+        browser.draw_frames()
+        assert browser.complaints == []
+        assert browser.requests == [(written[0] / "actuator.html").resolve().as_uri()]
+        assert browser.evaluate("document.documentElement.scrollWidth") == width
+        areas = "[...document.querySelectorAll('svg')].map(s => s.getBoundingClientRect()).map(b => b.width * b.height)"
+        assert min(browser.evaluate(areas)) > 20_000
+        assert len(browser.evaluate(areas)) == 4
+
+
+def test_the_command_writes_file_and_page(written: tuple[Path, str], tmp_path: Path) -> None:
     """actuator.yaml holds the constants and their intervals, the page the same; a twin YAML refers to it."""
-    out = tmp_path / "actuator.yaml"
-    assert main(["identify", str(bent), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    folder, said = written
     assert "blade elements with inflow" in said
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["actuator.html", "actuator.yaml"]
-    content, page = yaml.safe_load(out.read_text()), (tmp_path / "actuator.html").read_text()
+    assert sorted(p.name for p in folder.iterdir()) == ["actuator.html", "actuator.yaml"]
+    content, page = yaml.safe_load((folder / "actuator.yaml").read_text()), (folder / "actuator.html").read_text()
     for name, (low, high) in content["intervals_90"].items():
         section, key = name.split(".")
         assert low <= content[section][key] <= high
@@ -113,7 +138,7 @@ def test_the_command_writes_file_and_page(bent: Path, tmp_path: Path, capsys: py
     assert "http" not in page.replace("http://www.w3.org", "")
 
     twin = tmp_path / "twin.yaml"
-    twin.write_text("model: rail_rig.xml\nvehicle: vehicle.yaml\nactuator: actuator.yaml\n")
+    twin.write_text(f"model: rail_rig.xml\nvehicle: vehicle.yaml\nactuator: {folder / 'actuator.yaml'}\n")
     spec = load_twin(twin)
     assert spec.vehicle is not None
     assert spec.vehicle.servo.time_constant == content["servo"]["time_constant"]
