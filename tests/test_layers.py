@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "vpptwin"
 ORDER = (
     "effects", "engine", "actuators", "twin", "logs", "estimation", "pilot", "viz", "diagnosis", "identification",
-    "train",
+    "train", "deploy",
 )  # fmt: skip
 """Each package imports only from those before it."""
 

@@ -15,6 +15,7 @@ from vpptwin.commands import (
     run_diagnose,
     run_effects,
     run_evaluate,
+    run_export,
     run_fly,
     run_identify,
     run_layouts,
@@ -142,6 +143,13 @@ def build_parser() -> argparse.ArgumentParser:
     train = commands.add_parser("train", help="train a policy with PPO", add_help=False)
     train.set_defaults(run=lambda options: run_train([]))
 
+    export = commands.add_parser("export", help="write a policy and the cascade below it as C99 source, or as ONNX")
+    export.add_argument("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
+    export.add_argument("--format", choices=["c", "onnx"], required=True)
+    export.add_argument("--twin", help="whose vehicle the cascade is for (default: that of training)")
+    export.add_argument("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
+    export.set_defaults(run=run_export)
+
     evaluate = commands.add_parser("evaluate", help="measure a trained policy")
     evaluate.add_argument("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     evaluate.add_argument("--task", help="what to fly (default: the task of training)")
@@ -166,6 +174,7 @@ def build_parser() -> argparse.ArgumentParser:
 def add_fly(fly: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin fly`."""
     fly.add_argument("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
+    fly.add_argument("--policy", type=Path, metavar="FILE", help="instead, an exported controller, .so or .onnx")
     fly.add_argument("--task", help="whose targets the policy flies (default: that of its training)")
     fly.add_argument("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
     fly.add_argument("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")

@@ -125,6 +125,11 @@ def run_fly(options: argparse.Namespace) -> None:
         pilot = ScriptedPilot(vehicle, [manoeuvre.plan(vehicle, given, options.duration)])
         chosen = " ".join(f"{name}={value:g}" for name, value in manoeuvre.choose(given).items())
         about = {"manoeuvre": manoeuvre.name, "settings": chosen}
+    elif options.policy is not None:
+        from vpptwin.deploy.pilot import load_exported_pilot
+
+        pilot, spec = load_exported_pilot(options.policy, options.task, spec, options.duration, options.seed)
+        about = {"policy": str(options.policy), "task": pilot.task}
     else:
         from vpptwin.train.pilot import load_pilot
 
@@ -135,18 +140,29 @@ def run_fly(options: argparse.Namespace) -> None:
 
 def check_pilot(options: argparse.Namespace) -> bool:
     """Whether the scripted pilot flies; refuse options that do not go together."""
-    scripted = options.pilot == "scripted" or (options.pilot is None and options.checkpoint is None)
-    wrong = {"a checkpoint": options.checkpoint, "--task": options.task}
+    policy = options.checkpoint or options.policy
+    if options.checkpoint is not None and options.policy is not None:
+        raise InputError(f"{options.checkpoint} and --policy {options.policy}", "one of them", "leave one out")
+    scripted = options.pilot == "scripted" or (options.pilot is None and policy is None)
+    wrong = {"a checkpoint": policy, "--task": options.task}
     if not scripted:
         wrong = {"--manoeuvre": options.manoeuvre, "--set": options.set}
     given = [name for name, value in wrong.items() if value]
     who = "scripted pilot" if scripted else "policy"
     if given:
         raise InputError(f"{given[0]} for the {who}", "a checkpoint, or --manoeuvre NAME", "leave one out")
-    if (options.manoeuvre if scripted else options.checkpoint) is None:
+    if (options.manoeuvre if scripted else policy) is None:
         missing = "--manoeuvre" if scripted else "checkpoint"
         raise InputError(f"no {missing} for the {who}", "--manoeuvre NAME, or a checkpoint", "see `vpptwin fly --list`")
     return scripted
+
+
+def run_export(options: argparse.Namespace) -> None:
+    """`vpptwin export`."""
+    from vpptwin.deploy.command import export
+
+    for file in export(options.checkpoint, options.format, options.out, options.twin):
+        print(file)
 
 
 def run_train(overrides: Sequence[str]) -> None:

@@ -23,7 +23,7 @@ class PolicyPilot:
     """Flies one craft by a policy, which sees what it was trained on.
 
     Args:
-        policy: of a checkpoint.
+        policy: of a checkpoint; None for those who decide otherwise.
         trained: how it was trained.
         task: whose targets are flown, drawn from `seed`.
         vehicle: believed numbers, which scale its actions.
@@ -32,8 +32,9 @@ class PolicyPilot:
     """
 
     def __init__(
-        self, policy: Policy, trained: TrainConfig, task: Task, vehicle: Vehicle, duration: float | None, seed: int
-    ) -> None:
+        self, policy: Policy | None, trained: TrainConfig, task: Task, vehicle: Vehicle, duration: float | None,
+        seed: int,
+    ) -> None:  # fmt: skip
         self.task = task.name
         self.count, period = 1, 1.0 / vehicle.control.policy_rate
         self.ticks = round(check_duration(max(task.episode, SHORTEST) if duration is None else duration) / period)
@@ -54,6 +55,7 @@ class PolicyPilot:
         target = self.target(tick)
         integral = accumulate_error(memory, (target - pose)[:, :2])
         seen = observe(pose, velocity, target, integral, self.trained.sight)
+        assert self.policy is not None
         action = self.policy(torch.from_numpy(seen)).numpy().astype(np.float64)
         return np.clip(action, -1.0, 1.0) * self._limit, integral
 
@@ -93,10 +95,19 @@ def load_pilot(
     Raises:
         InputError: if the file is no checkpoint of this version, there is no such task, or the duration is not allowed.
     """
-    if task is not None and task not in TASKS:
-        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
     policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
-    chosen = trained.task if task in (None, trained.task.name) else TASKS[str(task)]
+    chosen = choose_task(trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
     assert spec.vehicle is not None
     return PolicyPilot(policy, trained, chosen, spec.vehicle, duration, seed), spec
+
+
+def choose_task(trained: TrainConfig, task: str | None) -> Task:
+    """The task of that name; that of training, with its overrides, for None or the same name.
+
+    Raises:
+        InputError: if there is none.
+    """
+    if task is not None and task not in TASKS:
+        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
+    return trained.task if task in (None, trained.task.name) else TASKS[str(task)]

@@ -1,0 +1,35 @@
+"""`vpptwin export`: a policy as C99 source or ONNX."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from vpptwin.deploy.c_source import write_c
+from vpptwin.deploy.content import collect_content
+from vpptwin.deploy.onnx_model import write_onnx
+from vpptwin.errors import InputError
+
+
+def export(checkpoint: Path, kind: str, out: Path | None, twin: str | None = None) -> list[Path]:
+    """Export a policy.
+
+    Args:
+        checkpoint: file, folder of a run, or name of a shipped policy.
+        kind: `c` or `onnx`.
+        out: folder for C, file for ONNX; by default `<name>_c` and `<name>.onnx` in the current folder.
+        twin: whose vehicle and actuator controller the cascade is for; None for that of training.
+
+    Returns:
+        Files written.
+
+    Raises:
+        InputError: if the checkpoint or twin is not what it should be, or a file cannot be written.
+    """
+    content = collect_content(checkpoint, twin)
+    name = checkpoint.resolve().stem if checkpoint.stem else "policy"
+    if kind == "c":
+        return write_c(content, out or Path(f"{name}_c"))
+    target = out or Path(f"{name}.onnx")
+    if target.suffix != ".onnx":
+        raise InputError(f"--out {target}", "a name that ends in .onnx", f"e.g. --out {name}.onnx")
+    return [write_onnx(content, target)]

@@ -1,0 +1,123 @@
+"""What an exported controller carries: network, scaling, the believed vehicle, test vectors, where it comes from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from vpptwin import __version__
+from vpptwin.errors import InputError
+from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
+from vpptwin.train.config import TrainConfig, to_plain
+from vpptwin.train.env import strengthen
+from vpptwin.train.networks import Policy
+from vpptwin.twin.spec import TwinSpec, load_twin
+from vpptwin.vehicle import Vehicle
+
+VECTORS = 64
+"""Test vectors: observations and the actions that belong to them."""
+TOLERANCE = 1e-5
+"""Largest difference of an action that passes."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """Everything that goes into an export.
+
+    Attributes:
+        policy: the network.
+        trained: how it was trained; its `sight` says what is observed.
+        vehicle: believed by the controller.
+        adaptive: whether the twin's actuator controller adapts.
+        inputs: of the test vectors, (`VECTORS`, inputs) float32.
+        outputs: actions that belong to them, (`VECTORS`, 2) float32.
+        metadata: plain data that is stored in the export.
+    """
+
+    policy: Policy
+    trained: TrainConfig
+    vehicle: Vehicle
+    adaptive: bool
+    inputs: np.ndarray
+    outputs: np.ndarray
+    metadata: dict[str, Any]
+
+
+def collect_content(checkpoint: Path | str, twin: str | None = None) -> Content:
+    """What an export of a checkpoint holds.
+
+    Args:
+        checkpoint: file, folder of a run, or name of a shipped policy.
+        twin: whose vehicle and controller it is for; None for that of training.
+
+    Raises:
+        InputError: if the checkpoint or the twin is not what it should be.
+    """
+    content = read_checkpoint(checkpoint)
+    policy, trained = build_policy(content, checkpoint)
+    about = {"checkpoint": Path(str(checkpoint)).name, "steps": content["steps"], "trained_at": content["commit"]}
+    return make_content(policy, trained, about, twin)
+
+
+def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], twin: str | None = None) -> Content:
+    """The same of a network and its configuration.
+
+    Args:
+        policy: the network.
+        trained: how it was trained.
+        about: where it comes from: `checkpoint`, `steps`, `trained_at`.
+        twin: as of `collect_content`.
+
+    Raises:
+        InputError: if the twin is not what it should be.
+    """
+    spec = strengthen(load_twin(twin or trained.twin, trained.effects), trained.task.thrust_to_weight)
+    vehicle = spec.vehicle
+    if vehicle is None:
+        raise InputError(f"twin {spec.name} is not the drone", "a twin that names a vehicle", "export for such a twin")
+    if trained.controller is not None:
+        spec = spec.with_controller(trained.controller)
+    inputs = draw_observations(trained, VECTORS, seed=1)
+    with torch.no_grad():
+        outputs = policy(torch.from_numpy(inputs)).numpy()
+    metadata = {
+        "vpptwin": __version__, **about, "exported_at": find_commit(), "versions": find_versions(),
+        "twin": Path(spec.name).name, "twin_sha256": hash_twin(spec), "controller": spec.controller,
+        "observation": list(trained.sight.names), "config": to_plain(replace(trained, out=None, resume=None)),
+    }  # fmt: skip
+    return Content(policy, trained, vehicle, spec.controller == "adaptive", inputs, outputs, metadata)
+
+
+def draw_observations(trained: TrainConfig, count: int, seed: int) -> np.ndarray:
+    """Observations as a flight may give them, near the target and far from it, (count, inputs) float32."""
+    rng = np.random.default_rng(seed)
+    spread = {"delta_x": 0.6, "delta_z": 0.6, "velocity_x": 2.0, "velocity_z": 2.0, "rate": 6.0, "integral_x": 3.0,
+              "integral_z": 3.0}  # fmt: skip
+    near = rng.uniform(size=(count, 1)) < 0.5
+    angles = {name: rng.uniform(-np.pi, np.pi, count) for name in ("delta_theta", "target_theta")}
+    columns = []
+    for name in trained.sight.names:
+        kind, _, angle = name.partition("_")
+        if name in spread:
+            columns.append(spread[name] * rng.standard_normal(count) * np.where(near[:, 0], 0.05, 1.0))
+        elif kind in ("sin", "cos"):
+            columns.append(getattr(np, kind)(angles[angle]))
+        else:
+            columns.append(angles[name])
+    return np.stack(columns, axis=-1).astype(np.float32)
+
+
+def hash_twin(spec: TwinSpec) -> str:
+    """SHA-256 of what a twin is: its compiled model, vehicle, effects and controller."""
+    model = spec.model
+    parts = [np.ascontiguousarray(getattr(model, name)).tobytes() for name in
+             ("body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_range", "geom_pos", "geom_size")]  # fmt: skip
+    vehicle = "" if spec.vehicle is None else spec.vehicle.model_dump_json()
+    said = json.dumps([vehicle, spec.effects, spec.controller], sort_keys=True, default=str).encode()
+    return sha256(b"".join([*parts, said])).hexdigest()

@@ -1,0 +1,175 @@
+"""Exported controllers, loaded again: a compiled `.so` or an ONNX model, refused if its test vectors fail."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vpptwin.deploy.c_source import PREFIX
+from vpptwin.deploy.content import TOLERANCE
+from vpptwin.deploy.onnx_model import INPUTS
+from vpptwin.errors import InputError
+from vpptwin.train.config import TrainConfig, to_config
+
+EXPECTED = "a controller that `vpptwin export` wrote"
+AGAIN = "export it again"
+
+
+class Exported(ABC):
+    """A controller that was exported.
+
+    Attributes:
+        path: its file.
+        metadata: what it was made from.
+        trained: how it was trained.
+    """
+
+    def __init__(self, path: Path, metadata: str) -> None:
+        self.path = path
+        try:
+            self.metadata: dict[str, Any] = json.loads(metadata)
+            self.trained: TrainConfig = to_config(self.metadata["config"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}: metadata that cannot be read", EXPECTED, AGAIN) from error
+
+    @abstractmethod
+    def decide(
+        self, pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Action (2,) in [-1, 1] and integral (2,) m of the next step, from (3,), (3,), (3,) and (2,)."""
+
+
+class OnnxController(Exported):
+    """An ONNX model, run by onnxruntime.
+
+    Raises:
+        InputError: if it is none of ours, or a test vector fails.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise InputError("no onnxruntime", "the packages for ONNX", "pip install 'vpptwin[deploy]'") from error
+        try:
+            self._session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+            about = self._session.get_modelmeta().custom_metadata_map
+            super().__init__(path, about["vpptwin"])
+            seen, wanted = (np.array(json.loads(about[key]), np.float32) for key in ("test_inputs", "test_outputs"))
+        except (KeyError, OSError, ValueError) as error:
+            raise InputError(f"{path}: no controller of ours ({error})", EXPECTED, AGAIN) from error
+        except InputError:
+            raise
+        except Exception as error:  # onnxruntime raises kinds of its own that share no base
+            raise InputError(f"{path}: no ONNX model", EXPECTED, AGAIN) from error
+        check_vectors(path, self._retrace(seen), wanted)
+
+    def _retrace(self, observations: np.ndarray) -> np.ndarray:
+        """Actions of observations: the states that would have given them go in."""
+        names, count = self.trained.sight.names, len(observations)
+        column = {name: observations[:, i].astype(np.float64) for i, name in enumerate(names)}
+        zero = np.zeros(count)
+        target_angle = angle_of(column, "target_theta", zero)
+        target = np.stack([column["delta_x"], column["delta_z"], target_angle], -1)
+        pose = np.stack([zero, zero, target_angle - angle_of(column, "delta_theta", zero)], -1)
+        velocity = np.stack([column["velocity_x"], column["velocity_z"], column["rate"]], -1)
+        grown = np.stack([column.get("integral_x", zero), column.get("integral_z", zero)], -1)
+        given = (pose, velocity, target, (grown - target[:, :2]) / 0.9)
+        return self._run(*given)[0]
+
+    def _run(self, *given: np.ndarray) -> list[np.ndarray]:
+        feeds = {name: np.asarray(values, np.float32) for name, values in zip(INPUTS, given)}
+        return list(self._session.run(None, feeds))
+
+    def decide(
+        self, pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Exported.decide`."""
+        action, grown, _ = self._run(pose[None], velocity[None], target[None], integral[None])
+        return action[0].astype(float), grown[0].astype(float)
+
+
+class CompiledController(Exported):
+    """The C source, compiled as a shared library.
+
+    Attributes:
+        library: its functions.
+
+    Raises:
+        InputError: if it is none of ours, or a test vector fails.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self.library = ctypes.CDLL(str(path.resolve()))
+            size = ctypes.c_char.in_dll(self.library, f"{PREFIX}_metadata")
+            text = ctypes.string_at(ctypes.addressof(size)).decode()
+            wrong = int(self.library[f"{PREFIX}_selftest"]())
+        except (OSError, ValueError, AttributeError) as error:
+            raise InputError(f"{path}: no controller of ours ({error})", EXPECTED, AGAIN) from error
+        super().__init__(path, text)
+        if wrong:
+            raise InputError(f"{path}: {wrong} of its test vectors fail", "a controller that is whole", AGAIN)
+
+    def decide(
+        self, pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `Exported.decide`."""
+        grown = np.array(integral, np.float32)
+        seen = np.empty(len(self.trained.sight.names), np.float32)
+        self.call("observe", *(np.asarray(v, np.float32) for v in (pose, velocity, target)), grown, seen)
+        return self.act(seen).astype(float), grown.astype(float)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Action (2,) float32 of an observation (inputs,) float32."""
+        action = np.empty(2, np.float32)
+        self.call("act", observation, action)
+        return action
+
+    def call(self, name: str, *arrays: np.ndarray | ctypes.Structure | float) -> None:
+        """Call a function with arrays of float32, read and written in place, structures and numbers."""
+        given: list[object] = []
+        for value in arrays:
+            if isinstance(value, np.ndarray):
+                given.append(np.ascontiguousarray(value).ctypes.data_as(ctypes.POINTER(ctypes.c_float)))
+            else:
+                given.append(ctypes.byref(value) if isinstance(value, ctypes.Structure) else ctypes.c_float(value))
+        self.library[f"{PREFIX}_{name}"](*given)
+
+
+def load_exported(path: Path) -> Exported:
+    """An exported controller, by the kind of its file.
+
+    Raises:
+        InputError: if there is none, it is none of ours, or its test vectors fail.
+    """
+    if not path.is_file():
+        raise InputError(f"no file {path}", "a controller, .so or .onnx", "`vpptwin export` writes one")
+    if path.suffix == ".onnx":
+        return OnnxController(path)
+    if path.suffix == ".so":
+        return CompiledController(path)
+    raise InputError(f"{path}", "a controller, .so or .onnx", "compile C source to a shared library")
+
+
+def angle_of(column: dict[str, np.ndarray], name: str, otherwise: np.ndarray) -> np.ndarray:
+    """An angle that observations hold, in radians or as sine and cosine."""
+    if f"sin_{name}" in column:
+        return np.arctan2(column[f"sin_{name}"], column[f"cos_{name}"])
+    return column.get(name, otherwise)
+
+
+def check_vectors(path: Path, found: np.ndarray, wanted: np.ndarray) -> None:
+    """Refuse a controller whose actions are not those of its test vectors.
+
+    Raises:
+        InputError: telling how many differ.
+    """
+    wrong = ~(np.abs(found - wanted).max(axis=1) <= TOLERANCE)
+    if wrong.any():
+        raise InputError(f"{path}: {wrong.sum()} of its test vectors fail", "a controller that is whole", AGAIN)

@@ -1,0 +1,93 @@
+"""The controller's policy as ONNX: from pose, velocity, target and integral to the action, observation included."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import warnings
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from vpptwin.deploy.content import Content
+from vpptwin.errors import InputError
+from vpptwin.files import write_whole
+from vpptwin.train.networks import Policy
+from vpptwin.train.observe import INTEGRAL_DECAY
+
+INPUTS = ("pose", "velocity", "target", "integral")
+OUTPUTS = ("action", "integral_next", "observation")
+
+
+class WholePolicy(nn.Module):
+    """Observation building and policy as one module, in SI units, float32.
+
+    Args:
+        policy: the network.
+        names: of its inputs.
+    """
+
+    def __init__(self, policy: Policy, names: tuple[str, ...]) -> None:
+        super().__init__()
+        self.policy, self.names = policy, names
+
+    def forward(
+        self, pose: torch.Tensor, velocity: torch.Tensor, target: torch.Tensor, integral: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Action (N, 2), integral of the next step (N, 2) m and observation (N, inputs), from (N, 3), ... (N, 2)."""
+        delta = target - pose
+        grown = INTEGRAL_DECAY * integral + delta[:, :2]
+        angles = {"delta_theta": delta[:, 2], "target_theta": target[:, 2]}
+        plain = {
+            "delta_x": delta[:, 0], "delta_z": delta[:, 1], "velocity_x": velocity[:, 0],
+            "velocity_z": velocity[:, 1], "rate": velocity[:, 2], "integral_x": grown[:, 0], "integral_z": grown[:, 1],
+        }  # fmt: skip
+        columns = []
+        for name in self.names:
+            if name in plain:
+                columns.append(plain[name])
+            elif name in angles:
+                columns.append(
+                    angles[name] - 2.0 * torch.pi * torch.floor((angles[name] + torch.pi) / (2.0 * torch.pi))
+                )
+            else:
+                kind, _, angle = name.partition("_")
+                columns.append(torch.sin(angles[angle]) if kind == "sin" else torch.cos(angles[angle]))
+        observation = torch.stack(columns, dim=1)
+        return self.policy(observation), grown, observation
+
+
+def write_onnx(content: Content, path: Path) -> Path:
+    """Write the model, with test vectors and metadata in its properties.
+
+    Raises:
+        InputError: if onnx is not installed, or the file cannot be written.
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise InputError(f"no {error.name}", "the packages for ONNX", "pip install 'vpptwin[deploy]'") from error
+    module = WholePolicy(content.policy, content.trained.sight.names).eval()
+    examples = (torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 2))
+    batch = torch.export.Dim("batch")
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            module, examples, dynamo=True, input_names=list(INPUTS), output_names=list(OUTPUTS),
+            dynamic_shapes=tuple({0: batch} for _ in examples), verbose=False,
+        )  # fmt: skip
+    assert program is not None
+    model = program.model_proto
+    about = {
+        "vpptwin": json.dumps(content.metadata, separators=(",", ":")),
+        "test_inputs": json.dumps(content.inputs.tolist()), "test_outputs": json.dumps(content.outputs.tolist()),
+    }  # fmt: skip
+    onnx.helper.set_model_props(model, about)
+    # Weights as tensors of the model itself, whatever their size.
+    onnx.checker.check_model(model)
+    return write_whole(path, model.SerializeToString())
