@@ -1,0 +1,46 @@
+"""Commands in README and docs are ones that the command line takes, and files that they link to exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from vpptwin.cli import build_parser
+from vpptwin.train.overrides import parse_overrides
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*/README.md")])
+
+
+def find_commands(text: str) -> list[str]:
+    """What follows `vpptwin` in indented blocks, and in code spans that are whole commands."""
+    blocks = re.findall(r"^ {4}(?:[A-Z_]+=\S+ )?vpptwin (.*?)(?: {2,}#.*)?$", text, flags=re.MULTILINE)
+    spans = [span for span in re.findall(r"`vpptwin ([^`]*)`", text) if " " in span and "|" not in span]
+    return [command for command in [*blocks, *spans] if "..." not in command and "…" not in command]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_are_understood(page: Path) -> None:
+    """Every command of a page parses; overrides of `train` name options that exist."""
+    for command in find_commands(page.read_text(encoding="utf-8")):
+        words = shlex.split(command)
+        if words[0] == "train":
+            parse_overrides([word for word in words[1:] if not word.startswith("-")])
+        else:
+            build_parser().parse_args(words)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    """Pictures, pages and files that a page links to are there."""
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+    missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
+    assert missing == []
+
+
+def test_enough_is_found() -> None:
+    """The pages' commands are seen at all."""
+    assert sum(len(find_commands(page.read_text(encoding="utf-8"))) for page in PAGES) > 60
