@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 9.0, 1.7
 """Of a figure and of one panel, inch."""
 TALL = 3.0
 """Of panels side by side."""
-MOST_SAMPLES = 6000
+MOST_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
 DPI = 150
 FORMATS = (".png", ".svg", ".html")
