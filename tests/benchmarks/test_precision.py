@@ -17,6 +17,7 @@ def result() -> dict:
     return precision.report(argparse.Namespace(checkpoint="flip", tracks=24, seed=3, linear=2))
 
 
+@pytest.mark.slow
 def test_flights_are_those_of_evaluate(result: dict) -> None:
     """Same seed, same flights, same error."""
     expected = evaluate("flip", Conditions(tracks=24, seed=3))
@@ -24,6 +25,7 @@ def test_flights_are_those_of_evaluate(result: dict) -> None:
     assert result["error_m"] == pytest.approx(expected["position_error_m"]["mean"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_reward_is_taken_apart(result: dict) -> None:
     """Perfection in one thing gains part of what rest lacks, at least as much as nothing."""
     missing = result["missing_reward"]
@@ -33,6 +35,7 @@ def test_reward_is_taken_apart(result: dict) -> None:
     assert sum(parts) == pytest.approx(missing["all"], rel=0.1)  # r_p multiplies the others
 
 
+@pytest.mark.slow
 def test_every_flight_is_in_one_band_of_friction(result: dict) -> None:
     """On each rail the bands hold all flights that did not fail."""
     kept = round(24 * (1.0 - result["fail_rate"]))
@@ -40,6 +43,7 @@ def test_every_flight_is_in_one_band_of_friction(result: dict) -> None:
         assert sum(count for name, _, _, count, _ in result["bands"] if name == rail) == kept
 
 
+@pytest.mark.slow
 def test_the_linear_controller_begins_as_the_policy(result: dict) -> None:
     """The policy made linear over ten centimetres hovers too, hardly tuned, if not as close as the bent one."""
     policy, linear = (np.array(result["linear"][name]) for name in ("policy", "linear"))

@@ -36,6 +36,7 @@ def rigs(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("throughput_rigs")
 
 
+@pytest.mark.slow
 def test_every_contender_has_its_numbers(result: dict) -> None:
     """Each is timed in every round and set against the engine in the same round; the engine's own ratio is one."""
     assert [row["name"] for row in result["rows"]] == list(NAMES)
@@ -46,6 +47,7 @@ def test_every_contender_has_its_numbers(result: dict) -> None:
     assert result["rows"][0]["ratio"] == result["rows"][0]["processor_ratio"] == 1.0
 
 
+@pytest.mark.slow
 def test_results_say_where_they_come_from(result: dict) -> None:
     """Machine, versions, seed and threads stand in the file, with speed of one rig and memory."""
     assert result["versions"]["mujoco"]

@@ -90,6 +90,7 @@ def test_more_windows_tell_more(few: tuple[list[Candidate], Bench]) -> None:
     assert (again <= 2.0 * once + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_flight_keeps_what_was_predicted(few: tuple[list[Candidate], Bench]) -> None:
     """Flown for 20 s with noise and gusts and fitted by the search, steps separate about as much as was predicted."""
     candidates, bench = few

@@ -100,6 +100,7 @@ def test_an_effects_file_may_move() -> None:
     assert len(kept) == 2
 
 
+@pytest.mark.slow
 def test_without_a_cache_it_compiles_in_memory(twin_file: Path, first: tuple[Path, str]) -> None:
     """Where no folder can be written, a twin compiles its step in memory and does the same; the cache stays as is."""
     cache, position = first

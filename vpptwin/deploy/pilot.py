@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.deploy.load import Exported, load_exported
 from vpptwin.train.env import strengthen
-from vpptwin.train.pilot import PolicyPilot, choose_task
+from vpptwin.train.pilot import PolicyPilot, check_task_name, choose_task
 from vpptwin.train.tasks import Task
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
@@ -47,6 +47,7 @@ def load_exported_pilot(
     Raises:
         InputError: if the controller is none of ours or not whole, there is no such task, or no such duration.
     """
+    check_task_name(task)
     exported = load_exported(path)
     chosen = choose_task(exported.trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)

@@ -95,6 +95,7 @@ def load_pilot(
     Raises:
         InputError: if the file is no checkpoint of this version, there is no such task, or the duration is not allowed.
     """
+    check_task_name(task)
     policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
     chosen = choose_task(trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
@@ -102,12 +103,16 @@ def load_pilot(
     return PolicyPilot(policy, trained, chosen, spec.vehicle, duration, seed), spec
 
 
-def choose_task(trained: TrainConfig, task: str | None) -> Task:
-    """The task of that name; that of training, with its overrides, for None or the same name.
+def check_task_name(task: str | None) -> None:
+    """Refuse a task that there is none of.
 
     Raises:
-        InputError: if there is none.
+        InputError: naming those that there are.
     """
     if task is not None and task not in TASKS:
         raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
+
+
+def choose_task(trained: TrainConfig, task: str | None) -> Task:
+    """The task of a known name; that of training, with its overrides, for None or the same name."""
     return trained.task if task in (None, trained.task.name) else TASKS[str(task)]
