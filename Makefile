@@ -18,7 +18,7 @@ TORCH_INDEX ?=
 SELECT ?= not slow
 PYTEST_ARGS ?=
 
-.PHONY: help install demo test check format lock clean distclean
+.PHONY: help install demo test check docs format lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -52,6 +52,10 @@ check: $(STAMP) ## lint, format, types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(STAMP) ## the documentation site, into site/; warnings are errors
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "site/index.html"
+
 format: $(STAMP) ## let ruff format and fix what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -62,7 +66,7 @@ lock: $(STAMP) ## write constraints.txt anew from what .venv holds now
 	@touch $(STAMP)
 
 clean: ## remove what runs leave behind, keep .venv
-	rm -rf out runs outputs build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis constraints.txt.new
+	rm -rf out runs outputs build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis constraints.txt.new
 	find vpptwin tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean ## clean, and remove .venv too

@@ -29,10 +29,10 @@ from tqdm import tqdm  # noqa: E402
 from tests.policy_flights import Sky, load_flyer, measure, summarise  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402
-from vpptwin.train.randomize import IDENTIFIED  # noqa: E402
+from vpptwin.train.randomize import PAPER_EFFECTS  # noqa: E402
 from vpptwin.train.tasks import TASKS  # noqa: E402
 
-EFFECTS = {"none": (), "paper": IDENTIFIED}
+EFFECTS = {"none": (), "paper": PAPER_EFFECTS}
 """What is hidden in every flight."""
 
 

@@ -23,7 +23,7 @@ from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.evaluate import summarize
 from vpptwin.train.flights import TURN_GRACE, count_turns
 from vpptwin.train.observe import OBSERVATION, wrap_angle
-from vpptwin.train.randomize import IDENTIFIED
+from vpptwin.train.randomize import PAPER_EFFECTS
 from vpptwin.train.tasks import TASKS, Task
 from vpptwin.twin import load_twin
 from vpptwin.vehicle import Vehicle
@@ -43,12 +43,16 @@ class Sky:
         gusts: blow.
         jitter: the rig is off nominal within its tolerance, and mocap frames come at any phase.
         dropouts: of mocap frames.
+        rig: what one rig has, which then flies all flights; None for effects drawn for every flight.
+        session: seed of that rig's tolerances; None for another rig every flight.
     """
 
-    effects: Sequence[str] = IDENTIFIED
+    effects: Sequence[str] = PAPER_EFFECTS
     gusts: bool = True
     jitter: bool = True
     dropouts: bool = True
+    rig: Effects | None = None
+    session: int | None = None
 
 
 @dataclass(frozen=True)
@@ -134,8 +138,12 @@ def assign(task: Task, sky: Sky, number: int, seed: int, catalogue: Mapping[str,
     rng = np.random.default_rng([seed, number])
     targets, turn = draw_targets(task, rng)
     pose, velocity = task.start.draw(rng, targets[:1])
+    hidden = sky.rig
+    if hidden is None:
+        hidden = {effect: draw_values(catalogue[effect], rng) for effect in sky.effects if effect in EFFECTS}
     plan: FlightPlan = {
-        "effects": {effect: draw_values(catalogue[effect], rng) for effect in sky.effects if effect in EFFECTS},
+        "effects": hidden,
+        "session": sky.session,
         "manoeuvre": task.name,
         "duration": task.episode,
         "seed": int(rng.integers(2**31)),
@@ -203,22 +211,39 @@ def fly_assignments(
 
 def judge(assignment: Assignment, recording: Recording, task: Task, vehicle: Vehicle) -> Outcome:
     """Measure a flight by its true states, as `vpptwin evaluate` measures one in the twin."""
-    truth, limits = recording.truth, task.success
-    broken = not all(np.isfinite(truth[name]).all() for name in ("position", "velocity"))
-    failed = broken or bool(task.limits.exceeded(vehicle, truth["position"], truth["velocity"]).any())
-    pose = truth["position"][::TICK]
+    truth = recording.truth
+    return judge_track(assignment, truth["position"], truth["velocity"], recording.effects, task, vehicle)
+
+
+def judge_track(
+    assignment: Assignment, position: np.ndarray, velocity: np.ndarray, effects: Effects, task: Task, vehicle: Vehicle
+) -> Outcome:
+    """Measure a flight.
+
+    Args:
+        assignment: what was asked for.
+        position: true x, z, θ every ms, (K, 3) m, m, rad.
+        velocity: (K, 3) m/s, m/s, rad/s.
+        effects: hidden.
+        task: flown.
+        vehicle: whose limits count.
+    """
+    limits = task.success
+    broken = not (np.isfinite(position).all() and np.isfinite(velocity).all())
+    failed = broken or bool(task.limits.exceeded(vehicle, position, velocity).any())
+    pose = position[::TICK]
     window = slice(-round(limits.window / PERIOD), None)
-    left = (assignment.targets - pose)[window]
+    left = (assignment.targets[: len(pose)] - pose)[window]
     distance, angle = np.hypot(left[:, 0], left[:, 1]).mean(), np.abs(wrap_angle(left[:, 2])).mean()
     return Outcome(
         number=assignment.number,
-        effects=recording.effects,
+        effects=effects,
         failed=failed,
         success=bool(not failed and distance <= limits.position and angle <= limits.angle),
         position_error=float(distance),
         angle_error=float(angle),
         inverted=bool(np.cos(assignment.targets[-1, 2]) < 0.0),
-        turns=count_turns(pose[:, 2:], assignment.turn[:, None], round(TURN_GRACE / PERIOD)),
+        turns=count_turns(pose[:, 2:], assignment.turn[: len(pose), None], round(TURN_GRACE / PERIOD)),
     )
 
 

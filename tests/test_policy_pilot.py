@@ -15,7 +15,7 @@ from tests.reality.policy import PolicyPilot, observe
 from tests.reality.rig import load_nominal
 from vpptwin.errors import InputError
 from vpptwin.train import observe as trained
-from vpptwin.train.randomize import IDENTIFIED
+from vpptwin.train.randomize import PAPER_EFFECTS
 from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
 
 CATALOGUE, VEHICLE = read_drone()
@@ -128,9 +128,9 @@ def test_targets_are_as_training_asks() -> None:
 def test_what_is_hidden_is_what_training_draws() -> None:
     """Every effect of the paper's randomization is there, inside the centre of its prior; flights differ."""
     flights = [assign(FLIP, Sky(), number, 3, CATALOGUE) for number in range(40)]
-    assert all(tuple(flight.plan["effects"]) == IDENTIFIED for flight in flights)
-    assert set(IDENTIFIED) <= set(EFFECTS)
-    for effect in IDENTIFIED:
+    assert all(tuple(flight.plan["effects"]) == PAPER_EFFECTS for flight in flights)
+    assert set(PAPER_EFFECTS) <= set(EFFECTS)
+    for effect in PAPER_EFFECTS:
         for p in CATALOGUE[effect].parameters:
             values = np.array([flight.plan["effects"][effect][p.name] for flight in flights])
             assert np.abs(values - p.prior.a).max() <= CENTRAL * p.prior.b + 1e-12

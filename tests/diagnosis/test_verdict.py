@@ -19,8 +19,8 @@ from vpptwin.diagnosis.verdict import (
     Unseen,
     Verdict,
     write_json,
-    write_text,
 )
+from vpptwin.files import write_whole
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
 CAUSE = Cause(
@@ -125,6 +125,6 @@ def test_a_verdict_that_fails_leaves_the_old_one(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         write_json({"new": object()}, path)
     with pytest.raises(UnicodeEncodeError):
-        write_text("half of it, then \ud800", path)
+        write_whole(path, "half of it, then \ud800")
     assert json.loads(path.read_text()) == {"old": True}
     assert [file.name for file in tmp_path.iterdir()] == ["verdict.json"]

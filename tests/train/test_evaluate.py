@@ -14,7 +14,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import to_config
 from vpptwin.train.evaluate import Conditions, configure_flights, evaluate, run_evaluate
-from vpptwin.train.randomize import IDENTIFIED
+from vpptwin.train.randomize import PAPER_EFFECTS
 from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
 
 MEASURES = ("position_error_m", "upright_error_m", "angle_error_rad", "fail_rate", "success_share", "full_turns")
@@ -28,7 +28,7 @@ def test_evaluation_is_data(tiny_run: Path, tmp_path: Path) -> None:
     assert json.loads(path.read_text()) == result
     assert (result["tracks"], result["seed"], result["noise"]) == (8, 5, 1.0)
     assert result["checkpoint"]["steps"] == read_checkpoint(tiny_run)["steps"]
-    assert set(result["randomized"]) == set(IDENTIFIED)
+    assert set(result["randomized"]) == set(PAPER_EFFECTS)
     assert 0.0 < result["lipschitz"] <= 8.0
     again, other = evaluate(tiny_run, given), evaluate(tiny_run, Conditions("hover", 8, 6))
     assert [again[key] for key in MEASURES] == [result[key] for key in MEASURES]
@@ -43,7 +43,7 @@ def test_without_conditions_it_is_the_task_of_training(tiny_run: Path) -> None:
     """A hundred flights of the task with its overrides, with noise, in twins randomized as the paper does."""
     result = evaluate(tiny_run)
     assert (result["task"], result["tracks"], result["window_s"]) == ("hover", 100, 0.2)
-    assert set(result["randomized"]) == set(IDENTIFIED)
+    assert set(result["randomized"]) == set(PAPER_EFFECTS)
 
 
 def test_when_all_fail_there_is_no_error(tiny_run: Path, tmp_path: Path) -> None:

@@ -128,12 +128,13 @@ def test_refused_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monkey
     """A disk that fills up halfway leaves no partial file and is warned of; a folder that cannot be made likewise."""
     _, fault = fly_fault("command")
 
-    def fill_up(file: object, **arrays: object) -> None:
-        file.write(b"PK")  # type: ignore[attr-defined]
+    def fill_up(path: Path, content: bytes) -> None:
+        with path.open("wb") as file:
+            file.write(content[:2])
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(np, "savez", fill_up)
+        patch.setattr(Path, "write_bytes", fill_up)
         with pytest.warns(RuntimeWarning, match="fault 1 is not saved: .*No space"):
             save_faults(tmp_path / "faults", {1: fault})
     assert not list((tmp_path / "faults").iterdir())

@@ -21,8 +21,9 @@ from vpptwin.diagnosis.report import render_report
 from vpptwin.diagnosis.summary import Summary, summarise
 from vpptwin.diagnosis.terminal import print_summary
 from vpptwin.diagnosis.twin_file import compose_twin, extend_effects
-from vpptwin.diagnosis.verdict import Verdict, write_json, write_text
+from vpptwin.diagnosis.verdict import Verdict, write_json
 from vpptwin.estimation.measurements import read_measurements
+from vpptwin.files import write_whole
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -105,8 +106,8 @@ def write_results(
     pictures = draw_pictures(diagnosis, predictions, noise)
     preflight = [flight.describe() for flight in diagnosis.preflight]
     write_json(verdict.as_dict(), folder / VERDICT)
-    write_text(compose_twin(spec, effects, verdict, origin, out), folder / TWIN)
-    write_text(render_report(verdict, summary, ranking, pictures, preflight, origin, meanings), folder / REPORT)
+    write_whole(folder / TWIN, compose_twin(spec, effects, verdict, origin, out))
+    write_whole(folder / REPORT, render_report(verdict, summary, ranking, pictures, preflight, origin, meanings))
     return summary
 
 

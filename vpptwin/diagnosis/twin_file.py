@@ -11,12 +11,9 @@ import yaml
 from vpptwin.diagnosis.bench import Key
 from vpptwin.diagnosis.provenance import Provenance
 from vpptwin.diagnosis.verdict import Verdict
-from vpptwin.effects import find_effect
+from vpptwin.effects import SIGMAS_90, find_effect
 from vpptwin.resources import models_dir
 from vpptwin.twin.spec import EffectValues, TwinSpec
-
-SIGMAS_90 = 1.645
-"""Standard deviations that hold 90 % to both sides."""
 
 
 def extend_effects(spec: TwinSpec, values: Mapping[Key, float]) -> EffectValues:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from vpptwin.diagnosis.holdout import HORIZONS_S, Score
+from vpptwin.files import write_whole
 
 
 @dataclass(frozen=True)
@@ -139,18 +139,8 @@ class Verdict:
 
 
 def write_json(content: object, path: Path) -> None:
-    """Write JSON through a temporary file; numbers that are not finite become null, which JSON lacks."""
-    write_text(json.dumps(without_nan(content), indent=2, ensure_ascii=False) + "\n", path)
-
-
-def write_text(text: str, path: Path) -> None:
-    """Write a file through a temporary one beside it, so that a good one is never half overwritten."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Write JSON, whole or not at all; numbers that are not finite become null, which JSON lacks."""
+    write_whole(path, json.dumps(without_nan(content), indent=2, ensure_ascii=False) + "\n")
 
 
 def without_nan(content: object) -> object:

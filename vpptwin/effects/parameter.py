@@ -7,6 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+SIGMAS_90 = 1.645
+"""Standard deviations that hold 90 % to both sides."""
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -22,6 +25,11 @@ class Prior:
     kind: Literal["normal", "uniform", "halfnormal"]
     a: float
     b: float
+
+    @classmethod
+    def within(cls, low: float, high: float) -> Prior:
+        """A normal distribution with 90 % of it between `low` and `high`."""
+        return cls("normal", 0.5 * (low + high), 0.5 * (high - low) / SIGMAS_90)
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw `count` values, (count,)."""

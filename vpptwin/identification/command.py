@@ -17,7 +17,8 @@ from vpptwin.diagnosis.command import tell_stage
 from vpptwin.diagnosis.holdout import HORIZONS_S
 from vpptwin.diagnosis.output import stage_results
 from vpptwin.diagnosis.provenance import Provenance, trace_origin
-from vpptwin.diagnosis.twin_file import SIGMAS_90, extend_effects, name_twin, round_digits
+from vpptwin.diagnosis.twin_file import extend_effects, name_twin, round_digits
+from vpptwin.effects import SIGMAS_90
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
@@ -181,7 +182,7 @@ def compose_twin_file(spec: TwinSpec, found: FlightFit, origin: Provenance, out:
     }
     content["provenance"] = {
         "command": origin.command, "date": origin.date, "versions": origin.versions, "logs": origin.logs,
-        "intervals_90": intervals,
+        "intervals_90_percent": intervals,
     }  # fmt: skip
     return content
 

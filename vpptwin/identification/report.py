@@ -8,7 +8,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from vpptwin.diagnosis.provenance import Provenance
-from vpptwin.diagnosis.twin_file import SIGMAS_90
+from vpptwin.effects import SIGMAS_90
 from vpptwin.identification.actuator import WINDOW, Actuator, find_steps, lag_pitch
 from vpptwin.identification.bench import BenchRun
 from vpptwin.identification.thrust_map import ThrustMap, fit_map

@@ -95,8 +95,10 @@ def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:
     return Noise(fast, np.stack([rng.standard_normal((ticks, 3)) for rng in rngs]))
 
 
-def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Tracks:
-    """Fly from rest at the first target.
+def fly(
+    twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None, start: tuple[np.ndarray, np.ndarray] | None = None
+) -> Tracks:
+    """Fly from rest at the first target, settling first, or at once from given states.
 
     What the pilot sees is the estimate of a Kalman filter from motion capture, gyro and accelerometer, with the twin's
     errors of them, late as its poses are, and the noise of the vehicle's sensors.
@@ -106,11 +108,12 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
         pilot: of as many flights.
         seed: of the noise.
         gusts: that blow; None for still air.
+        start: poses and velocities, (N, 3) m, m, rad and m/s, rad/s; None for rest at the first target.
     """
     control, sensors = twin.vehicle.control, twin.vehicle.sensors
     period, every = 1.0 / control.policy_rate, max(round(1.0 / (sensors.imu.rate * twin.dt)), 1)
     step = every * twin.dt
-    each, lead = round(period / step), round(SETTLING / period)
+    each, lead = round(period / step), round(SETTLING / period) if start is None else 0
     ticks, n = pilot.ticks + lead, twin.num_sims
     samples = ticks * each
     noise = draw_noise(seed, n, samples, ticks)
@@ -119,13 +122,16 @@ def fly(twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None) -> Trac
     command, target = np.empty((n, ticks, 2)), np.empty((n, ticks, 3))
     diverged = np.full(n, np.inf)
 
-    state = twin.initial_state(pilot.target(0), time=-SETTLING)
+    begin, speeds = (pilot.target(0), None) if start is None else start
+    state = twin.initial_state(begin, speeds, time=-lead * period)
     depth = history_depth(twin.effects.values(), period, ticks * period)
     past = start_sensors(state.qpos, state.qvel, depth, period)
     estimate, memory = (
         KalmanFilter(n, step, twin.vehicle.gravity, FilterNoise.of_vehicle(twin.vehicle)),
         np.zeros((n, 2)),
     )
+    if start is not None:
+        estimate.start(np.arange(n), *start)
     pose_std = sensor_noise(twin.vehicle)[0]
     imu_std = np.array([sensors.imu.gyro_std, sensors.imu.accel_std, sensors.imu.accel_std])
     frames = max(round(control.policy_rate / sensors.mocap.rate), 1)

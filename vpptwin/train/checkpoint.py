@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import io
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,6 +13,7 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 import vpptwin
 from vpptwin.errors import InputError
+from vpptwin.files import write_whole
 from vpptwin.resources import models_dir
 from vpptwin.train.config import TrainConfig, to_config, to_plain
 from vpptwin.train.env import VppEnv
@@ -57,12 +58,9 @@ def write_checkpoint(
         "kind": KIND, "format": FORMAT, "commit": find_commit(), "versions": find_versions(),
         "config": to_plain(config), "steps": steps, "policy": policy.state_dict(), "training": training,
     }  # fmt: skip
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        torch.save(content, temporary)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    data = io.BytesIO()
+    torch.save(content, data)
+    write_whole(path, data.getvalue())
 
 
 def find_checkpoint(path: Path | str, flying: bool = True) -> Path:

@@ -26,8 +26,8 @@ class Curriculum:
         enabled: whether anything does; else difficulty is 1 throughout.
         difficulty: multiplies sensor noise and the distance of randomized parameters from nominal.
         single_below: below this difficulty an episode is judged by its position or by its angle, not both.
-        nominal: share of the episodes flown in the nominal twin, whatever the difficulty: it lies in a corner of what
-            is drawn, as no friction and no delay is below zero.
+        nominal: share of the episodes flown in the twin as it is, nothing drawn, whatever the difficulty: the nominal
+            one lies in a corner of what is drawn, as no friction and no delay is below zero.
         again: share of the episodes, once they are judged by everything, that start as one did that failed soon after;
             null for the task's.
     """
@@ -74,11 +74,12 @@ class TrainConfig:
 
     Attributes:
         task: what to fly.
-        preset: values to start from; `paper` for the paper's networks, schedules and reward; `fast`.
+        preset: values to start from, fast, paper (its networks, schedules, reward) or finetune (from init_from on).
         twin: `nominal` or a twin YAML.
         controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
+        init_from: policy to start from, a checkpoint, a run's folder or a shipped one; null for random weights.
         resume: folder of a run to continue; only total_steps, workers, threads and progress can be given besides.
         seed: the same seed gives the same run.
         total_steps: policy steps (0.01 s each) to collect, over all simulations.
@@ -126,6 +127,7 @@ class TrainConfig:
     controller: str | None = None
     effects: list[str] = field(default_factory=list)
     out: str | None = None
+    init_from: str | None = None
     resume: str | None = None
     seed: int = 0
     total_steps: int = 3_000_000
@@ -191,10 +193,16 @@ MEMORY = 5
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
     "paper": {
-        "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 6_000_000,
+        "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 4_200_000, "minibatch": 512,
         "learning_rate": {"start": 3e-4, "end": 9e-5, "begin": 0.1, "finish": 0.7}, "torch_threads": 2,
         "curriculum": {"difficulty": {"start": 0.0, "end": 1.0, "begin": 0.1, "finish": 0.5}},
         "task": {"weights": {"near": 0.0}},
+    },
+    "finetune": {
+        "init_from": "flip", "total_steps": 1_000_000, "randomize": ["identified"],
+        "curriculum": {"difficulty": {"start": 1.0}},
+        "learning_rate": {"start": 5e-4, "end": 5e-5, "begin": 0.0, "finish": 0.95},
+        "exploration": {"start": 0.2, "end": 0.06, "begin": 0.0, "finish": 0.9}, "exam_from": 0.3,
     },
 }  # fmt: skip
 """What each preset changes."""

@@ -20,7 +20,7 @@ from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
 from vpptwin.train.onboard import Onboard
 from vpptwin.train.privileged import privileged_size, see_everything
-from vpptwin.train.randomize import Priors, name_effects, randomize
+from vpptwin.train.randomize import IDENTIFIED, Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.starts import SOON, FailedStarts
 from vpptwin.train.tasks import Task
@@ -65,6 +65,7 @@ class VppEnv(EnvBase):
         privileged: a critic sees `privileged.py`'s state instead of the policy's observation.
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
         estimator: `kalman` for a policy that is shown what the Kalman filter on board estimates, not sensor readings.
+        narrowed: parameters that the twin has intervals of are drawn within those.
 
     Attributes:
         state: of the twin.
@@ -94,6 +95,7 @@ class VppEnv(EnvBase):
         privileged: bool = True,
         fault_folder: Path | None = None,
         estimator: str = "sensors",
+        narrowed: bool = False,
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
         self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
@@ -104,7 +106,8 @@ class VppEnv(EnvBase):
         self._scale = np.array([control.thrust_max, control.rate_max])
         self._period = 1.0 / control.policy_rate
         self._noise_std = noise * np.stack(sensor_noise(twin.vehicle))
-        self._priors = Priors.of(twin.effects[effect] for effect in self.randomized)
+        drawn = [twin.effects[effect] for effect in self.randomized]
+        self._priors = Priors.of(drawn, twin.spec.effects, twin.spec.intervals if narrowed else None)
         self.rng = np.random.default_rng(seed)
         n, parameters = twin.num_sims, len(self._priors.keys)
         self.state = twin.initial_state()
@@ -368,13 +371,13 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
         raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
     if config.controller is not None:
         spec = spec.with_controller(config.controller)
-    randomized = name_effects(config.randomize, spec.catalogue)
+    randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
     spec = strengthen(spec, config.task.thrust_to_weight)
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
-        config.critic_memory, config.privileged, fault_folder, config.estimator,
+        config.critic_memory, config.privileged, fault_folder, config.estimator, IDENTIFIED in config.randomize,
     )  # fmt: skip
 
 

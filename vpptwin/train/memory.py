@@ -92,9 +92,9 @@ def critic_shape(config: TrainConfig) -> tuple[int, int]:
 
 def count_parameters(config: TrainConfig) -> int:
     """Parameters that are drawn at every reset."""
-    catalogue = load_twin(config.twin, config.effects).catalogue
-    randomized = name_effects(config.randomize, catalogue)
-    return len(Priors.of(effect for effect in catalogue if effect.id in randomized).keys)
+    spec = load_twin(config.twin, config.effects)
+    randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
+    return len(Priors.of([effect for effect in spec.catalogue if effect.id in randomized]).keys)
 
 
 def find_free() -> int:

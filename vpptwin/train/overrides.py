@@ -109,8 +109,11 @@ def describe_options() -> str:
         else:
             shown = "null" if value is None else str(value).replace(" ", "").replace("'", "")
         lines.append(f"  {f.name + '=' + shown:<30} {texts[f.name]}")
-    changed = " ".join(["preset=paper changes", *(f"{key}={value}" for key, value in flatten(PRESETS["paper"]))])
-    return "\n".join([*lines, "", *wrap(changed, 120, subsequent_indent="  "), "", EXAMPLES])
+    for name, changes in PRESETS.items():
+        if changes:
+            changed = " ".join([f"preset={name} changes", *(f"{key}={value}" for key, value in flatten(changes))])
+            lines += ["", *wrap(changed, 120, subsequent_indent="  ")]
+    return "\n".join([*lines, "", EXAMPLES])
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -12,7 +12,8 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.trainers import LRSchedulerHook
 from torchrl.trainers.algorithms import PPOTrainer
 
-from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, make_policy
+from vpptwin.errors import InputError
+from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, build_policy, make_policy, read_checkpoint
 from vpptwin.train.collect import make_collector, open_env
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.exam import Exam
@@ -47,6 +48,22 @@ class Training:
     bar: ProgressBar
 
 
+def start_from(policy: Policy, config: TrainConfig) -> None:
+    """Take over the weights of `config.init_from`.
+
+    Raises:
+        InputError: if it is no checkpoint, or its network or inputs are others than those of this run.
+    """
+    content = read_checkpoint(str(config.init_from))
+    other, trained = build_policy(content, config.init_from)
+    if trained.sight != config.sight or trained.hidden != config.hidden:
+        found, expected = (
+            f"setup={c.setup} paper_inputs={c.paper_inputs} hidden={c.hidden}" for c in (trained, config)
+        )
+        raise InputError(f"init_from={config.init_from} has {found}", expected, "give both the same options")
+    policy.load_state_dict(other.state_dict())
+
+
 def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | None = None) -> Training:
     """Put a run together.
 
@@ -62,6 +79,8 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     torch.manual_seed(config.seed)
     env = open_env(config, folder / FAULTS, saved)
     policy = make_policy(config)
+    if saved is None and config.init_from is not None:
+        start_from(policy, config)
     exploration = Exploration(policy, config.exploration.at(0.0))
     actor = make_actor(exploration)
     names = OBSERVATION if config.privileged else config.sight.names

@@ -5,8 +5,8 @@ python -m vpptwin.twin.health runs/hover/faults/fault-0001.npz
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import sys
 import warnings
 from collections.abc import Mapping
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.files import write_whole
 from vpptwin.twin.spec import EffectValues, load_twin
 from vpptwin.twin.state import TwinState
 from vpptwin.twin.twin import Twin
@@ -100,9 +101,8 @@ def save_faults(folder: Path, faults: Mapping[int, Fault]) -> None:
         if number > MOST:
             return
         try:
-            folder.mkdir(parents=True, exist_ok=True)
             write_fault(folder / f"fault-{number:04d}.npz", fault)
-        except OSError as error:
+        except InputError as error:
             warnings.warn(f"fault {number} is not saved: {error}", RuntimeWarning, stacklevel=2)
 
 
@@ -114,13 +114,9 @@ def write_fault(path: Path, fault: Fault) -> None:
     }  # fmt: skip
     arrays: dict[str, Any] = {f"before.{name}": values for name, values in fault.before.arrays().items()}
     arrays |= {f"after.{name}": values for name, values in fault.after.arrays().items()}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            np.savez(file, about=np.array(json.dumps(about)), command=fault.command, **arrays)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    content = io.BytesIO()
+    np.savez(content, about=np.array(json.dumps(about)), command=fault.command, **arrays)
+    write_whole(path, content.getvalue())
 
 
 def read_fault(path: Path | str) -> Fault:

@@ -53,6 +53,13 @@ class Signals(BaseModel):
     driven: dict[str, str] = {}
 
 
+class Origin(BaseModel):
+    """Where the values of a twin YAML come from; whoever wrote it may say more."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    intervals_90_percent: dict[str, tuple[float, float]] = {}
+
+
 class TwinFile(BaseModel):
     """The keys of a twin YAML (SPEC 4)."""
 
@@ -64,7 +71,7 @@ class TwinFile(BaseModel):
     signals: Signals | None = None
     controller: Controller = "map"
     actuator: str | None = None
-    provenance: dict[str, object] | None = None
+    provenance: Origin = Origin()
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,7 @@ class TwinSpec:
         effect_files: Python files whose effects follow those of ours in the catalogue.
         controller: of the drone's actuators.
         actuator_file: whose numbers stand in `vehicle` in place of those of its file.
+        intervals: "effect.parameter" → its 90 % interval, of values that a diagnosis or identification found.
     """
 
     name: str
@@ -96,6 +104,7 @@ class TwinSpec:
     effect_files: tuple[Path, ...] = ()
     controller: Controller = "map"
     actuator_file: Path | None = None
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def stepped(self) -> mujoco.MjModel:
@@ -258,7 +267,7 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     effects = check_effects(given, catalogue, name)
     spec = TwinSpec(
         name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files,
-        actuator_file=actuator_file,
+        actuator_file=actuator_file, intervals=file.provenance.intervals_90_percent,
     )  # fmt: skip
     return spec.with_controller(file.controller)
 

@@ -1,0 +1,148 @@
+"""The loop closed: train on the nominal twin, fly elsewhere, diagnose what the twin lacks, train on that, fly again.
+
+    python benchmarks/close_the_loop.py --seed 0 --json loop_0.json
+    python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop.json --picture docs/pictures/loop.svg
+
+For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
+hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights and
+the manoeuvre that their diagnosis suggests are diagnosed, (4) the policy goes on to train on the extended twin, its
+effects drawn from the identified intervals, (5) it flies again. Beside it fly the nominal policy, trained as long,
+one with the paper's randomization, and an oracle that went on in a twin of the truth. What the twin at hand predicts of
+the same flights (its own engine, filter, gusts and noise) is compared with what was flown.
+
+Everything is kept in --folder: an interrupted run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from datetime import UTC, datetime
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+
+import torch  # noqa: E402
+from loop.report import draw_picture, format_table  # noqa: E402
+from loop.settings import SETTINGS, Rig, draw_rig  # noqa: E402
+from loop.steps import (  # noqa: E402
+    POLICIES,
+    Budget,
+    diagnose,
+    export,
+    measure,
+    read_verdict,
+    train_nominal,
+    train_randomized,
+    tune,
+    write_truth,
+)
+from same_rig.report import describe_machine  # noqa: E402
+from threadpoolctl import threadpool_limits  # noqa: E402
+from tqdm import tqdm  # noqa: E402
+
+from vpptwin.files import write_whole  # noqa: E402
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0, help="of training, rigs and flights")
+    parser.add_argument("--steps", type=int, default=Budget.steps, help="policy steps of training from nothing")
+    parser.add_argument("--tuning", type=int, default=Budget.tuning, help="policy steps of going on from there")
+    parser.add_argument("--flights", type=int, default=Budget.flights, help="of every policy on every rig")
+    parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
+    parser.add_argument("--folder", type=Path, default=Path("runs/close_the_loop"), help="where everything is kept")
+    parser.add_argument("--json", type=Path, help="write the results here")
+    parser.add_argument("--report", type=Path, nargs="+", metavar="FILE", help="run nothing, report these results")
+    parser.add_argument("--picture", type=Path, help="draw what came out, SVG")
+    return parser.parse_args(argv)
+
+
+def work(function: Callable[..., object], arguments: tuple[object, ...]) -> object:
+    """One task of a worker, on one core."""
+    torch.set_num_threads(1)
+    with threadpool_limits(limits=1):
+        return function(*arguments)
+
+
+def side_by_side(tasks: Iterable[tuple[Any, ...]], jobs: int, title: str) -> list[Any]:
+    """Results of (function, argument, ...) tasks, in their order."""
+    given = list(tasks)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool, tqdm(total=len(given), desc=title) as bar:
+        futures = [pool.submit(work, task[0], task[1:]) for task in given]
+        for future in futures:
+            future.add_done_callback(lambda _: bar.update())
+        return [future.result() for future in futures]
+
+
+def run(args: argparse.Namespace) -> list[dict[str, Any]]:
+    """The loop of one seed: a result for every rig."""
+    seed, home = args.seed, (args.folder / f"seed_{args.seed}").resolve()
+    budget = Budget(args.steps, args.tuning, args.flights, max(2 // args.jobs, 1))
+    rigs = [draw_rig(setting, seed) for setting in SETTINGS]
+    homes = [home / rig.setting.name for rig in rigs]
+    for folder in homes:
+        folder.mkdir(parents=True, exist_ok=True)
+    given = (seed, budget)
+    base, randomized = side_by_side(
+        [(train_nominal, home, *given), (train_randomized, home, *given)], args.jobs, "train"
+    )
+    export(base)
+    found = side_by_side([(diagnose, h, base, rig, seed) for h, rig in zip(homes, rigs)], args.jobs, "diagnose")
+    truths = [write_truth(rig, h / "truth.yaml") for h, rig in zip(homes, rigs)]
+    extended = [folder / "twin.yaml" for folder in found]
+    tasks: list[tuple[Any, ...]] = [(tune, home, "nominal", base, "nominal", "[]", *given)]
+    for h, twin, truth in zip(homes, extended, truths):
+        named = "identified" if read_verdict(twin.parent)["causes"] else "[]"
+        tasks += [(tune, h, "extended", base, twin, named, *given), (tune, h, "oracle", base, truth, "[]", *given)]
+    nominal, *others = side_by_side(tasks, args.jobs, "train on")
+    flying: list[tuple[Any, ...]] = []
+    for i, (h, rig) in enumerate(zip(homes, rigs)):
+        runs = dict(zip(POLICIES, (nominal, randomized, *others[2 * i : 2 * i + 2]), strict=True))
+        twins = dict(zip(POLICIES, ("nominal", "nominal", extended[i], truths[i]), strict=True))
+        for name in POLICIES:
+            export(runs[name])
+            flying.append((measure, h / f"{name}.json", runs[name], rig, twins[name], seed, budget.flights))
+    flown = iter(side_by_side(flying, args.jobs, "fly"))
+    return [
+        describe(rig, read_verdict(folder), {name: next(flown) for name in POLICIES}, seed)
+        for rig, folder in zip(rigs, found)
+    ]
+
+
+def describe(rig: Rig, verdict: dict[str, Any], flown: dict[str, dict[str, Any]], seed: int) -> dict[str, Any]:
+    """The result of one rig as plain data."""
+    return {
+        "setting": rig.setting.name, "title": rig.setting.title, "seed": seed, "hidden": rig.hidden,
+        "session": rig.session, "diagnosis": verdict, "policies": flown,
+    }  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the loop, or report on earlier ones."""
+    args = parse(argv)
+    if args.report:
+        rigs = [rig for file in args.report for rig in json.loads(file.read_text())["rigs"]]
+    else:
+        rigs = run(args)
+        about = {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"), "steps": args.steps, "tuning": args.tuning,
+            "flights": args.flights, **describe_machine(),
+        }  # fmt: skip
+        if args.json:
+            write_whole(args.json, json.dumps(about | {"rigs": rigs}) + "\n")
+    print(format_table(rigs))
+    if args.picture:
+        print(draw_picture(rigs, args.picture))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

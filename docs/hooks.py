@@ -1,0 +1,51 @@
+"""The site shows what lies outside docs too: README, CHANGELOG, examples, and the files that pages link to.
+
+Pages keep links that work where they lie in the repository; here they are turned to where things lie on the site.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
+
+
+def list_outside() -> list[str]:
+    """Paths, relative to the repository, of pages outside docs and of all that pages link to outside docs."""
+    pages = ["README.md", "CHANGELOG.md", *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("examples/*/README.md"))]
+    found = set(pages)
+    for page in [*pages, *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("docs/**/*.md"))]:
+        for _, link, _ in LINK.findall((ROOT / page).read_text(encoding="utf-8")):
+            target = posixpath.normpath(posixpath.join(posixpath.dirname(page), link))
+            if not target.startswith("docs/") and (ROOT / target).is_file():
+                found.add(target)
+    return sorted(found)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add what lies outside docs."""
+    for path in list_outside():
+        files.append(File.generated(config, path, abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Turn links to where things lie on the site: docs is its root, a folder is its README."""
+    here = page.file.src_uri
+    home = here if page.file.generated_by else posixpath.join("docs", here)
+
+    def turn(match: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(home), match[2]))
+        if (ROOT / target).is_dir():
+            target = posixpath.join(target, "README.md")
+        site = target.removeprefix("docs/")
+        return f"{match[1]}{posixpath.relpath(site, posixpath.dirname(here) or '.')}{match[3]}"
+
+    return LINK.sub(turn, markdown)
