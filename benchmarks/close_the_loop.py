@@ -4,11 +4,11 @@
     python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop.json --picture docs/pictures/loop.svg
 
 For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
-hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights and
-the manoeuvre that their diagnosis suggests are diagnosed, (4) the policy goes on to train on the extended twin, its
-effects drawn from the identified intervals, (5) it flies again. Beside it fly the nominal policy, trained as long,
-one with the paper's randomization, and an oracle that went on in a twin of the truth. What the twin at hand predicts of
-the same flights (its own engine, filter, gusts and noise) is compared with what was flown.
+hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights are
+diagnosed, and again with the manoeuvre that the first diagnosis suggests if it does, (4) a policy is trained on the
+extended twin, its effects drawn from the identified intervals, (5) it flies. Beside it fly the nominal one, one with
+the paper's randomization, and an oracle trained on a twin of the truth, all by the same recipe and seed. What the twin
+at hand predicts of the same flights (its own engine, filter, gusts and noise) is compared with what was flown.
 
 Everything is kept in --folder: an interrupted run goes on where it was.
 """
@@ -38,15 +38,14 @@ from loop.steps import (  # noqa: E402
     export,
     measure,
     read_verdict,
-    train_nominal,
-    train_randomized,
-    tune,
+    train,
     write_truth,
 )
 from same_rig.report import describe_machine  # noqa: E402
 from threadpoolctl import threadpool_limits  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
+from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.files import write_whole  # noqa: E402
 
 
@@ -54,8 +53,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="of training, rigs and flights")
-    parser.add_argument("--steps", type=int, default=Budget.steps, help="policy steps of training from nothing")
-    parser.add_argument("--tuning", type=int, default=Budget.tuning, help="policy steps of going on from there")
+    parser.add_argument("--steps", type=int, default=Budget.steps, help="policy steps of every training")
     parser.add_argument("--flights", type=int, default=Budget.flights, help="of every policy on every rig")
     parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
     parser.add_argument("--folder", type=Path, default=Path("runs/close_the_loop"), help="where everything is kept")
@@ -85,24 +83,26 @@ def side_by_side(tasks: Iterable[tuple[Any, ...]], jobs: int, title: str) -> lis
 def run(args: argparse.Namespace) -> list[dict[str, Any]]:
     """The loop of one seed: a result for every rig."""
     seed, home = args.seed, (args.folder / f"seed_{args.seed}").resolve()
-    budget = Budget(args.steps, args.tuning, args.flights, max(2 // args.jobs, 1))
+    budget = Budget(args.steps, args.flights, max(2 // args.jobs, 1))
     rigs = [draw_rig(setting, seed) for setting in SETTINGS]
     homes = [home / rig.setting.name for rig in rigs]
     for folder in homes:
         folder.mkdir(parents=True, exist_ok=True)
     given = (seed, budget)
-    base, randomized = side_by_side(
-        [(train_nominal, home, *given), (train_randomized, home, *given)], args.jobs, "train"
-    )
-    export(base)
-    found = side_by_side([(diagnose, h, base, rig, seed) for h, rig in zip(homes, rigs)], args.jobs, "diagnose")
+    tasks: list[tuple[Any, ...]] = [
+        (train, home / "nominal", "nominal", "[]", *given),
+        (train, home / "randomized", "nominal", "paper", *given),
+    ]
+    nominal, randomized = side_by_side(tasks, args.jobs, "train")
+    export(nominal)
+    found = side_by_side([(diagnose, h, nominal, rig, seed) for h, rig in zip(homes, rigs)], args.jobs, "diagnose")
     truths = [write_truth(rig, h / "truth.yaml") for h, rig in zip(homes, rigs)]
     extended = [folder / "twin.yaml" for folder in found]
-    tasks: list[tuple[Any, ...]] = [(tune, home, "nominal", base, "nominal", "[]", *given)]
+    tasks = []
     for h, twin, truth in zip(homes, extended, truths):
         named = "identified" if read_verdict(twin.parent)["causes"] else "[]"
-        tasks += [(tune, h, "extended", base, twin, named, *given), (tune, h, "oracle", base, truth, "[]", *given)]
-    nominal, *others = side_by_side(tasks, args.jobs, "train on")
+        tasks += [(train, h / "extended", twin, named, *given), (train, h / "oracle", truth, "[]", *given)]
+    others = side_by_side(tasks, args.jobs, "train again")
     flying: list[tuple[Any, ...]] = []
     for i, (h, rig) in enumerate(zip(homes, rigs)):
         runs = dict(zip(POLICIES, (nominal, randomized, *others[2 * i : 2 * i + 2]), strict=True))
@@ -125,15 +125,31 @@ def describe(rig: Rig, verdict: dict[str, Any], flown: dict[str, dict[str, Any]]
     }  # fmt: skip
 
 
+def read_rigs(path: Path) -> list[dict[str, Any]]:
+    """Results that an earlier run wrote.
+
+    Raises:
+        InputError: if the file holds none.
+    """
+    try:
+        rigs: list[dict[str, Any]] = json.loads(path.read_text())["rigs"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = f"{path}: no results ({type(error).__name__})"
+        raise InputError(found, "a file that --json wrote", "run the loop first") from error
+    return rigs
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the loop, or report on earlier ones."""
     args = parse(argv)
-    if args.report:
-        rigs = [rig for file in args.report for rig in json.loads(file.read_text())["rigs"]]
-    else:
-        rigs = run(args)
+    try:
+        rigs = [rig for file in args.report for rig in read_rigs(file)] if args.report else run(args)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    if not args.report:
         about = {
-            "date": datetime.now(UTC).isoformat(timespec="seconds"), "steps": args.steps, "tuning": args.tuning,
+            "date": datetime.now(UTC).isoformat(timespec="seconds"), "steps": args.steps,
             "flights": args.flights, **describe_machine(),
         }  # fmt: skip
         if args.json:

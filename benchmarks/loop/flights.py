@@ -52,13 +52,15 @@ def fly_rig(policy: Policy, task: Task, rig: Rig, count: int, seed: int, tell: C
     return summarise(measure(policy, rig.choose_task(task), rig.sky, count, seed, tell=tell))
 
 
-def log_flights(policy: Policy, task: Task, rig: Rig, seed: int, folder: Path, count: int = 2) -> list[Path]:
+def log_flights(
+    policy: Policy, task: Task, rig: Rig, seed: int, folder: Path, count: int = 2, duration: float = LOGGED
+) -> list[Path]:
     """Flights of a rig that start in hover, with distractors, as logs."""
     task, rng = rig.choose_task(task), np.random.default_rng([seed, 5])
-    long = Task(**{**vars(task), "episode": LOGGED})
+    long = Task(**{**vars(task), "episode": duration})
     targets = np.stack([draw_targets(long, rng)[0] for _ in range(count)])
     plans: list[FlightPlan] = [
-        {"effects": rig.hidden, "manoeuvre": "flip", "duration": LOGGED, "seed": int(rng.integers(2**31)),
+        {"effects": rig.hidden, "manoeuvre": "flip", "duration": duration, "seed": int(rng.integers(2**31)),
          "session": rig.session, "distractors": True}
         for _ in range(count)
     ]  # fmt: skip
@@ -69,11 +71,11 @@ def log_flights(policy: Policy, task: Task, rig: Rig, seed: int, folder: Path, c
 class Suggested:
     """The scripted pilot at the controls of the independent simulation, flying a manoeuvre of our library."""
 
-    def __init__(self, manoeuvre: str) -> None:
+    def __init__(self, manoeuvre: str, duration: float | None = None) -> None:
         _, vehicle = read_drone()
-        self._pilot = ScriptedPilot(vehicle, [find_manoeuvre(LIBRARY, manoeuvre).plan(vehicle, {})])
+        self._pilot = ScriptedPilot(vehicle, [find_manoeuvre(LIBRARY, manoeuvre).plan(vehicle, {}, duration)])
         self._memory = np.zeros((1, 2))
-        ticks = range(self._pilot.ticks)
+        ticks = [*range(self._pilot.ticks), self._pilot.ticks - 1]  # a log has a tick at its very end
         self.setpoint = np.stack([self._pilot.target(tick).T for tick in ticks])
 
     @property
@@ -90,9 +92,9 @@ class Suggested:
         return command[:, 0], command[:, 1]
 
 
-def log_manoeuvre(manoeuvre: str, rig: Rig, seed: int, folder: Path) -> Path:
-    """The suggested manoeuvre, flown by script, as a log."""
-    pilot = Suggested(manoeuvre)
+def log_manoeuvre(manoeuvre: str, rig: Rig, seed: int, folder: Path, duration: float | None = None) -> Path:
+    """The suggested manoeuvre, flown by script for so long [s] or its own time, as a log."""
+    pilot = Suggested(manoeuvre, duration)
     plan: FlightPlan = {
         "effects": rig.hidden, "manoeuvre": manoeuvre, "duration": pilot.duration, "seed": seed,
         "session": rig.session, "distractors": True,

@@ -10,9 +10,9 @@ from tests.policy_flights import Effects, Sky, read_drone
 from tests.reality.rig import draw_tolerances, load_nominal
 from vpptwin.train.tasks import Task
 
-TASK = ("task=flip", "task.target.z=[0.6,1.5]")
+TASK = ("task=flip", "task.target.z=[0.75,1.5]")
 """What every policy trains: flips whose targets reach down to where the floor's cushion of air is felt."""
-LOW = (0.6, 0.9)
+LOW = (0.75, 0.95)
 """Heights that targets have where a setting is about the floor [m]."""
 
 
@@ -57,7 +57,7 @@ SETTINGS = (
         "delay, ground effect",
         {
             "command.delay": {"delay": (0.010, 0.015)},
-            "air.ground_effect": {"gain": (0.3, 0.4), "height": (0.3, 0.4)},
+            "air.ground_effect": {"gain": (0.35, 0.4), "height": (0.35, 0.4)},
         },
         low=True,
     ),

@@ -33,14 +33,12 @@ class Budget:
     """How much is trained and flown.
 
     Attributes:
-        steps: policy steps of a policy that is trained from nothing.
-        tuning: of one that goes on from the nominal one.
+        steps: policy steps of every training.
         flights: of every policy on every rig.
         threads: cores of one training.
     """
 
     steps: int = 3_000_000
-    tuning: int = 1_000_000
     flights: int = 200
     threads: int = 2
 
@@ -54,32 +52,15 @@ def call(arguments: Sequence[str], log: Path) -> None:
         raise RuntimeError(f"{' '.join(arguments)}: exit {done.returncode}\n{log.read_text()[-800:]}")
 
 
-def train(folder: Path, budget: Budget, overrides: Sequence[str]) -> Path:
-    """Train a policy into a folder; one that was interrupted goes on."""
+def train(folder: Path, twin: str | Path, randomize: str, seed: int, budget: Budget) -> Path:
+    """Steps 1 and 4: train into a folder, by one recipe whatever the twin; a run that was interrupted goes on."""
     if not (folder / "done").exists():
         begun = (folder / "checkpoint.pt").exists()
-        threads = f"sim_threads={budget.threads}"
-        options = [f"resume={folder}"] if begun else [*TASK, f"out={folder}", *overrides]
-        call(["train", *options, threads, "progress=false"], folder.with_suffix(".log"))
+        recipe = [*TASK, f"out={folder}", f"twin={twin}", f"randomize={randomize}", f"seed={seed}"]
+        options = [f"resume={folder}"] if begun else [*recipe, f"total_steps={budget.steps}"]
+        call(["train", *options, f"sim_threads={budget.threads}", "progress=false"], folder.with_suffix(".log"))
         (folder / "done").touch()
     return folder
-
-
-def train_nominal(home: Path, seed: int, budget: Budget) -> Path:
-    """Step 1: on the nominal twin, nothing randomized but sensor noise; tuned as long as those that learn more."""
-    steps = [f"total_steps={budget.steps}", f"seed={seed}"]
-    return train(home / "base", budget, [*steps, "randomize=[]"])
-
-
-def tune(home: Path, name: str, base: Path, twin: str | Path, randomize: str, seed: int, budget: Budget) -> Path:
-    """Go on from the nominal policy in another twin."""
-    options = ["preset=finetune", f"init_from={base}", f"twin={twin}", f"randomize={randomize}"]
-    return train(home / name, budget, [*options, f"seed={seed}", f"total_steps={budget.tuning}"])
-
-
-def train_randomized(home: Path, seed: int, budget: Budget) -> Path:
-    """On the nominal twin with the paper's randomization, from nothing and as long as the others together."""
-    return train(home / "randomized", budget, [f"total_steps={budget.steps + budget.tuning}", f"seed={seed}"])
 
 
 def export(run: Path) -> Path:

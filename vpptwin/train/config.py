@@ -193,7 +193,8 @@ MEMORY = 5
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
     "paper": {
-        "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 4_200_000, "minibatch": 512,
+        "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 4_400_000, "minibatch": 512,
+        "exam_from": 0.8,
         "learning_rate": {"start": 3e-4, "end": 9e-5, "begin": 0.1, "finish": 0.7}, "torch_threads": 2,
         "curriculum": {"difficulty": {"start": 0.0, "end": 1.0, "begin": 0.1, "finish": 0.5}},
         "task": {"weights": {"near": 0.0}},
