@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +13,7 @@ from PIL import Image
 
 from tests.viz.browser import Browser
 from tests.viz.conftest import make_flight, make_prediction
+from tests.viz.server import serve
 from vpptwin.viz.playback import play_page
 
 pytestmark = pytest.mark.browser
@@ -112,35 +109,19 @@ def test_view_follows_the_craft(browser: Browser) -> None:
     browser.evaluate("view.value = 'flight'; view.dispatchEvent(new Event('change')); 0")
 
 
-def hear_interrupts() -> None:
-    """A shell starts what runs in the background deaf to Ctrl-C, and its children are so too."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
     imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live"
-    program = f"{imports}; play_live(make_flight())"
-    server = subprocess.Popen(
-        [sys.executable, "-u", "-c", program],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=Path(__file__).parents[2],
-        preexec_fn=hear_interrupts,
-    )
-    assert server.stdout is not None
-    try:
-        address = next(line.strip() for line in server.stdout if line.startswith("http"))
-        with Browser(tmp_path, offline=False) as browser:
-            browser.open(address)
-            deadline = time.monotonic() + 30.0
-            while not browser.evaluate("viewer.animator.duration") and time.monotonic() < deadline:
-                browser.draw_frames()
-            assert browser.evaluate("viewer.animator.duration") == pytest.approx(4.0)
-            first = browser.evaluate(f"{CRAFT}.position.x")
-            browser.draw_frames(10)
-            assert browser.evaluate(f"{CRAFT}.position.x") != first
-            assert [c for c in browser.complaints if "favicon" not in c] == []
-    finally:
-        os.kill(server.pid, signal.SIGINT)
-    assert server.wait(10) == 0
+    with (
+        serve("-c", f"{imports}; play_live(make_flight())") as address,
+        Browser(tmp_path, offline=False) as browser,
+    ):
+        browser.open(address)
+        deadline = time.monotonic() + 30.0
+        while not browser.evaluate("viewer.animator.duration") and time.monotonic() < deadline:
+            browser.draw_frames()
+        assert browser.evaluate("viewer.animator.duration") == pytest.approx(4.0)
+        first = browser.evaluate(f"{CRAFT}.position.x")
+        browser.draw_frames(10)
+        assert browser.evaluate(f"{CRAFT}.position.x") != first
+        assert [c for c in browser.complaints if "favicon" not in c] == []

@@ -21,13 +21,14 @@ from vpptwin.train.checkpoint import find_checkpoint
 from vpptwin.twin.spec import load_twin
 from vpptwin.vehicle import load_vehicle
 from vpptwin.viz.camera import View
-from vpptwin.viz.frames import BACKDROP, Painter, Spin
+from vpptwin.viz.frames import BACKDROP, Painter
+from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
 from vpptwin.viz.video import write_video
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
 SIZE, VIEW = (480, 300), View(np.array([0.0, 0.0, 1.2]), 0.75)  # 200 pixels a metre
-STILL = Spin(np.zeros(2), np.zeros(2), np.zeros(2))
+STILL = Rotors(np.zeros(2), np.zeros(2), np.zeros(2))
 SHAPES = """
 <mujoco><worldbody>
   <body name="slider"><joint name="slide" type="slide" axis="1 0 0"/>
@@ -101,7 +102,7 @@ def test_thrust_has_a_colour_for_each_sign(painter: Painter) -> None:
 
 def test_blade_pitch_is_visible(painter: Painter) -> None:
     """A blade that points at the viewer is seen from its end: steep with pitch, flat without."""
-    spin = Spin(np.full(2, 0.5 * np.pi * 20.0), np.zeros(2), np.zeros(2))
+    spin = Rotors(np.full(2, 0.5 * np.pi * 20.0), np.zeros(2), np.zeros(2))
     flat, steep = (
         painter.draw(pose(0.0, 1.2, 0.0), spin=replace(spin, blade_pitch=np.full(2, pitch))).astype(int)
         for pitch in (0.0, 0.2)

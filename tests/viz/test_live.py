@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 import urllib.error
 import urllib.request
@@ -19,7 +15,7 @@ import pytest
 from PIL import Image
 
 from tests.viz.browser import Browser
-from tests.viz.test_browser import hear_interrupts
+from tests.viz.server import serve
 from vpptwin.cli import main
 from vpptwin.train.live import KICK, LiveFlight
 from vpptwin.train.observe import wrap_angle
@@ -136,28 +132,18 @@ def test_the_page_takes_commands_and_tells_the_state(panel: Panel) -> None:
 @pytest.mark.browser
 def test_a_button_flips_the_craft_in_the_browser(tmp_path: Path) -> None:
     """The printed page shows the scene; a key asks for a flip, and thrust turns negative. Ctrl-C ends it."""
-    server = subprocess.Popen(
-        [sys.executable, "-u", "-m", "vpptwin.cli", "play", "--live", "flip"],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=Path(__file__).parents[2],
-        preexec_fn=hear_interrupts,
-    )
-    assert server.stdout is not None
-    try:
-        address = next(line.split()[0] for line in server.stdout if "shows the flight" in line)
-        with Browser(tmp_path, offline=False) as browser:
-            browser.open(address)
-            wait_until(lambda: sum(count_arrows(browser)) > 200)
-            green, orange = count_arrows(browser)
-            browser.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'})); 0")
-            wait_until(lambda: np.argmax(count_arrows(browser)) != np.argmax([green, orange]))
-            text = "document.getElementById('state').textContent"
-            wait_until(lambda: "from the target" in browser.evaluate(text))
-            assert [c for c in browser.complaints if "favicon" not in c] == []
-    finally:
-        os.kill(server.pid, signal.SIGINT)
-    assert server.wait(20) == 0
+    with (
+        serve("-m", "vpptwin.cli", "play", "--live", "flip", said="shows the flight") as address,
+        Browser(tmp_path, offline=False) as browser,
+    ):
+        browser.open(address)
+        wait_until(lambda: sum(count_arrows(browser)) > 200)
+        green, orange = count_arrows(browser)
+        browser.evaluate("dispatchEvent(new KeyboardEvent('keydown', {key: 'f'})); 0")
+        wait_until(lambda: np.argmax(count_arrows(browser)) != np.argmax([green, orange]))
+        text = "document.getElementById('state').textContent"
+        wait_until(lambda: "from the target" in browser.evaluate(text))
+        assert [c for c in browser.complaints if "favicon" not in c] == []
 
 
 def count_arrows(browser: Browser) -> tuple[int, int]:

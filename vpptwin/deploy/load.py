@@ -15,6 +15,7 @@ from vpptwin.deploy.content import TOLERANCE
 from vpptwin.deploy.onnx_model import INPUTS
 from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config
+from vpptwin.train.observe import INTEGRAL_DECAY
 
 EXPECTED = "a controller that `vpptwin export` wrote"
 AGAIN = "export it again"
@@ -79,7 +80,7 @@ class OnnxController(Exported):
         pose = np.stack([zero, zero, target_angle - angle_of(column, "delta_theta", zero)], -1)
         velocity = np.stack([column["velocity_x"], column["velocity_z"], column["rate"]], -1)
         grown = np.stack([column.get("integral_x", zero), column.get("integral_z", zero)], -1)
-        given = (pose, velocity, target, (grown - target[:, :2]) / 0.9)
+        given = (pose, velocity, target, (grown - target[:, :2]) / INTEGRAL_DECAY)
         return self._run(*given)[0]
 
     def _run(self, *given: np.ndarray) -> list[np.ndarray]:

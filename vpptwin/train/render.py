@@ -18,7 +18,8 @@ from vpptwin.train.checkpoint import build_policy
 from vpptwin.train.config import to_config
 from vpptwin.train.networks import Policy
 from vpptwin.viz.camera import View
-from vpptwin.viz.frames import Painter, Spin
+from vpptwin.viz.frames import Painter
+from vpptwin.viz.motion import Rotors
 from vpptwin.viz.scene import fit_craft
 
 VIEW = View(np.array([0.1, 0.0, 1.25]), 1.3)
@@ -45,7 +46,7 @@ class Watcher:
         thrust = compute_thrust(env.twin.vehicle.rotor, speed, pitch)
         return self._painter.draw(
             state.qpos[0],
-            spin=Spin(speed * elapsed * np.ones(2), pitch, thrust),
+            spin=Rotors(speed * elapsed * np.ones(2), pitch, thrust),
             target=env.episodes.target[0],
             text=[f"{elapsed:5.2f} s"],
         )

@@ -6,7 +6,6 @@ For animations in a README, for TorchRL's `rlrender`, and where no browser is at
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.camera import View
+from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import BLADE, GREY, NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
 from vpptwin.viz.rotors import (
     ARROW_LENGTH,
@@ -40,15 +40,6 @@ TEXT = "#1A1C1F"
 THINNEST = 0.005
 """Of a blade seen from its edge, m."""
 Colour = tuple[int, int, int, int]
-
-
-@dataclass(frozen=True)
-class Spin:
-    """Both rotors at one time, each (2,): angle turned [rad], blade pitch [rad], thrust along body z [N]."""
-
-    angle: np.ndarray
-    blade_pitch: np.ndarray
-    thrust: np.ndarray
 
 
 class Painter:
@@ -84,7 +75,7 @@ class Painter:
         self,
         qpos: np.ndarray,
         *,
-        spin: Spin | None = None,
+        spin: Rotors | None = None,
         twin: np.ndarray | None = None,
         target: np.ndarray | None = None,
         trail: np.ndarray | None = None,
@@ -172,7 +163,7 @@ class Painter:
             ends = places[[np.lexsort(places.T)[0], np.lexsort(places.T)[-1]]]
             pen.line(self._place(ends), fill=colour, width=round(THINNEST * self._scale))
 
-    def _draw_rotors(self, pen: ImageDraw.ImageDraw, vehicle: Vehicle, spin: Spin) -> None:
+    def _draw_rotors(self, pen: ImageDraw.ImageDraw, vehicle: Vehicle, spin: Rotors) -> None:
         """Blades, mark on top and thrust arrows of the craft that was drawn last."""
         craft = find_craft(self.model)
         origin, turn = self._data.xpos[craft], self._data.xmat[craft].reshape(3, 3)

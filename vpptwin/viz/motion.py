@@ -23,12 +23,13 @@ FRAME_RATE = 50.0  # Hz
 MOST_NUMBERS = 1_200_000  # in all tracks of a page, 6.4 MB of it; longer logs get fewer frames a second
 NUMBERS_OF_BODY = 9  # a frame of a body: position, quaternion and their two times
 NUMBERS_OF_ROTORS = 40  # a frame of both rotors: turn, pitch of two blades, arrows, and the times of each
+TRAIL_DURATION = 1.5  # s of the past that the trail of a craft shows
 LONGEST_GAP = 0.03  # s without a sample of the prediction after which the twin is hidden
 
 
 @dataclass(frozen=True)
 class Rotors:
-    """Both rotors at the frames, each (T, 2): angle turned [rad], blade pitch [rad], thrust along body z [N]."""
+    """Both rotors at T frames, (T, 2) each, or at one time, (2,): turned, blade pitch [rad], thrust along z [N]."""
 
     angle: np.ndarray
     blade_pitch: np.ndarray

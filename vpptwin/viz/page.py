@@ -17,12 +17,12 @@ import umsgpack
 from vpptwin.files import write_whole
 from vpptwin.viz import palette
 from vpptwin.viz.camera import View, frame_view
+from vpptwin.viz.motion import TRAIL_DURATION
 from vpptwin.viz.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
 from vpptwin.viz.scene import GRID_STEP, ROOT, find_corners, find_craft, name_body
 from vpptwin.viz.show import Show
 from vpptwin.viz.stage import view_flight
 
-TRAIL_DURATION = 1.5  # s of the past that the trail shows
 FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
 TEMPLATES = jinja2.Environment(

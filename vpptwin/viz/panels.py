@@ -78,6 +78,11 @@ class Story:
     across: str = "time [s]"
     columns: int = 1
 
+    @property
+    def rows(self) -> int:
+        """Rows of panels."""
+        return -(-len(self.panels) // self.columns)
+
 
 def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> Story:
     """Panels of what the log holds.
@@ -133,7 +138,7 @@ def tell_craft(flight: Flight, prediction: Prediction | None, spec: TwinSpec) ->
         if command is not None:
             lines.append(Line("commanded", command.time, command["rate"], PURPLE, ":", steps=True))
         panels.append(Panel("q [rad/s]", [*lines, *twin_line(prediction, "qvel", 2)]))
-    return panels + tell_rotors(flight, prediction, spec)
+    return panels + tell_rotors(flight, spec)
 
 
 def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
@@ -146,7 +151,7 @@ def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
     return Line("setpoint", time, values, TARGET, ":", steps=True)
 
 
-def tell_rotors(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
+def tell_rotors(flight: Flight, spec: TwinSpec) -> list[Panel]:
     """Thrust of each rotor by the twin's map, and their speeds."""
     command, state = flight.streams.get("/rotor/command"), flight.streams.get("/rotor/state")
     assert spec.vehicle is not None

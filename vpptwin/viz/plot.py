@@ -65,8 +65,7 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
     if kind == ".html":
         return write_whole(out, render_page(story, THEMES[theme]))
     ink = THEMES[theme].ink if kind == ".png" else INK
-    rows = -(-len(story.panels) // story.columns)
-    with open_figure(WIDTH, (HEIGHT if story.columns == 1 else TALL) * rows + 0.6, ink) as figure:
+    with open_figure(WIDTH, (HEIGHT if story.columns == 1 else TALL) * story.rows + 0.6, ink) as figure:
         draw_story(figure, story, ink)
         if kind == ".png":
             return write_whole(out, render_png(figure, THEMES[theme]))
@@ -75,8 +74,7 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
 
 def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
     """All panels, over a common axis."""
-    rows = -(-len(story.panels) // story.columns)
-    grid = figure.subplots(rows, story.columns, sharex=True, squeeze=False)
+    grid = figure.subplots(story.rows, story.columns, sharex=True, squeeze=False)
     for axes, panel in zip(grid.flat, story.panels):
         draw_panel(axes, panel, story.triggers, ink)
     for axes in grid[-1]:
@@ -133,7 +131,7 @@ def render_page(story: Story, theme: Theme) -> str:
     from plotly.graph_objects import Scatter
     from plotly.subplots import make_subplots
 
-    rows = -(-len(story.panels) // story.columns)
+    rows = story.rows
     figure = make_subplots(rows=rows, cols=story.columns, shared_xaxes=True, vertical_spacing=0.03 / rows)
     named: set[str] = set()
     for i, panel in enumerate(story.panels):

@@ -16,8 +16,8 @@ from vpptwin.files import write_whole
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz import palette
 from vpptwin.viz.figure import thin
-from vpptwin.viz.frames import Painter, Spin
-from vpptwin.viz.motion import Rotors, hold
+from vpptwin.viz.frames import Painter
+from vpptwin.viz.motion import TRAIL_DURATION, Rotors, hold
 from vpptwin.viz.show import Show, prepare_show
 from vpptwin.viz.stage import view_flight
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 FORMATS = (".gif", ".webp")
 RATE = 25.0  # frames a second; a GIF's frames last multiples of 10 ms
 LONGEST = 120.0  # s; longer ones are not what anybody loads
-TRAIL_DURATION = 1.5  # s
 MARGIN, SMALLEST_HALF_HEIGHT = 0.4, 0.55  # m; nearer than a page, which can be turned and zoomed
 
 
@@ -117,6 +116,6 @@ def paint_show(painter: Painter, show: Show, times: np.ndarray) -> Iterator[np.n
         )
 
 
-def pick(rotors: Rotors, row: int) -> Spin:
+def pick(rotors: Rotors, row: int) -> Rotors:
     """Both rotors at one frame."""
-    return Spin(rotors.angle[row], rotors.blade_pitch[row], rotors.thrust[row])
+    return Rotors(rotors.angle[row], rotors.blade_pitch[row], rotors.thrust[row])
