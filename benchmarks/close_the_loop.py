@@ -118,7 +118,12 @@ def run(args: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def describe(rig: Rig, verdict: dict[str, Any], flown: dict[str, dict[str, Any]], seed: int) -> dict[str, Any]:
-    """The result of one rig as plain data."""
+    """The result of one rig as plain data; of single flights only whether they were lost and their errors."""
+    for result in flown.values():
+        for part in ("flown", "predicted"):
+            each = result[part].pop("each")
+            result[part]["failed"] = [int(f["failed"]) for f in each]
+            result[part]["position_error"] = [round(f["position_error"], 5) for f in each]
     return {
         "setting": rig.setting.name, "title": rig.setting.title, "seed": seed, "hidden": rig.hidden,
         "session": rig.session, "diagnosis": verdict, "policies": flown,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ COLOURS = {"nominal": VERMILION, "randomized": ORANGE, "extended": BLUE, "oracle
 
 def score(flown: dict[str, Any]) -> float:
     """Mean position error [m], a lost flight counted as `LOST` and none as more."""
-    return float(np.mean([LOST if f["failed"] else min(f["position_error"], LOST) for f in flown["each"]]))
+    errors = np.minimum(flown["position_error"], LOST)
+    return float(np.where(np.array(flown["failed"], dtype=bool), LOST, errors).mean())
 
 
 def closed_share(rig: dict[str, Any]) -> float:
@@ -32,30 +33,38 @@ def closed_share(rig: dict[str, Any]) -> float:
 
 def format_table(rigs: Sequence[dict[str, Any]]) -> str:
     """A row for every policy on every setting, medians over seeds; below it what was closed, named and suggested."""
-    head = "| hidden | policy trained on | success | upright [mm] | inverted [mm] | score [mm] | predicted [mm] |"
+    head = "| hidden | policy trained on | success | lost | upright [mm] | inverted [mm] | score [mm] |"
     lines = [head, "|" + "---|" * 7]
     for setting in dict.fromkeys(rig["setting"] for rig in rigs):
         group = [rig for rig in rigs if rig["setting"] == setting]
         for name, title in POLICIES.items():
-            flown = [rig["policies"][name]["flown"] for rig in group]
-            guess = [rig["policies"][name]["predicted"] for rig in group]
+            pairs = [rig["policies"][name] for rig in group]
             cells = [
                 group[0]["title"] if name == "nominal" else "", title,
-                f"{statistics.median(f['success_share'] for f in flown):.1%}",
-                middle(f["upright_error_m"]["mean"] for f in flown),
-                middle(f["inverted_error_m"]["mean"] for f in flown),
-                middle(map(score, flown)), middle(map(score, guess)),
+                f"{statistics.median(pair['flown']['success_share'] for pair in pairs):.1%}",
+                both(pairs, lambda flown: 100.0 * float(np.mean(flown["failed"])), " %"),
+                both(pairs, lambda flown: in_mm(flown["upright_error_m"]["mean"])),
+                both(pairs, lambda flown: in_mm(flown["inverted_error_m"]["mean"])),
+                both(pairs, lambda flown: 1e3 * score(flown)),
             ]  # fmt: skip
             lines.append(f"| {' | '.join(cells)} |")
-    note = "Score: mean position error, a lost flight counted as 0.5 m; predicted: that of the twin at hand."
+    note = "Score: mean position error, a lost flight counted as 0.5 m. In brackets: what the twin at hand predicts."
     lines += ["", note, ""]
     return "\n".join([*lines, *map(tell, rigs)])
 
 
-def middle(values: Iterable[float | None]) -> str:
-    """Median of what is there, in mm."""
-    known = [value for value in values if value is not None]
-    return f"{1e3 * statistics.median(known):.1f}" if known else "none left"
+def in_mm(metres: float | None) -> float | None:
+    """Millimetres of what is there."""
+    return None if metres is None else 1e3 * metres
+
+
+def both(pairs: Sequence[dict[str, Any]], read: Callable[[dict[str, Any]], float | None], unit: str = "") -> str:
+    """Median over seeds of what was flown, and in brackets of what was predicted."""
+    shown = []
+    for part in ("flown", "predicted"):
+        known = [value for value in (read(pair[part]) for pair in pairs) if value is not None]
+        shown.append(f"{statistics.median(known):.1f}{unit}" if known else "none left")
+    return f"{shown[0]} ({shown[1]})"
 
 
 def tell(rig: dict[str, Any]) -> str:
@@ -100,7 +109,7 @@ def draw_picture(rigs: Sequence[dict[str, Any]], path: Path) -> Path:
             axes.set_yscale("log")
             axes.set_title(group[0]["title"])
             axes.margins(x=0.12)
-        panels[0].set_ylabel("position error flown (dot)\nand predicted (bar) [mm]")
+        panels[0].set_ylabel("score flown (dot) and\npredicted (bar) [mm]")
         ticks = [5, 10, 20, 50, 100, 200, 500]
         panels[0].set_yticks(ticks, [str(t) for t in ticks])
         panels[0].minorticks_off()

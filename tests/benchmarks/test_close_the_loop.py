@@ -98,10 +98,10 @@ def fake_rig(seed: int, errors: dict[str, float], lost: int = 0) -> dict:
     """A result with ten flights of each policy, all with one error [m]; the nominal policy loses some."""
 
     def summarise(error: float, lost: int) -> dict:
-        each = [{"failed": i < lost, "position_error": error} for i in range(10)]
+        each = {"failed": [int(i < lost) for i in range(10)], "position_error": [error] * 10}
         known = {"mean": error, "median": error, "worst": error}
         share = 1.0 - lost / 10
-        return {"each": each, "success_share": share, "upright_error_m": known, "inverted_error_m": known}
+        return {**each, "success_share": share, "upright_error_m": known, "inverted_error_m": known}
 
     policies = {
         name: {"flown": summarise(error, lost if name == "nominal" else 0), "predicted": summarise(0.9 * error, 0)}
@@ -130,7 +130,7 @@ def test_the_table_shows_medians_over_seeds() -> None:
     text = format_table(rigs)
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     assert len(rows) == 1 + len(POLICIES)
-    assert "| 100.0% | 100.0 | 100.0 | 100.0 | 90.0 |" in rows[1]
+    assert "| 100.0% | 0.0 % (0.0 %) | 100.0 (90.0) | 100.0 (90.0) | 100.0 (90.0) |" in rows[1]
     assert text.count("closes 95% of the gap") == 3
     assert "`servo.lag` time_constant 0.04 ± 0.001; suggested no manoeuvre" in text
 
