@@ -96,7 +96,7 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"])
-@pytest.mark.parametrize("step", ["diagnose", "write_prediction", "write_json", "write_text", "render_report"])
+@pytest.mark.parametrize("step", ["diagnose", "write_prediction", "write_json", "write_whole", "render_report"])
 def test_a_run_that_fails_leaves_the_old_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ) -> None:
@@ -114,7 +114,7 @@ def test_a_full_disk_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 2, the reason, and no folder left behind."""
-    monkeypatch.setattr(command, "write_text", refuse(FULL))
+    monkeypatch.setattr(Path, "write_bytes", refuse(FULL))
     assert run(tmp_path / "a/b") == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("vpptwin: ")
