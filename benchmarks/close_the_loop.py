@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -32,6 +34,7 @@ import torch  # noqa: E402
 from loop.report import draw_picture, format_table  # noqa: E402
 from loop.settings import SETTINGS, Rig, draw_rig  # noqa: E402
 from loop.steps import (  # noqa: E402
+    COMPILE,
     POLICIES,
     Budget,
     diagnose,
@@ -45,6 +48,7 @@ from same_rig.report import describe_machine  # noqa: E402
 from threadpoolctl import threadpool_limits  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
+from vpptwin.diagnosis.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.files import write_whole  # noqa: E402
 
@@ -83,7 +87,7 @@ def side_by_side(tasks: Iterable[tuple[Any, ...]], jobs: int, title: str) -> lis
 def run(args: argparse.Namespace) -> list[dict[str, Any]]:
     """The loop of one seed: a result for every rig."""
     seed, home = args.seed, (args.folder / f"seed_{args.seed}").resolve()
-    budget = Budget(args.steps, args.flights, max(2 // args.jobs, 1))
+    budget = Budget(args.steps, args.flights, max((os.cpu_count() or 1) // args.jobs, 1))
     rigs = [draw_rig(setting, seed) for setting in SETTINGS]
     homes = [home / rig.setting.name for rig in rigs]
     for folder in homes:
@@ -130,6 +134,18 @@ def describe(rig: Rig, verdict: dict[str, Any], flown: dict[str, dict[str, Any]]
     }  # fmt: skip
 
 
+def check_tools(args: argparse.Namespace) -> None:
+    """Refuse before an hour of work what would fail after it.
+
+    Raises:
+        InputError: if there is no compiler for the exported policies, or results cannot be written.
+    """
+    if shutil.which(COMPILE[0]) is None:
+        raise InputError(f"no {COMPILE[0]}", "a C compiler for the exported policies", "apt install gcc libc6-dev")
+    if args.json:
+        check_target(args.json)
+
+
 def read_rigs(path: Path) -> list[dict[str, Any]]:
     """Results that an earlier run wrote.
 
@@ -148,6 +164,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the loop, or report on earlier ones."""
     args = parse(argv)
     try:
+        if not args.report:
+            check_tools(args)
         rigs = [rig for file in args.report for rig in read_rigs(file)] if args.report else run(args)
     except InputError as error:
         print(error, file=sys.stderr)

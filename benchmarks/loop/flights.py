@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from loop.settings import Rig
 from tests.policy_flights import (
     PERIOD,
     Assignment,
-    Outcome,
     assign,
     draw_targets,
     judge_track,
@@ -47,9 +45,9 @@ def load_policy(library: Path) -> Policy:
     return act
 
 
-def fly_rig(policy: Policy, task: Task, rig: Rig, count: int, seed: int, tell: Callable[[Outcome], object]) -> dict:
+def fly_rig(policy: Policy, task: Task, rig: Rig, count: int, seed: int) -> dict[str, Any]:
     """Fly a rig of the independent simulation from wide random states; shares, errors and every flight."""
-    return summarise(measure(policy, rig.choose_task(task), rig.sky, count, seed, tell=tell))
+    return summarise(measure(policy, rig.choose_task(task), rig.sky, count, seed))
 
 
 def log_flights(

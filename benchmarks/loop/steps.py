@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,16 +100,14 @@ def diagnose(home: Path, run: Path, rig: Rig, seed: int) -> Path:
     return last
 
 
-def measure(
-    path: Path, run: Path, rig: Rig, twin: Path, seed: int, flights: int, tell: Callable[[], object] = lambda: None
-) -> dict:
+def measure(path: Path, run: Path, rig: Rig, twin: str | Path, seed: int, flights: int) -> dict[str, Any]:
     """Steps 2 and 5: flights of a policy on a rig, and what a twin predicts of them."""
     if path.exists():
         result: dict[str, Any] = json.loads(path.read_text())
         return result
     policy, task = load_policy(export(run)), build_policy(read_checkpoint(run), run)[1].task
     result = {
-        "flown": fly_rig(policy, task, rig, flights, seed, lambda _: tell()),
+        "flown": fly_rig(policy, task, rig, flights, seed),
         "predicted": predict(policy, task, rig, twin, flights, seed),
     }
     write_whole(path, json.dumps(result))

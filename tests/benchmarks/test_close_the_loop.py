@@ -74,7 +74,7 @@ def test_the_twin_flies_the_flights_of_the_rig(tmp_path: Path) -> None:
     policy, task = load_flyer("flip")
     rig = draw_rig(SETTINGS[1], 1)
     short = type(task)(**{**vars(task), "episode": 3.0})
-    flown = fly_rig(policy, short, rig, 6, 2, lambda _: None)
+    flown = fly_rig(policy, short, rig, 6, 2)
     guess = predict(policy, short, rig, write_truth(rig, tmp_path / "truth.yaml"), 6, 2)
     assert [f["inverted"] for f in flown["each"]] == [f["inverted"] for f in guess["each"]]
     both = [(a, b) for a, b in zip(flown["each"], guess["each"]) if not (a["failed"] or b["failed"])]
@@ -148,6 +148,18 @@ def test_a_report_of_what_is_no_result(tmp_path: Path, content: str, capsys: pyt
     (tmp_path / "bad.json").write_text(content)
     assert main(["--report", str(tmp_path / "bad.json")]) == 2
     assert re.search(r"bad\.json: no results.*expected a file that --json wrote", capsys.readouterr().err)
+
+
+def test_what_would_fail_after_an_hour_is_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No compiler, or a place for the results that there is none of."""
+    assert main(["--json", str(tmp_path / "nowhere/loop.json"), "--folder", str(tmp_path)]) == 2
+    assert "cannot write --json" in capsys.readouterr().err
+    monkeypatch.setenv("PATH", "")
+    assert main(["--folder", str(tmp_path)]) == 2
+    assert "no gcc; expected a C compiler" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_manoeuvre_is_refused() -> None:
