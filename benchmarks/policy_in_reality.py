@@ -27,7 +27,9 @@ from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tests.policy_flights import Sky, load_flyer, measure, summarise  # noqa: E402
+from vpptwin.diagnosis.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
+from vpptwin.files import write_whole  # noqa: E402
 from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402
 from vpptwin.train.randomize import PAPER_EFFECTS  # noqa: E402
 from vpptwin.train.tasks import TASKS  # noqa: E402
@@ -104,12 +106,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parse(argv)
     torch.set_num_threads(1)  # a policy is too small to share
     try:
+        if options.json:
+            check_target(options.json)
         result = run(options)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
     if options.json:
-        options.json.write_text(json.dumps(result) + "\n")
+        write_whole(options.json, json.dumps(result) + "\n")
     print(format_table(result))
     return 0
 

@@ -26,7 +26,9 @@ import torch  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
+from vpptwin.diagnosis.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
+from vpptwin.files import write_whole  # noqa: E402
 from vpptwin.train.checkpoint import build_policy, read_checkpoint  # noqa: E402
 from vpptwin.train.env import VppEnv, make_env  # noqa: E402
 from vpptwin.train.evaluate import Conditions, configure_flights  # noqa: E402
@@ -197,12 +199,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="write the results here")
     options = parser.parse_args(argv)
     try:
+        if options.json:
+            check_target(options.json)
         result = report(options)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
     if options.json:
-        options.json.write_text(json.dumps(result) + "\n")
+        write_whole(options.json, json.dumps(result) + "\n")
     print(f"mean error {1e3 * result['error_m']:.1f} mm, {result['fail_rate']:.1%} failed")
     print("\nreward that rest lacks, in 1/1000 of the best, and what perfection would gain:")
     print(", ".join(f"{name} {1e3 * share:.1f}" for name, share in result["missing_reward"].items()))

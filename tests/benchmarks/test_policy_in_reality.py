@@ -44,7 +44,11 @@ def test_results_are_shown_and_written(checkpoint: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("arguments", "found"),
-    [(["nothing.pt"], "no checkpoint nothing.pt"), (["--task", "wall-backtrack"], "stronger rotors")],
+    [
+        (["nothing.pt"], "no checkpoint nothing.pt"),
+        (["--task", "wall-backtrack"], "stronger rotors"),
+        (["--json", "/nowhere/x.json"], "cannot write"),
+    ],
 )
 def test_bad_input_ends_in_a_line(
     arguments: list[str],
@@ -53,7 +57,7 @@ def test_bad_input_ends_in_a_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """No such policy, and a task that the rig there is too weak for."""
+    """No such policy, a task that the rig there is too weak for, nowhere to write."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     main = importlib.import_module("policy_in_reality").main
     given = arguments if arguments[0].endswith(".pt") else [str(checkpoint), *arguments]

@@ -52,7 +52,10 @@ def test_the_linear_controller_begins_as_the_policy(result: dict) -> None:
     assert 0.5 * policy[1] < linear[1] < 3.0 * policy[1]
 
 
-def test_other_policies_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """No checkpoint: one line, exit status 2."""
-    assert precision.main(["nowhere.pt"]) == 2
-    assert "no checkpoint" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("arguments", "found"), [(["nowhere.pt"], "no checkpoint"), (["flip", "--json", "/nowhere/x.json"], "cannot write")]
+)
+def test_bad_input_is_refused_at_once(arguments: list[str], found: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """No checkpoint, nowhere to write: one line, exit status 2."""
+    assert precision.main(arguments) == 2
+    assert found in capsys.readouterr().err

@@ -7,8 +7,6 @@ from functools import partial
 from json import loads
 from pathlib import Path
 
-from tqdm import tqdm
-
 from vpptwin.diagnosis.diagnose import Diagnosis, diagnose
 from vpptwin.diagnosis.export import name_files, write_prediction
 from vpptwin.diagnosis.noise import find_noise_floor
@@ -26,6 +24,7 @@ from vpptwin.estimation.measurements import read_measurements
 from vpptwin.files import write_whole
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
+from vpptwin.progress import open_bar, tell_stage
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
@@ -56,11 +55,7 @@ def diagnose_logs(
     if json is not None:
         check_target(json)
     files = [VERDICT, REPORT, TWIN, *name_files(logs)]
-    # The delay draws nothing before the first step, so that logs that are refused leave one line and no bar.
-    with (
-        stage_results(out, files, list_stale(out)) as folder,
-        tqdm(unit=" steps", unit_scale=True, desc="diagnose", dynamic_ncols=True, delay=1e-6) as bar,
-    ):
+    with stage_results(out, files, list_stale(out)) as folder, open_bar(desc="diagnose") as bar:
         diagnosis = diagnose(spec, flights, partial(tell_stage, bar), bar.update)
         tell_stage(bar, "writing the report")
         origin = trace_origin(arguments, spec.name, logs)
@@ -70,11 +65,6 @@ def diagnose_logs(
     if json != STDOUT:
         print_summary(diagnosis.verdict, summary, out, files)
     return diagnosis.verdict
-
-
-def tell_stage(bar: tqdm, text: str) -> None:
-    """Put what is being done beside the bar, once there is one."""
-    bar.set_postfix_str(text, refresh=bar.n > 0)
 
 
 def write_results(

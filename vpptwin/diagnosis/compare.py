@@ -7,7 +7,6 @@ from pathlib import Path
 
 from rich.console import Console
 from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from vpptwin.diagnosis.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.error_table import tabulate_errors
@@ -18,6 +17,7 @@ from vpptwin.diagnosis.output import STDOUT, check_target, give_json
 from vpptwin.diagnosis.terminal import print_errors
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
+from vpptwin.progress import open_bar
 from vpptwin.twin.spec import load_twin
 
 
@@ -36,7 +36,7 @@ def compare_logs(
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     starts = list_starts(measurements, window_length(spec))
-    with threadpool_limits(limits=1, user_api="blas"), tqdm(unit=" steps", unit_scale=True, desc="compare") as bar:
+    with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare") as bar:
         held_out = open_held_out(spec, measurements, starts, bar.update)
         score = held_out.score({})
     if json != STDOUT:

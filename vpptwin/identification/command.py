@@ -10,10 +10,8 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 from rich.table import Table
-from tqdm import tqdm
 
 from vpptwin.actuators.file import ActuatorFile
-from vpptwin.diagnosis.command import tell_stage
 from vpptwin.diagnosis.holdout import HORIZONS_S
 from vpptwin.diagnosis.output import stage_results
 from vpptwin.diagnosis.provenance import Provenance, trace_origin
@@ -26,6 +24,7 @@ from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_par
 from vpptwin.identification.report import render_page
 from vpptwin.identification.thrust_map import ThrustMap, inflow
 from vpptwin.logs.read import read_flight
+from vpptwin.progress import open_bar, tell_stage
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
 
@@ -165,7 +164,7 @@ def identify_flights(
     spec = load_twin(twin, effects)
     chosen = parse_parameters(spec, parameters)
     flights = [read_flight(log, topic_map) for log in logs]
-    with tqdm(unit=" steps", unit_scale=True, desc="identify", dynamic_ncols=True, delay=1e-6) as bar:
+    with open_bar(desc="identify") as bar:
         found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
     origin = trace_origin(sys.argv[1:], spec.name, logs)
     write_files({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})

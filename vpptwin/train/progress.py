@@ -10,6 +10,8 @@ from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 from tqdm import tqdm
 
+from vpptwin.progress import open_bar
+
 MEMORY = 200
 """Episodes that the running statistics cover."""
 
@@ -98,10 +100,8 @@ class ProgressBar(TrainerHookBase):
     def open(self) -> None:
         """Start at the steps already collected, which a resumed run has."""
         assert self.trainer is not None
-        self.bar = tqdm(
-            total=self.total, initial=self.trainer.collected_frames, unit=" steps", unit_scale=True,
-            disable=not self.shown, mininterval=0.5, dynamic_ncols=True, bar_format=LAYOUT,
-        )  # fmt: skip
+        start = self.trainer.collected_frames
+        self.bar = open_bar(total=self.total, initial=start, delay=0.0, disable=not self.shown, bar_format=LAYOUT)
 
     def __call__(self) -> None:
         """Advance to the trainer's count."""

@@ -1,0 +1,30 @@
+"""Progress in a file: a line now and then, not one a tenth of a second."""
+
+import time
+
+import pytest
+
+from vpptwin import progress
+from vpptwin.progress import open_bar, tell_stage
+
+
+def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred steps in half a second few are told, the last among them, and the stage that was named between."""
+    monkeypatch.setattr(progress, "QUIET_S", 0.2)
+    with open_bar(desc="diagnose") as bar:
+        for step in range(100):
+            bar.update()
+            time.sleep(0.005)
+            if step == 50:
+                tell_stage(bar, "refitting")
+    told = [line for line in capfd.readouterr().err.split("\r") if line.strip()]
+    assert 2 <= len(told) <= 5
+    assert "refitting" in told[-1]
+    assert "100 steps" in told[-1]
+
+
+def test_nothing_before_the_first_step(capfd: pytest.CaptureFixture[str]) -> None:
+    """What is refused at once leaves no bar."""
+    with open_bar(desc="diagnose") as bar:
+        tell_stage(bar, "reading")
+    assert capfd.readouterr().err.strip() == ""
