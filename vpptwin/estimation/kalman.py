@@ -153,12 +153,6 @@ class KalmanFilter:
         """Standard deviations of the state when it was last fused, (N, 8)."""
         return np.sqrt(np.einsum("nii->ni", self._covariance))
 
-    def reset(self, ids: np.ndarray) -> None:
-        """Let the filters `ids` forget everything: they start at their next pose."""
-        self._base[ids] = np.nan
-        self._imu[ids] = 0.0
-        self._left_out[ids] = 0
-
     def start(self, ids: np.ndarray, pose: np.ndarray, velocity: np.ndarray) -> None:
         """Begin anew in the rows `ids` at poses and velocities (n, 3) that are known as well as in flight."""
         spread = np.array([self._noise[2], self._noise[2], self._noise[3], KNOWN, KNOWN, *self._noise[[7, 8, 8]]])

@@ -19,7 +19,7 @@ from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust, max_thrust
 from vpptwin.vehicle import Vehicle
-from vpptwin.viz.camera import View, place_camera, set_backdrop
+from vpptwin.viz.camera import View, set_backdrop
 from vpptwin.viz.page import TEMPLATES
 from vpptwin.viz.rotors import (
     ARROW_LENGTH,
@@ -33,15 +33,13 @@ from vpptwin.viz.rotors import (
 from vpptwin.viz.scene import (
     ROOT,
     draw_bodies,
-    draw_geom,
-    draw_grid,
     draw_surroundings,
     find_craft,
     fit_craft,
     make_matrix,
     name_body,
 )
-from vpptwin.viz.stage import GRID_DEPTH, TARGET_PAINT
+from vpptwin.viz.stage import aim_at, draw_ghost
 
 if TYPE_CHECKING:
     from vpptwin.train.live import LiveFlight
@@ -77,12 +75,8 @@ class LiveStage:
         draw_bodies(self._node, self._model)
         draw_rotors(self._craft, self._model, vehicle)
         draw_arrows(self._craft)
-        for geom in np.flatnonzero(self._model.geom_bodyid == find_craft(self._model)):
-            draw_geom(self._ghost, self._model, int(geom), TARGET_PAINT)
-        reach = VIEW.half_height * np.array([2.0, 1.2])
-        centre = VIEW.centre[[0, 2]]
-        draw_grid(vis[f"{ROOT}/grid"], np.maximum(centre - reach, [-np.inf, 0.0]), centre + reach, GRID_DEPTH)
-        place_camera(vis, VIEW)
+        draw_ghost(self._ghost, self._model, vehicle)
+        aim_at(vis, VIEW)
 
     def show(
         self, qpos: np.ndarray, target: np.ndarray, angle: np.ndarray, pitch: np.ndarray, thrust: np.ndarray
@@ -176,13 +170,8 @@ class Panel:
         self._server.server_close()
 
 
-def fly_live(flight: LiveFlight, seconds: float | None = None) -> None:
-    """Fly in real time until Ctrl-C, or for so long [s], and print where to look.
-
-    Args:
-        flight: what is flown.
-        seconds: None for ever.
-    """
+def fly_live(flight: LiveFlight) -> None:
+    """Fly in real time until Ctrl-C, and print where to look."""
     env, vehicle = flight.env, flight.env.twin.vehicle
     vis = Visualizer()
     panel = Panel(vis.url(), flight.commands)
@@ -192,9 +181,8 @@ def fly_live(flight: LiveFlight, seconds: float | None = None) -> None:
             f"{panel.address} shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end.",
             flush=True,
         )
-        angle, redraw, began = np.zeros(2), 0.0, time.perf_counter()
-        due = began
-        while seconds is None or due - began < seconds:
+        angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
+        while True:
             while True:
                 try:
                     flight.commands[panel.asked.get_nowait()]()

@@ -13,7 +13,7 @@ from vpptwin.logs.write import START_NS, Message
 from vpptwin.twin.model import CRAFT_JOINTS
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.palette import TARGET, to_rgb
-from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, find_craft, fit_craft
+from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, find_craft, fit_craft, pose_bodies
 from vpptwin.viz.shapes import PLANE_HALF_SIZE, PLANE_THICKNESS, Paint, read_paint
 
 TRANSFORMS, MARKERS = "/tf", "/rig/markers"
@@ -80,15 +80,12 @@ def joint_poses(
     model: mujoco.MjModel, x: np.ndarray, z: np.ndarray, theta: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Position (T, 3) [m] and quaternion (T, 4), w first, of every moving body, the craft's under the name `body`."""
-    data, craft = mujoco.MjData(model), find_craft(model)
-    bodies = np.flatnonzero(model.body_weldid != 0)
-    addresses = [model.joint(joint).qposadr[0] for joint in CRAFT_JOINTS]
-    place, turn = np.empty((len(x), model.nbody, 3)), np.empty((len(x), model.nbody, 4))
-    for k, values in enumerate(zip(x, z, theta)):
-        data.qpos[addresses] = values
-        mujoco.mj_kinematics(model, data)
-        place[k], turn[k] = data.xpos, data.xquat
-    return {BODY if b == craft else model.body(b).name: (place[:, b], turn[:, b]) for b in bodies}
+    qpos = np.tile(mujoco.MjData(model).qpos, (len(x), 1))
+    qpos[:, [model.joint(joint).qposadr[0] for joint in CRAFT_JOINTS]] = np.stack([x, z, theta], axis=-1)
+    place, turn = pose_bodies(model, qpos)
+    turn, craft = np.roll(turn, 1, axis=-1), find_craft(model)
+    moving = np.flatnonzero(model.body_weldid != 0)
+    return {BODY if b == craft else model.body(b).name: (place[:, b], turn[:, b]) for b in moving}
 
 
 def list_markers(model: mujoco.MjModel, ghost: bool) -> list[dict[str, object]]:

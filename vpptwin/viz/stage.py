@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import meshcat.geometry as mg
+import mujoco
 import numpy as np
 from meshcat import Visualizer
 
@@ -47,10 +48,15 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
         draw_trail(vis, show)
         if show.target is not None:
             tracks += draw_target(vis, show, show.vehicle, show.target)
+    aim_at(vis, view)
+    return tracks
+
+
+def aim_at(vis: Visualizer, view: View) -> None:
+    """Place the camera, and a grid behind what it sees."""
     centre, reach = view.centre[[0, 2]], view.half_height * np.array([2.5, 1.5])
     draw_grid(vis[f"{ROOT}/grid"], np.maximum(centre - reach, [-np.inf, 0.0]), centre + reach, GRID_DEPTH)
     place_camera(vis, view)
-    return tracks
 
 
 def view_flight(show: Show, **options: float) -> View:
@@ -98,12 +104,17 @@ def join_phase(twin: Motion, log: Motion) -> Rotors:
     return replace(twin.rotors, angle=twin.rotors.angle + log.rotors.angle[first] - twin.rotors.angle[first])
 
 
+def draw_ghost(vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
+    """Draw the craft once more, as what shows the setpoint."""
+    for geom in np.flatnonzero(model.geom_bodyid == find_craft(model)):
+        draw_geom(vis, model, int(geom), TARGET_PAINT)
+    draw_rotors(vis, model, vehicle, TARGET_PAINT)
+
+
 def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -> list[Track]:
-    """Draw the craft once more as a ghost at the setpoint, hidden before the first one."""
+    """Draw the ghost at the setpoint, hidden before the first one."""
     node = f"{ROOT}/target"
-    for geom in np.flatnonzero(show.model.geom_bodyid == find_craft(show.model)):
-        draw_geom(vis[node], show.model, int(geom), TARGET_PAINT)
-    draw_rotors(vis[node], show.model, vehicle, TARGET_PAINT)
+    draw_ghost(vis[node], show.model, vehicle)
     half = -0.5 * target.theta  # θ turns about -y
     zero = np.zeros_like(half)
     end = show.time[-1]
