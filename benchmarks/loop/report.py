@@ -16,6 +16,8 @@ from vpptwin.viz.palette import BLUE, GREY, ORANGE, VERMILION
 
 LOST = 0.5
 """What a lost flight counts as in the score [m], as in the choice of a run's best policy."""
+CLOSE = 0.2
+"""A predicted error is right within this share of the flown one."""
 COLOURS = {"nominal": VERMILION, "randomized": ORANGE, "extended": BLUE, "oracle": GREY}
 
 
@@ -25,10 +27,27 @@ def score(flown: dict[str, Any]) -> float:
     return float(np.where(np.array(flown["failed"], dtype=bool), LOST, errors).mean())
 
 
-def closed_share(rig: dict[str, Any]) -> float:
-    """Share of the distance between the nominal policy's score and the oracle's that the extended twin's closes."""
-    nominal, extended, oracle = (score(rig["policies"][name]["flown"]) for name in ("nominal", "extended", "oracle"))
+def error(flown: dict[str, Any]) -> float:
+    """Mean position error of the flights that were not lost [m]; NaN if all were."""
+    errors = [min(e, LOST) for e, lost in zip(flown["position_error"], flown["failed"], strict=True) if not lost]
+    return float(np.mean(errors)) if errors else float("nan")
+
+
+def closed_share(rigs: Sequence[dict[str, Any]]) -> float:
+    """Share of the distance between the nominal policies' mean score and the oracles' that the extended ones close."""
+    nominal, extended, oracle = (mean_score(rigs, name) for name in ("nominal", "extended", "oracle"))
     return (nominal - extended) / (nominal - oracle)
+
+
+def mean_score(rigs: Sequence[dict[str, Any]], name: str) -> float:
+    """Mean score of one of the four policies over rigs [m]."""
+    return statistics.fmean(score(rig["policies"][name]["flown"]) for rig in rigs)
+
+
+def misjudged(rig: dict[str, Any], name: str = "extended") -> float:
+    """By what share the twin at hand predicts a larger error of the flights that are not lost than was flown."""
+    pair = rig["policies"][name]
+    return error(pair["predicted"]) / error(pair["flown"]) - 1.0
 
 
 def format_table(rigs: Sequence[dict[str, Any]]) -> str:
@@ -50,7 +69,7 @@ def format_table(rigs: Sequence[dict[str, Any]]) -> str:
             lines.append(f"| {' | '.join(cells)} |")
     note = "Score: mean position error, a lost flight counted as 0.5 m. In brackets: what the twin at hand predicts."
     lines += ["", note, ""]
-    return "\n".join([*lines, *map(tell, rigs)])
+    return "\n".join([*lines, *map(tell, rigs), sum_up(rigs)])
 
 
 def in_mm(metres: float | None) -> float | None:
@@ -70,17 +89,32 @@ def both(pairs: Sequence[dict[str, Any]], read: Callable[[dict[str, Any]], float
 def tell(rig: dict[str, Any]) -> str:
     """What became of one rig, in a line."""
     extended, found = rig["policies"]["extended"], rig["diagnosis"]
-    flown, guess = score(extended["flown"]), score(extended["predicted"])
+    flown, guess = (1e3 * error(extended[part]) for part in ("flown", "predicted"))
+    lost, lost_guess = (sum(extended[part]["failed"]) for part in ("flown", "predicted"))
     sizes = {
         cause["effect"]: {name: f"{p['value']:.3g} ± {p['std']:.1g}" for name, p in cause["parameters"].items()}
         for cause in found["causes"]
     }
     truth = {effect: {name: f"{v:.3g}" for name, v in values.items()} for effect, values in rig["hidden"].items()}
     return (
-        f"- {rig['title']}, seed {rig['seed']}: closes {closed_share(rig):.0%} of the gap; its twin predicts "
-        f"{1e3 * guess:.1f} mm, flown {1e3 * flown:.1f} mm ({guess / flown - 1.0:+.0%}). "
+        f"- {rig['title']}, seed {rig['seed']}: closes {closed_share([rig]):.0%} of the gap; its twin predicts "
+        f"{guess:.1f} mm where flights are not lost, flown {flown:.1f} mm ({misjudged(rig):+.0%}), "
+        f"and {lost_guess} lost, flown {lost}. "
         f"Hidden: {list_effects(truth)}. Named: {list_effects(sizes) or 'nothing'}; "
         f"suggested {found['suggested'] or 'no manoeuvre'}."
+    )
+
+
+def sum_up(rigs: Sequence[dict[str, Any]]) -> str:
+    """All rigs in a line: what was closed, and how well the extended twin and the nominal one predict errors."""
+    scores = {name: 1e3 * mean_score(rigs, name) for name in POLICIES}
+    off = {name: [abs(misjudged(rig, name)) for rig in rigs] for name in ("nominal", "extended")}
+    within = {name: sum(share <= CLOSE for share in shares) for name, shares in off.items()}
+    return (
+        f"- all {len(rigs)}: mean score {', '.join(f'{name} {value:.1f} mm' for name, value in scores.items())}; "
+        f"closes {closed_share(rigs):.0%} of the gap. The extended twin predicts the error within {CLOSE:.0%} on "
+        f"{within['extended']} of {len(rigs)} (median {statistics.median(off['extended']):.0%} off), "
+        f"the nominal one on {within['nominal']} ({statistics.median(off['nominal']):.0%})."
     )
 
 

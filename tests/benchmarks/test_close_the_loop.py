@@ -19,7 +19,7 @@ sys.path.append(str(ROOT / "benchmarks"))
 
 from close_the_loop import main  # noqa: E402
 from loop.flights import Suggested, fly_rig, log_flights, log_manoeuvre, predict  # noqa: E402
-from loop.report import closed_share, draw_picture, format_table, score  # noqa: E402
+from loop.report import closed_share, draw_picture, error, format_table, misjudged, score  # noqa: E402
 from loop.settings import LOW, SETTINGS, draw_rig, tell_truth  # noqa: E402
 from loop.steps import POLICIES, write_truth  # noqa: E402
 
@@ -118,10 +118,19 @@ ERRORS = {"nominal": 0.05, "randomized": 0.03, "extended": 0.012, "oracle": 0.01
 
 def test_what_is_closed_by_hand() -> None:
     """(50 - 12) / (50 - 10) = 95 %; with two of ten lost the nominal score is 0.2 * 500 + 0.8 * 50 = 140 mm."""
-    assert closed_share(fake_rig(0, ERRORS)) == pytest.approx(0.95)
-    lossy = fake_rig(0, ERRORS, lost=2)
+    plain, lossy = fake_rig(0, ERRORS), fake_rig(0, ERRORS, lost=2)
+    assert closed_share([plain]) == pytest.approx(0.95)
     assert score(lossy["policies"]["nominal"]["flown"]) == pytest.approx(0.14)
-    assert closed_share(lossy) == pytest.approx((140 - 12) / (140 - 10))
+    assert closed_share([lossy]) == pytest.approx((140 - 12) / (140 - 10))
+    assert closed_share([plain, lossy]) == pytest.approx((95 - 12) / (95 - 10))
+
+
+def test_predictions_are_of_flights_that_are_not_lost() -> None:
+    """Lost flights count in the score only; 45 mm predicted for 50 flown is 10 % less."""
+    lossy = fake_rig(0, ERRORS, lost=2)
+    assert error(lossy["policies"]["nominal"]["flown"]) == pytest.approx(0.05)
+    assert misjudged(lossy, "nominal") == pytest.approx(-0.1)
+    assert np.isnan(error(fake_rig(0, ERRORS, lost=10)["policies"]["nominal"]["flown"]))
 
 
 def test_the_table_shows_medians_over_seeds() -> None:
@@ -131,7 +140,8 @@ def test_the_table_shows_medians_over_seeds() -> None:
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     assert len(rows) == 1 + len(POLICIES)
     assert "| 100.0% | 0.0 % (0.0 %) | 100.0 (90.0) | 100.0 (90.0) | 100.0 (90.0) |" in rows[1]
-    assert text.count("closes 95% of the gap") == 3
+    assert text.count("closes 95% of the gap") == 3 + 1
+    assert "predicts the error within 20% on 3 of 3 (median 10% off), the nominal one on 3 (10%)" in text
     assert "`servo.lag` time_constant 0.04 ± 0.001; suggested no manoeuvre" in text
 
 
