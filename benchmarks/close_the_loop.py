@@ -1,7 +1,7 @@
 """The loop closed: train on the nominal twin, fly elsewhere, diagnose what the twin lacks, train on that, fly again.
 
     python benchmarks/close_the_loop.py --seed 0 --json loop_0.json
-    python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop_*.json --picture docs/pictures/loop.svg
+    python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop_*.json --picture loop.svg
 
 For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
 hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights are
