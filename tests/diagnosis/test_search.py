@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart, open_search
 from tests.diagnosis.fakes import linear
 from tests.diagnosis.rigs import FRICTION, drive_cart
-from vpptwin.diagnosis.search import BAR, WORTH_A_REFIT, YIELDING, Search, Step, weigh_windows
+from vpptwin.diagnosis.bench import Key
+from vpptwin.diagnosis.search import BAR, WORTH_A_REFIT, YIELDING, Fit, Search, Step, weigh_windows
 from vpptwin.diagnosis.shortlist import Start, rank_trials
 from vpptwin.diagnosis.suspects import Trial, Unknown, solve_hypothesis
 from vpptwin.effects.friction import coulomb
@@ -171,3 +174,26 @@ def test_what_is_superfluous_is_dropped(rubbing: Search) -> None:
     effects = frozenset({"slide.coulomb", "slide.bias"})
     both = rubbing.fit(effects, values, rubbing.start.about, rubbing.start.likelihood)
     assert rubbing.drop_superfluous(rubbing.adopt(rubbing.own(both))).effects == {"slide.coulomb"}
+
+
+def test_a_rival_is_tried_beside_the_others_as_they_were(rubbing: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without friction the constant force moves to make up for it; a rival starts from both, the better one stays."""
+    values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
+    start = rubbing.start
+    both = rubbing.fit(frozenset({"slide.coulomb", "slide.bias"}), values, start.about, start.likelihood, 0)
+    without = rubbing.without(both, "slide.coulomb")
+    made: list[tuple[float, Fit]] = []
+    refit = rubbing.fit
+
+    def record(effects: frozenset[str], values: Mapping[Key, float], *args: object) -> Fit:
+        done = refit(effects, values, *args)
+        if effects == {"slide.bias", "slide.viscous"}:
+            made.append((values["slide.bias", "force"], done))
+        return done
+
+    monkeypatch.setattr(rubbing, "fit", record)
+    monkeypatch.setattr(rubbing, "own", lambda fit: fit)
+    step = rubbing.extend(without, against="slide.coulomb", values=values)
+    assert 0.05 in [bias for bias, _ in made]
+    assert without.values["slide.bias", "force"] != pytest.approx(0.05, rel=0.1)
+    assert step.tried["slide.viscous"].cost == min(done.cost for _, done in made)

@@ -23,6 +23,7 @@ from vpptwin.diagnosis.selection import (
     TOLERANCES,
     Selection,
     find_better,
+    find_simpler,
     is_cause,
     lead,
     look_alike,
@@ -249,14 +250,25 @@ def test_confidence_by_hand() -> None:
 
 def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
     """The best rival of all causes, if the evidence prefers it by more than BETTER."""
-    fits = {name: fit(0.0, **{f"a_{name}": 1.0}) for name in ("spring", "viscous")}
-    replaced = {effect: Step(fit(300.0), fits) for effect in ("a.coulomb", "a.bias")}
 
-    def find(coulomb: dict[str, float], bias: dict[str, float]) -> tuple[str, Fit] | None:
-        return find_better({"a.coulomb": coulomb, "a.bias": bias}, replaced)
+    def find(coulomb: dict[str, float], bias: dict[str, float]) -> tuple[str, str] | None:
+        return find_better({"a.coulomb": coulomb, "a.bias": bias})
 
     little, much, most = -0.9 * BETTER, -1.1 * BETTER, -2.0 * BETTER
     assert find({"spring": little}, {}) is None
-    assert find({"spring": little, "viscous": much}, {}) == ("a.coulomb", fits["viscous"])
-    assert find({"spring": much}, {"spring": little, "viscous": most}) == ("a.bias", fits["viscous"])
-    assert find_better({}, {}) is None
+    assert find({"spring": little, "viscous": much}, {}) == ("a.coulomb", "viscous")
+    assert find({"spring": much}, {"spring": little, "viscous": most}) == ("a.bias", "viscous")
+    assert find_better({}) is None
+
+
+def test_a_simpler_law_of_friction_gets_its_turn() -> None:
+    """If it is behind by less than laws of friction are inexact; one of that joint, with fewer parameters, and once."""
+    brought, near = {"a.stiction": 1000.0}, 0.98 * KINSHIP * 1000.0
+    assert find_simpler(SEARCH, {"a.stiction": {"a.coulomb": near, "a.viscous": 0.0}}, brought) == (
+        "a.stiction",
+        "a.coulomb",
+    )
+    assert find_simpler(SEARCH, {"a.stiction": {"a.coulomb": 1.05 * near}}, brought) is None
+    assert find_simpler(SEARCH, {"a.stiction": {"a.coulomb": near}}, brought | {"a.coulomb": 1000.0}) is None
+    assert find_simpler(SEARCH, {"a.stiction": {"b.coulomb": near}}, brought) is None
+    assert find_simpler(SEARCH, {"a.coulomb": {"a.stiction": near}}, {"a.coulomb": 1000.0}) is None

@@ -367,21 +367,26 @@ class Search:
         for name in names:
             self._refit(found, fit, starts[name][:STARTS])
         leader = min(found, key=lambda name: found[name].cost, default="")
-        for cause, at in ((leader, found[leader].values if leader else {}), (against, values or {})):
-            if cause:
-                alike = imitate(fit.about, self.unknowns, cause, at, fit.values)
-                for start in alike:
-                    if start.effect in starts and start.effect not in found:
-                        self._refit(found, fit, [start])
+        if leader:
+            for start in imitate(fit.about, self.unknowns, leader, found[leader].values, fit.values):
+                if start.effect in starts and start.effect not in found:
+                    self._refit(found, fit, [start])
+        if values:
+            # Without the cause the others have moved to make up for it: beside a look-alike they are as they were.
+            rest = {key: value for key, value in values.items() if key[0] != against}
+            for start in imitate(fit.about, self.unknowns, against, values, rest):
+                if start.effect in starts:
+                    self._refit(found, fit, [start])
         most = max((fit.cost - f.cost for f in found.values()), default=0.0)
         chosen = {name: f for name, f in found.items() if fit.cost - f.cost >= max(CHANCE * most, 0.0)}
         return Step(fit, {name: self.own(f) for name, f in chosen.items()})
 
     def _refit(self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start]) -> None:
-        """Add to `found` the best refit of one suspect beside the effects of a fit."""
-        freed = fit.effects | {starts[0].effect}
-        refits = [self.fit(freed, start.values, fit.about, fit.likelihood) for start in starts]
-        found[starts[0].effect] = min(refits, key=lambda f: f.cost)
+        """Add to `found` the best refit of one suspect beside the effects of a fit, unless a better one is there."""
+        effect = starts[0].effect
+        refits = [self.fit(fit.effects | {effect}, start.values, fit.about, fit.likelihood) for start in starts]
+        refits += [found[effect]] if effect in found else []
+        found[effect] = min(refits, key=lambda f: f.cost)
 
     def without(self, fit: Fit, effect: str) -> Fit:
         """The fit without one of its effects, under its own likelihood."""
