@@ -10,7 +10,6 @@ import numpy as np
 from vpptwin.diagnosis.holdout import HeldOut
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
 from vpptwin.diagnosis.verdict import Rival
-from vpptwin.effects import Effect
 from vpptwin.effects import Stage as EffectStage
 
 TEMPER = 1.5
@@ -87,7 +86,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             effect: {rival: lead(search, held_out, fit, tried) for rival, tried in step.tried.items()}
             for effect, step in replaced.items()
         }
-        better = find_better(leads) or find_simpler(search, leads, brought) if swaps < MOST_SWAPS else None
+        better = find_better(search, leads, brought) if swaps < MOST_SWAPS else None
         if better is None:
             rivals = {effect: weigh_rivals(row) for effect, row in leads.items()}
             evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
@@ -194,34 +193,30 @@ def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
     return search.extend(search.complete(search.without(fit, effect)), against=effect, values=fit.values)
 
 
-def find_better(leads: Mapping[str, Mapping[str, float]]) -> tuple[str, str] | None:
-    """The cause that a rival should take the place of, and that rival; None if the evidence prefers none."""
-    behind = [(found, effect, rival) for effect, row in leads.items() for rival, found in row.items()]
-    least, effect, rival = min(behind, default=(0.0, "", ""))
-    return (effect, rival) if least < -BETTER else None
-
-
-def find_simpler(
+def find_better(
     search: Search, leads: Mapping[str, Mapping[str, float]], brought: Mapping[str, float]
 ) -> tuple[str, str] | None:
-    """A law of dry friction whose place one with fewer parameters should take for a trial, and that; None for none.
+    """The cause that a rival should take the place of, and that rival; None if the evidence prefers none."""
+    behind = [
+        (found + handicap(search, effect, rival, brought), effect, rival)
+        for effect, row in leads.items()
+        for rival, found in row.items()
+    ]
+    least, effect, rival = min(behind, default=(0.0, "", ""))
+    return (effect, rival) if least < 0.0 else None
 
-    How a slider sticks makes the evidence rough, and a cause that was adopted is refined where its rivals are not. A
-    rival that is no farther behind than laws of friction are inexact is adopted once in its turn: where the richer law
-    is still better then, it comes back.
+
+def handicap(search: Search, effect: str, rival: str, brought: Mapping[str, float]) -> float:
+    """Evidence by which a rival must be better to take the place of a cause.
+
+    How a slider sticks makes the evidence rough: of two laws of a joint's dry friction that differ by less than such
+    laws are inexact, it is the one with fewer parameters that is named.
     """
     laws = {u.effect.id: u.effect for u in search.unknowns if u.effect.stage is EffectStage.FRICTION}
-    for effect in leads.keys() & laws.keys():
-        simpler = [r for r in leads[effect].keys() & laws.keys() if is_simpler(laws[r], laws[effect])]
-        close = [r for r in simpler if leads[effect][r] < KINSHIP * brought.get(effect, 0.0)]
-        if untried := set(close) - brought.keys():
-            return effect, min(untried, key=lambda r: leads[effect][r])
-    return None
-
-
-def is_simpler(law: Effect, than: Effect) -> bool:
-    """Whether one law of a joint has fewer parameters than another of that joint."""
-    return law.target == than.target and len(law.parameters) < len(than.parameters)
+    if not (effect in laws and rival in laws and laws[effect].target == laws[rival].target):
+        return BETTER
+    inexact = max(BETTER, KINSHIP * brought.get(effect, 0.0))
+    return inexact * float(np.sign(len(laws[rival].parameters) - len(laws[effect].parameters))) or BETTER
 
 
 def weigh_rivals(leads: Mapping[str, float]) -> list[Rival]:
