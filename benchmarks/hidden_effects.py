@@ -114,7 +114,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     if options.report:
         report(load_cases(options.report), options.pictures)
         return
-    plans = choose_plans(options)
+    try:
+        plans = choose_plans(options)
+    except ValueError as error:
+        sys.exit(str(error))
     if options.time:
         with tempfile.TemporaryDirectory() as folder:
             logs = fly_sessions(plans[:1], Path(folder))[0]

@@ -59,10 +59,7 @@ def draw_plan(seed: int, number: int, effects: Sequence[str] = FLYING) -> Plan:
         number: place in it.
         effects: ids to hide; single ones take turns.
     """
-    block, card = divmod(number, len(DECK))
-    deck = np.random.default_rng([seed, 1, block]).permutation(DECK)
-    kind = str(deck[card])
-    turn = block * DECK.count(kind) + int((deck[:card] == kind).sum())
+    kind, turn = draw_kind(seed, number)
     rng = np.random.default_rng([seed, 2, number])
     hidden: Effects = {}
     if kind in ("single", "alien"):
@@ -76,9 +73,16 @@ def draw_plan(seed: int, number: int, effects: Sequence[str] = FLYING) -> Plan:
     return Plan(number, kind, hidden, int(rng.integers(2**31)), bool(rng.random() < OUTLIER_SHARE))
 
 
+def draw_kind(seed: int, number: int) -> tuple[str, int]:
+    """What the session of that number hides, and how many of the kind come before it."""
+    block, card = divmod(number, len(DECK))
+    deck = np.random.default_rng([seed, 1, block]).permutation(DECK)
+    kind = str(deck[card])
+    return kind, block * DECK.count(kind) + int((deck[:card] == kind).sum())
+
+
 def draw_plans(seed: int, effects: Sequence[str] = FLYING, kinds: Sequence[str] = ()) -> Iterator[Plan]:
     """Sessions without end, only of some kinds where `kinds` names any."""
     for number in count():
-        plan = draw_plan(seed, number, effects)
-        if not kinds or plan.kind in kinds:
-            yield plan
+        if not kinds or draw_kind(seed, number)[0] in kinds:
+            yield draw_plan(seed, number, effects)

@@ -6,6 +6,7 @@ import importlib
 import json
 from collections import Counter
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -78,6 +79,13 @@ def test_single_effects_take_turns() -> None:
     plans = (plan for plan in draw.draw_plans(7, kinds=("single",)))
     effects = [next(iter(next(plans).hidden)) for _ in draw.FLYING]
     assert sorted(effects) == sorted(draw.FLYING)
+
+
+def test_kinds_that_are_not_asked_for_are_not_drawn() -> None:
+    """Two look-alikes suffice for sessions of one effect."""
+    few = ("rail_x.coulomb", "rail_x.stiction")
+    plans = load("draw").draw_plans(7, few, kinds=("single",))
+    assert {next(iter(plan.hidden)) for plan in islice(plans, 4)} == set(few)
 
 
 def test_a_session_depends_on_seed_and_number_only() -> None:

@@ -177,14 +177,23 @@ def draw_effect(
     return {effect: {strength: size} | {name: other.draw(rng) for name, other in shape}}
 
 
+DRAWS = 10_000
+"""Draws of several effects after which there are taken to be no unlike ones."""
+
+
 def draw_together(
     rng: np.random.Generator, count: int, among: Sequence[str], least: float = 0.0
 ) -> dict[str, dict[str, float]]:
-    """Draw several hidden effects, no two of them look-alikes; `least` as in `draw_effect`."""
-    while True:
+    """Draw several hidden effects, no two of them look-alikes; `least` as in `draw_effect`.
+
+    Raises:
+        ValueError: if there are not so many unlike ones.
+    """
+    for _ in range(DRAWS):
         chosen = [among[int(i)] for i in rng.choice(len(among), count, replace=False)]
         if all(len(group.intersection(chosen)) < 2 for group in LOOK_ALIKES):
             return {k: v for effect in chosen for k, v in draw_effect(rng, (effect,), least=least).items()}
+    raise ValueError(f"no {count} effects that can be told apart among {', '.join(among)}: name more")
 
 
 def measure_strength(effect: str, values: Mapping[str, float]) -> float:
