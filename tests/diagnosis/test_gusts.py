@@ -176,7 +176,8 @@ def draw_flight(bench: Bench, response: Response, strength: np.ndarray, seed: in
     rng = np.random.default_rng(seed)
     count = len(bench.windows)
     prior = correlate_gusts(bench, strength, [list(part) for part in list_stretches(bench)])
-    gusts = rng.multivariate_normal(np.zeros(len(prior)), prior).reshape(count, -1)
+    # By Cholesky: eigenvectors of equal eigenvalues, and so the draws, would depend on the machine.
+    gusts = rng.multivariate_normal(np.zeros(len(prior)), prior, method="cholesky").reshape(count, -1)
     residual = rng.standard_normal((count, VALUES)) + np.einsum("kmg,kg->km", response.push, gusts)
     return residual + np.einsum("kmi,ki->km", response.state, rng.standard_normal((count, 2 * NV)))
 
@@ -195,13 +196,14 @@ def test_strength_of_gusts_is_recovered(strength: tuple[float, float]) -> None:
 
 
 def test_a_window_astray_makes_no_storm() -> None:
-    """A window 30 times worse than usual, which alone would nearly triple the gusts, moves them by under 10 %."""
+    """An ordinary window made 30 times worse, which alone would nearly triple the gusts, moves them by under 10 %."""
     bench, response = lay_bench(2.0 * np.arange(60.0)), draw_response(60)
     residual = draw_flight(bench, response, np.ones(2), 3)
     calm = tune_gust(bench, response, residual)
-    residual[17] *= 30.0
+    ordinary = np.argsort((response.along(residual) ** 2).sum(axis=1))[30]
+    residual[ordinary] *= 30.0
     squares = (response.along(residual) ** 2).sum(axis=1)
-    assert squares.mean() > 7.0 * np.delete(squares, 17).mean()
+    assert squares.mean() > 7.0 * np.delete(squares, ordinary).mean()
     np.testing.assert_allclose(tune_gust(bench, response, residual), calm, rtol=0.1)
 
 

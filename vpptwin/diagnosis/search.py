@@ -375,7 +375,7 @@ class Search:
             # Without the cause the others have moved to make up for it: beside a look-alike they are as they were.
             rest = {key: value for key, value in values.items() if key[0] != against}
             for start in imitate(fit.about, self.unknowns, against, values, rest):
-                if start.effect in starts:
+                if start.effect in starts and (rest or start.effect not in found):
                     self._refit(found, fit, [start])
         most = max((fit.cost - f.cost for f in found.values()), default=0.0)
         chosen = {name: f for name, f in found.items() if fit.cost - f.cost >= max(CHANCE * most, 0.0)}
