@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.holdout import HeldOut
 from vpptwin.diagnosis.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
 from vpptwin.diagnosis.verdict import Rival
+from vpptwin.effects import Effect
 from vpptwin.effects import Stage as EffectStage
 
 TEMPER = 1.5
@@ -183,9 +184,12 @@ def look_alike(search: Search, first: str, second: str) -> bool:
     """Whether two effects are hard to tell apart: by the catalogue, or as two kinds of dry friction on one joint."""
     effects = {u.effect.id: u.effect for u in search.unknowns}
     one, other = effects[first], effects[second]
-    if one.stage is other.stage is EffectStage.FRICTION and one.target == other.target:
-        return True
-    return second in one.look_alikes or first in other.look_alikes
+    return rub_together(one, other) or second in one.look_alikes or first in other.look_alikes
+
+
+def rub_together(one: Effect, other: Effect) -> bool:
+    """Whether two effects are laws of dry friction of one joint."""
+    return one.stage is other.stage is EffectStage.FRICTION and one.target == other.target
 
 
 def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
@@ -212,11 +216,12 @@ def handicap(search: Search, effect: str, rival: str, brought: Mapping[str, floa
     How a slider sticks makes the evidence rough: of two laws of a joint's dry friction that differ by less than such
     laws are inexact, it is the one with fewer parameters that is named.
     """
-    laws = {u.effect.id: u.effect for u in search.unknowns if u.effect.stage is EffectStage.FRICTION}
-    if not (effect in laws and rival in laws and laws[effect].target == laws[rival].target):
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    richer = len(effects[rival].parameters) - len(effects[effect].parameters)
+    if richer == 0 or not rub_together(effects[effect], effects[rival]):
         return BETTER
     inexact = max(BETTER, KINSHIP * brought.get(effect, 0.0))
-    return inexact * float(np.sign(len(laws[rival].parameters) - len(laws[effect].parameters))) or BETTER
+    return inexact if richer > 0 else -inexact
 
 
 def weigh_rivals(leads: Mapping[str, float]) -> list[Rival]:
