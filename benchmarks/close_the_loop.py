@@ -48,7 +48,7 @@ from same_rig.report import describe_machine  # noqa: E402
 from threadpoolctl import threadpool_limits  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from vpptwin.diagnosis.output import check_target  # noqa: E402
+from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.files import write_whole  # noqa: E402
 

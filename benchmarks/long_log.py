@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.reality import fly, write_mcap
 from tests.reality.recording import Topic
-from vpptwin.diagnosis.preflight import inspect_flight
+from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs import read_flight
 from vpptwin.twin import load_twin

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.bench import Key
-from vpptwin.diagnosis.experiment import Candidate, fly_library, observe_candidates
-from vpptwin.diagnosis.flights import SETTLE, build_bench, window_length
-from vpptwin.diagnosis.search import Search
-from vpptwin.diagnosis.separation import separate
-from vpptwin.diagnosis.suspects import list_unknowns
+from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench, window_length
+from vpptwin.diagnosis.judgement.experiment import Candidate, fly_library, observe_candidates
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.separation import separate
+from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.pilot.flight import SETTLING, fly

@@ -27,7 +27,7 @@ from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
 from tests.policy_flights import Sky, load_flyer, measure, summarise  # noqa: E402
-from vpptwin.diagnosis.output import check_target  # noqa: E402
+from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.files import write_whole  # noqa: E402
 from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402

@@ -26,7 +26,7 @@ import torch  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
-from vpptwin.diagnosis.output import check_target  # noqa: E402
+from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.files import write_whole  # noqa: E402
 from vpptwin.train.checkpoint import build_policy, read_checkpoint  # noqa: E402

@@ -17,8 +17,8 @@ from _pytest.mark import ParameterSet
 
 from tests.reality import fly_many, true_size, write_mcap
 from tests.reality.flight import FlightPlan
-from vpptwin.diagnosis.diagnose import diagnose
-from vpptwin.diagnosis.verdict import Cause, Verdict
+from vpptwin.diagnosis.judgement.diagnose import diagnose
+from vpptwin.diagnosis.judgement.verdict import Cause, Verdict
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 

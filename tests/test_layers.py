@@ -1,10 +1,11 @@
-"""Imports run one way through the packages, as docs/architecture.md says."""
+"""Imports run one way through packages, rooms and files, as docs/architecture.md says."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ ORDER = (
     "train", "deploy",
 )  # fmt: skip
 """Each package imports only from those before it."""
+ROOMS = ("evidence", "search", "judgement", "report")
+"""The rooms of diagnosis: likewise."""
 
 
 def find_imports(tree: ast.AST) -> Iterator[str]:
@@ -43,6 +46,36 @@ def test_every_package_has_its_place() -> None:
     (line,) = re.findall(r"\*\*Imports run one way\*\*: (.*)\.\n", (ROOT / "docs/architecture.md").read_text())
     named = [name for name in re.findall(r"\w+", line) if name in ORDER]
     assert named == list(ORDER)
+
+
+def test_rooms_of_diagnosis_run_one_way() -> None:
+    """From what flights say to what is told: no room imports from one that comes after it."""
+    assert {folder.parent.name for folder in (PACKAGE / "diagnosis").glob("*/__init__.py")} == set(ROOMS)
+    wrong = []
+    for i, room in enumerate(ROOMS):
+        later = tuple(f"vpptwin.diagnosis.{name}" for name in ROOMS[i + 1 :])
+        for file in (PACKAGE / "diagnosis" / room).rglob("*.py"):
+            wrong += [f"{file.name}: {m}" for m in find_imports(ast.parse(file.read_text())) if m.startswith(later)]
+    assert not wrong
+
+
+def test_no_files_import_each_other() -> None:
+    """Not in circles of any length, nor inside of functions: the files can be read in one order."""
+    files = {name_module(file): file for file in PACKAGE.rglob("*.py")}
+    graph = {name: imported_files(file, files) - {name} for name, file in files.items()}
+    assert len(list(TopologicalSorter(graph).static_order())) == len(files)
+
+
+def imported_files(file: Path, files: Collection[str]) -> set[str]:
+    """Dotted names of the files that one imports; a package only for what is in it itself."""
+    found = {name for name in find_imports(ast.parse(file.read_text())) if name in files}
+    return {name for name in found if not any(other.startswith(f"{name}.") for other in found)}
+
+
+def name_module(file: Path) -> str:
+    """The dotted name that a file is imported by."""
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 @pytest.mark.parametrize("package", ORDER)

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.diagnosis.test_verdict import VERDICT
+from tests.diagnosis.judgement.test_verdict import VERDICT
 from vpptwin.cli import main
-from vpptwin.diagnosis.provenance import trace_origin
-from vpptwin.diagnosis.twin_file import compose_twin
+from vpptwin.diagnosis.report.provenance import trace_origin
+from vpptwin.diagnosis.report.twin_file import compose_twin
 from vpptwin.errors import InputError
 from vpptwin.train.overrides import compose_config
 from vpptwin.twin import TwinSpec, load_twin
@@ -95,7 +95,7 @@ def test_diagnose_takes_the_extended_twin(extended: Path, tmp_path: Path, monkey
         seen.append(spec)
         raise InputError("enough", "no more", "stop")
 
-    monkeypatch.setattr("vpptwin.diagnosis.command.diagnose", stop)
+    monkeypatch.setattr("vpptwin.diagnosis.report.command.diagnose", stop)
     given = ["--twin", str(extended), "--effects", str(COGGING), "--out", str(tmp_path / "out")]
     assert main(["diagnose", LOGS[0], *given]) == 2
     assert seen[0].effects == HIDDEN

@@ -35,7 +35,7 @@ def run_effects(options: argparse.Namespace) -> None:
 
 def run_diagnose(options: argparse.Namespace) -> None:
     """`vpptwin diagnose`."""
-    from vpptwin.diagnosis.command import diagnose_logs
+    from vpptwin.diagnosis.report.command import diagnose_logs
 
     for i, log in enumerate(options.logs):
         if log.resolve() in [other.resolve() for other in options.logs[:i]]:
@@ -46,7 +46,7 @@ def run_diagnose(options: argparse.Namespace) -> None:
 
 def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
-    from vpptwin.diagnosis.compare import compare_logs
+    from vpptwin.diagnosis.report.compare import compare_logs
 
     compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
 

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from vpptwin.cli import guard
-from vpptwin.diagnosis.command import diagnose_logs
+from vpptwin.diagnosis.report.command import diagnose_logs
 from vpptwin.errors import InputError
 from vpptwin.viz.command import play_log
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import vpptwin
-from vpptwin.diagnosis.diagnose import diagnose
+from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 

@@ -11,8 +11,8 @@ from hidden.case import Case, Finding, Named
 from hidden.draw import Plan
 from tests.reality import fly_many, write_mcap
 from tests.reality.flight import FlightPlan
-from vpptwin.diagnosis.diagnose import diagnose, fit_causes
-from vpptwin.diagnosis.verdict import Verdict
+from vpptwin.diagnosis.judgement.diagnose import diagnose, fit_causes
+from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from tests.diagnosis.rigs import CARTS, LOG_EVERY, STEP, Track, write_rig
-from vpptwin.diagnosis.bench import Bench
-from vpptwin.diagnosis.flights import build_bench
-from vpptwin.diagnosis.holdout import HeldOut
-from vpptwin.diagnosis.search import Search
-from vpptwin.diagnosis.suspects import list_unknowns
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.spec import TwinSpec, load_twin
 

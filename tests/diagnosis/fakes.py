@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vpptwin.diagnosis.bench import Bench
-from vpptwin.diagnosis.suspects import Linearisation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.search.suspects import Linearisation
 
 
 class Starts(SimpleNamespace):

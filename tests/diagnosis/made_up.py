@@ -5,10 +5,19 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from vpptwin.diagnosis.diagnose import Diagnosis, open_held_out
-from vpptwin.diagnosis.flights import list_starts, window_length
-from vpptwin.diagnosis.verdict import Cause, Cleared, Estimate, Experiment, Rival, Unexplained, Unseen, Verdict
-from vpptwin.diagnosis.wrench import plot_wrench
+from vpptwin.diagnosis.evidence.flights import list_starts, window_length
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis, open_held_out
+from vpptwin.diagnosis.judgement.verdict import (
+    Cause,
+    Cleared,
+    Estimate,
+    Experiment,
+    Rival,
+    Unexplained,
+    Unseen,
+    Verdict,
+)
+from vpptwin.diagnosis.judgement.wrench import plot_wrench
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight

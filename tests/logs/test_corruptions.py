@@ -11,8 +11,8 @@ import pytest
 from tests.logs import corrupt
 from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
 from tests.reality.recording import Recording, write_mcap
-from vpptwin.diagnosis.diagnose import open_held_out
-from vpptwin.diagnosis.flights import list_starts, window_length
+from vpptwin.diagnosis.evidence.flights import list_starts, window_length
+from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements, read_measurements

@@ -15,11 +15,15 @@ from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.motor import compute_current, step_speed
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
+from vpptwin.vehicle import Vehicle
 
 Record = Any
 """One row of a structured array: fields by name, written in place."""
 NO_LIMIT = 1e9
 """Stands for no limit of an actuator's rate or output."""
+NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
+           "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
+"""Constants of actuators and sensors that are not zero by themselves."""
 
 
 def layer_dtype(actuators: int, depth: int, adaptive: bool = False) -> np.dtype:
@@ -70,6 +74,14 @@ def constants_dtype(actuators: int) -> np.dtype:
             *((name, np.float64) for name in single),
         ]
     )
+
+
+def nominal_constants(vehicle: Vehicle | None, records: np.ndarray) -> dict[str, np.ndarray]:
+    """Constants of actuators and sensors of one simulation with no effect switched on, name → (...)."""
+    nominal = {name: np.full(records[name].shape[1:], NOMINAL.get(name, 0.0)) for name in records.dtype.names or ()}
+    if vehicle is not None:
+        nominal["actuator.time_constant"][:] = vehicle.servo.time_constant
+    return nominal
 
 
 @register_jitable

@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from vpptwin.actuators.file import ActuatorFile
-from vpptwin.diagnosis.holdout import HORIZONS_S
-from vpptwin.diagnosis.output import stage_results
-from vpptwin.diagnosis.provenance import Provenance, trace_origin
-from vpptwin.diagnosis.twin_file import extend_effects, name_twin, round_digits
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.report.output import stage_results
+from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
+from vpptwin.diagnosis.report.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.effects import SIGMAS_90
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import Actuator, identify

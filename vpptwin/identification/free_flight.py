@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.bench import Key
-from vpptwin.diagnosis.diagnose import estimate, prepare
-from vpptwin.diagnosis.holdout import Score
-from vpptwin.diagnosis.selection import fit_together
-from vpptwin.diagnosis.suspects import solve_hypothesis
-from vpptwin.diagnosis.verdict import Estimate
+from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.judgement.diagnose import estimate, prepare
+from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.selection import fit_together
+from vpptwin.diagnosis.judgement.verdict import Estimate
+from vpptwin.diagnosis.search.suspects import solve_hypothesis
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import solve_linear

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from vpptwin.diagnosis.provenance import Provenance
+from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.effects import SIGMAS_90
 from vpptwin.identification.actuator import WINDOW, Actuator, find_steps, lag_pitch
 from vpptwin.identification.bench import BenchRun

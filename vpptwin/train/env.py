@@ -31,7 +31,7 @@ from vpptwin.twin.sensors import read_sensors, sensor_noise
 from vpptwin.twin.spec import TwinSpec, check_effects
 
 if TYPE_CHECKING:
-    from vpptwin.train.render import Watcher
+    from vpptwin.train.watch import Watcher
 
 Rows = np.ndarray | slice
 """Which simulations: their numbers, or a slice of all."""
@@ -159,10 +159,10 @@ class VppEnv(EnvBase):
         if mode != "rgb_array":
             raise InputError(f"render mode {mode!r}", "rgb_array", "leave it out")
         if self._watcher is None:
-            from vpptwin.train.render import Watcher
+            from vpptwin.train.watch import Watcher  # which brings the drawing
 
-            self._watcher = Watcher(self)
-        return self._watcher.draw(self)
+            self._watcher = Watcher(self.twin)
+        return self._watcher.draw(self.state, self.episodes.target[0], float(self.episodes.elapsed[0]))
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = np.random.default_rng(seed)

@@ -8,19 +8,15 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from vpptwin.actuators.layer import NO_LIMIT
+from vpptwin.actuators.layer import nominal_constants
 from vpptwin.effects import Effect, Stage
 from vpptwin.engine.callback import installed
 from vpptwin.twin.kernel import Kernel
 from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.vehicle import Vehicle
 
 Key = tuple[str, str]
 """Effect id and parameter."""
-NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
-           "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
-"""Constants of actuators and sensors that are not zero by themselves."""
 
 
 class ConstantTable:
@@ -128,11 +124,3 @@ class ConstantTable:
             with installed(None):  # a user's callback in Python would be refused
                 self._batch.set_const(None if whole else rows)
         self._stale = None
-
-
-def nominal_constants(vehicle: Vehicle | None, records: np.ndarray) -> dict[str, np.ndarray]:
-    """Constants of actuators and sensors of one simulation with no effect switched on, name → (...)."""
-    nominal = {name: np.full(records[name].shape[1:], NOMINAL.get(name, 0.0)) for name in records.dtype.names or ()}
-    if vehicle is not None:
-        nominal["actuator.time_constant"][:] = vehicle.servo.time_constant
-    return nominal

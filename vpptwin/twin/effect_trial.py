@@ -16,10 +16,9 @@ from mujoco.batch import MODEL_FIELDS
 from numba import njit
 from numba.core.errors import NumbaError
 
-from vpptwin.actuators.layer import constants_dtype
+from vpptwin.actuators.layer import constants_dtype, nominal_constants
 from vpptwin.effects import Craft, Effect, Motion, Rotor, Stage
 from vpptwin.errors import InputError
-from vpptwin.twin.constants import nominal_constants
 from vpptwin.twin.effect_check import Rig
 from vpptwin.twin.model import locate_effect
 

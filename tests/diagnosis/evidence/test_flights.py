@@ -1,0 +1,89 @@
+"""Which stretches of which flights are fitted and which judge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vpptwin.diagnosis.evidence.flights import SETTLE, list_starts, long_starts, split_flights, thin_out
+from vpptwin.errors import InputError
+from vpptwin.estimation.measurements import Measurements, Series
+
+
+def fly(duration: float, rate: float = 100.0) -> Measurements:
+    """A flight of some length with one joint."""
+    time = np.arange(0.0, duration + 1e-9, 1.0 / rate)
+    position = Series("slide", "m", time, np.sin(time), 1e-3)
+    command = Series("control", "", time, np.zeros((len(time), 1)), 0.0)
+    return Measurements("made by hand", {0: position}, {}, None, command, None, (), 0.0, duration)
+
+
+def test_windows_lie_side_by_side_inside_the_flight() -> None:
+    """In 6 s there is room for 19 windows of 0.3 s from 0.2 s on: the last ends at 5.9 s."""
+    (starts,) = list_starts([fly(6.0)], 0.3)
+    np.testing.assert_allclose(starts, SETTLE + 0.3 * np.arange(19))
+
+
+@pytest.mark.parametrize(("flights", "judges"), [(2, {1}), (3, {0}), (5, {1, 3})])
+def test_of_several_flights_the_judges_are_held_out_whole(flights: int, judges: set[int]) -> None:
+    """Each flight either is fitted or judges, every window of it."""
+    measurements = [fly(6.0 + i) for i in range(flights)]
+    split = split_flights(measurements, 0.3, judges)
+    assert split.whole
+    for i, (starts, fitted, judging) in enumerate(zip(list_starts(measurements, 0.3), split.fitted, split.held_out)):
+        mine, other = (judging, fitted) if i in judges else (fitted, judging)
+        np.testing.assert_array_equal(mine, starts)
+        assert len(other) == 0
+
+
+def test_of_one_flight_every_third_block_is_held_out() -> None:
+    """30 s in blocks of 3 s: windows that start within [6, 9), [15, 18), [24, 27) s of the first one judge."""
+    split = split_flights([fly(30.0)], 0.7)
+    assert not split.whole
+    (fitted,), (judging,) = split.fitted, split.held_out
+    tenths = 7 * np.arange(42)
+    np.testing.assert_allclose(judging, SETTLE + 0.1 * tenths[tenths // 30 % 3 == 2])
+    everything = np.sort(np.concatenate([fitted, judging]))
+    np.testing.assert_array_equal(everything, list_starts([fly(30.0)], 0.7)[0])
+
+
+def test_the_shortest_flight_of_the_drone_has_windows_that_judge() -> None:
+    """5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge."""
+    split = split_flights([fly(5.0)], 0.3)
+    assert (len(split.fitted[0]), len(split.held_out[0])) == (10, 5)
+
+
+@pytest.mark.parametrize("duration", [5.0, 6.5, 9.0])
+def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
+    """Windows of 1 s need a flight of 9.4 s: with fewer than three that judge, chance would name causes."""
+    with pytest.raises(InputError, match="held out; expected at least 10 s"):
+        split_flights([fly(duration)], 1.0)
+    assert len(split_flights([fly(9.5)], 1.0).held_out[0]) == 3
+
+
+def test_too_many_windows_are_thinned_out_evenly() -> None:
+    """Of 25 + 15 windows at most 15 stay: every third, 9 and 5."""
+    thinned = thin_out([np.arange(25.0), np.arange(15.0)], 15)
+    np.testing.assert_array_equal(thinned[0], np.arange(0.0, 25.0, 3.0))
+    np.testing.assert_array_equal(thinned[1], np.arange(0.0, 15.0, 3.0))
+
+
+def test_few_windows_all_stay() -> None:
+    """Nothing is left out below the limit."""
+    starts = [np.arange(7.0), np.arange(3.0)]
+    assert thin_out(starts, 10) is starts
+
+
+def test_long_windows_overlap_by_half_at_most() -> None:
+    """Windows of 1 s start every 0.6 s where short ones last 0.3 s: the first multiple of 0.3 s from half a second."""
+    (starts,) = long_starts([SETTLE + 0.3 * np.arange(20)], 0.3)
+    np.testing.assert_allclose(np.diff(starts), 0.6)
+
+
+@pytest.mark.parametrize(
+    ("flight", "words"), [(fly(4.9), "4.9 s"), (fly(8.0, rate=15.0), "measured 15 times a second")]
+)
+def test_short_or_sparse_flights_are_refused(flight: Measurements, words: str) -> None:
+    """Under 5 s, or under 20 poses a second, there is nothing to diagnose."""
+    with pytest.raises(InputError, match=words):
+        split_flights([fly(8.0), flight], 0.3)

@@ -1,0 +1,259 @@
+"""What predictions are worth on windows that no fit has seen: arithmetic by hand, and a cart with friction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.carts import load_cart, measure_cart, open_judges
+from tests.diagnosis.fakes import lay_starts
+from tests.diagnosis.rigs import FRICTION, drive_cart
+from vpptwin.diagnosis.judgement.holdout import (
+    BLOCK,
+    HORIZONS_S,
+    HeldOut,
+    blocks_of,
+    improvement,
+    last_bins,
+    mean_over,
+    resample,
+    sum_blocks,
+)
+from vpptwin.diagnosis.search.search import Fit
+
+TRUTH = {("slide.coulomb", "force"): FRICTION}
+DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}
+
+
+def test_improvement_by_hand() -> None:
+    """Surprises 5, 5, 1 become 3, 3, 1: drops 2, 2, 0; sum 4, scatter 2/√3, standard error of the sum 2."""
+    gain, error = improvement(np.array([5.0, 5.0, 1.0]), np.array([3.0, 3.0, 1.0]))
+    assert gain == pytest.approx(4.0)
+    assert error == pytest.approx(2.0)
+
+
+def test_a_window_astray_counts_as_four_times_the_rest() -> None:
+    """99 drops of 1 and one of 100: rms √100.99 = 10.05, so that the one counts as 40.2."""
+    before = np.ones(100)
+    before[30] = 100.0
+    gain, _ = improvement(before, np.zeros(100))
+    assert gain == pytest.approx(99.0 + 4.0 * np.sqrt(100.99))
+    loss, _ = improvement(np.zeros(100), before)
+    assert loss == pytest.approx(-gain)
+
+
+def test_one_window_decides_nothing() -> None:
+    """A single window that gets a thousand times better has no standard error; one among twenty doesn't convince."""
+    assert improvement(np.array([1000.0]), np.array([1.0]))[1] == np.inf
+    before, after = np.full(20, 10.0), np.full(20, 10.5)
+    before[7], after[7] = 1e4, 10.0
+    gain, error = improvement(before, after)
+    assert gain < 2.0 * error
+
+
+def test_blocks_are_stretches_of_a_flight() -> None:
+    """Windows within 1.5 s count as one; those of another flight never do."""
+    bench = lay_starts([0.0, 0.9 * BLOCK, 1.1 * BLOCK, 5.2 * BLOCK, 0.1], [0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(blocks_of(bench.windows), [0, 0, 1, 2, 3])
+
+
+def test_sums_over_blocks_by_hand() -> None:
+    """Rows 1, 2 and 4 of blocks 0, 1, 0: 5 and 2, column by column."""
+    rows = np.array([[1.0, 10.0], [2.0, 20.0], [4.0, 40.0]])
+    np.testing.assert_array_equal(sum_blocks(rows, np.array([0, 1, 0])), [[5.0, 50.0], [2.0, 20.0]])
+
+
+def test_blocks_are_drawn_with_replacement() -> None:
+    """Totals of four blocks: as many as there are, the same for all rows; mean and variance those of a draw.
+
+    A draw of four from 1, 2, 4, 9 has mean 16 and variance 4 · 9.5; 4000 know them to 0.1 and 2.5 %.
+    """
+    sums = np.stack([np.ones((4, 1)), np.array([[1.0], [2.0], [4.0], [9.0]]), np.array([[2.0], [4.0], [8.0], [18.0]])])
+    drawn = resample(sums, 4000)[..., 0]
+    np.testing.assert_array_equal(drawn[:, 0], 4.0)
+    np.testing.assert_array_equal(drawn[:, 2], 2.0 * drawn[:, 1])
+    assert drawn[:, 1].mean() == pytest.approx(16.0, abs=0.4)
+    assert drawn[:, 1].var() == pytest.approx(38.0, rel=0.1)
+
+
+def test_errors_at_a_horizon_are_those_of_its_last_two_bins() -> None:
+    """Squares 1 to 6 in bins of 10 ms: near 50 ms 4.5, near 10 ms the only bin's 1; empty bins do not count."""
+    square = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.0, 2.0, 3.0, np.nan, 5.0, 6.0], [np.nan] * 6])
+    np.testing.assert_array_equal(last_bins(square, 0.05), [4.5, 5.0, np.nan])
+    np.testing.assert_array_equal(last_bins(square, 0.01), [1.0, 1.0, np.nan])
+
+
+def test_means_are_over_windows_that_were_measured() -> None:
+    """Squares 9 and 16 and a gap: √12.5; nothing but gaps: nothing."""
+    squares = np.array([[9.0, np.nan], [np.nan, np.nan], [16.0, np.nan]])
+    np.testing.assert_allclose(mean_over(squares), [np.sqrt(12.5), np.nan])
+
+
+class Scored(HeldOut):
+    """Judges whose errors are given: parameter value → squares of (K,) windows."""
+
+    def __init__(self, start: np.ndarray, squares: dict[float, np.ndarray]) -> None:
+        self.short = self.long = lay_starts(list(start))
+        self._given = squares
+
+    def squares(self, values: dict) -> dict[str, np.ndarray]:
+        """The same squares at every horizon, of positions."""
+        return {"m": np.repeat(self._given[values["size"]][:, None], len(HORIZONS_S), axis=1)}
+
+    def chi2_by_window(self, values: dict) -> tuple[np.ndarray, np.ndarray]:
+        """Ten values in every window."""
+        square = self._given[values["size"]]
+        return square, np.full(len(square), 10)
+
+
+def test_removed_share_by_hand() -> None:
+    """Squares of 50, 30 and 10 a window against ten values: of an excess of 40, 20 are due to the cause: a half."""
+    start = 0.3 * np.arange(40)
+    judges = Scored(start, {0.0: np.full(40, 50.0), 1.0: np.full(40, 30.0), 2.0: np.full(40, 10.0)})
+    share, interval = judges.share_removed({"size": 1.0}, {"size": 2.0}, {"size": 0.0})
+    assert share == pytest.approx(0.5)
+    assert interval == pytest.approx((0.5, 0.5))
+
+
+def test_what_helps_in_one_block_alone_is_not_sure() -> None:
+    """Eight blocks of which one holds all of the gain: a third of the draws miss it, and the interval reaches 0."""
+    start = BLOCK * np.arange(8) + 0.1
+    without = np.full(8, 50.0)
+    after = without.copy()
+    after[3] = 10.0
+    judges = Scored(start, {0.0: without, 1.0: without, 2.0: after})
+    share, (low, high) = judges.share_removed({"size": 1.0}, {"size": 2.0}, {"size": 0.0})
+    assert share == pytest.approx(40.0 / 320.0)
+    assert low == 0.0
+    assert high > share
+
+
+def test_intervals_of_the_change_bracket_it() -> None:
+    """Errors that halve in truth: 90 % intervals from 40 blocks of three alike windows hold -0.5 for about nine in ten.
+
+    Of 60 intervals 54 are expected, give or take 2.3.
+    """
+    start = BLOCK * np.repeat(np.arange(40), 3) + np.tile([0.1, 0.5, 0.9], 40)
+    held = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        errors = [np.repeat(rng.standard_normal(40), 3) + 0.5 * rng.standard_normal(120) for _ in range(2)]
+        change = Scored(start, {0.0: errors[0] ** 2, 1.0: (0.5 * errors[1]) ** 2}).change({"size": 0.0}, {"size": 1.0})
+        assert list(change) == ["position_rmse_m"]
+        assert len(change["position_rmse_m"]) == len(HORIZONS_S)
+        low, high = change["position_rmse_m"][2]
+        assert low < high < 0.0
+        held += low <= -0.5 <= high
+    assert 47 <= held <= 60
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> HeldOut:
+    """Ten windows of a cart with 1.1 N of dry friction, and a twin without any."""
+    return open_judges(load_cart(tmp_path_factory.mktemp("cart")), measure_cart(drive_cart(FRICTION, 5), 7))
+
+
+def guess(values: dict[tuple[str, str], float]) -> Fit:
+    """A fit of which values and gusts count, the latter as assumed."""
+    likelihood = SimpleNamespace(gust=np.ones(1))
+    return Fit(frozenset(e for e, _ in values), values, {}, 0.0, None, likelihood, {})  # type: ignore[arg-type]
+
+
+def test_the_truth_surprises_least(rubbing: HeldOut) -> None:
+    """The true friction predicts better than none and than twice as much, beyond doubt, and window by window mostly."""
+    truth = rubbing.surprise(guess(TRUTH), 1.0, True)
+    for other in (rubbing.surprise(guess({}), 1.0, False), rubbing.surprise(guess(DOUBLE), 1.0, True)):
+        gain, error = improvement(other, truth)
+        assert gain > 3.0 * error
+        assert (other > truth).mean() > 0.6
+
+
+def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
+    """Without couplings rᵀ S⁻¹ r + ln det S of every window, S written from the response; the scale divides the first.
+
+    The twin without friction, whose response is the only one there is.
+    """
+    response, residual = rubbing.response({}), rubbing.residual({})
+    state = response.state * response.state_std
+    covariance = np.stack([np.diag(std**2) for std in rubbing.short.std])
+    covariance += state @ np.swapaxes(state, 1, 2) + response.push @ np.swapaxes(response.push, 1, 2)
+    square = np.einsum("km,km->k", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
+    logdet = np.linalg.slogdet(covariance)[1]
+    np.testing.assert_allclose(rubbing.surprise(guess({}), 1.0, False), square + logdet, rtol=1e-6)
+    np.testing.assert_allclose(rubbing.surprise(guess({}), 4.0, False), square / 4.0 + logdet, rtol=1e-6)
+
+
+def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
+    """With friction the density is the mean of two: with the response of the twin that sticks, and that of none."""
+    own, residual, parts = guess(TRUTH), rubbing.residual(TRUTH), []
+    for values in ({}, TRUTH):
+        likelihood = rubbing.likelihood(values)
+        square = (likelihood.whiten(residual) ** 2).sum(axis=1)
+        usual = 3.0 * np.median(square)
+        square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
+        parts.append(square + likelihood.logdet)
+    least = np.minimum(*parts)
+    mean = least - 2.0 * np.log(0.5 * sum(np.exp(-0.5 * (part - least)) for part in parts))
+    np.testing.assert_allclose(rubbing.surprise(own, 1.0, True), mean)
+    assert np.all((mean > least) & (mean < least + 2.0 * np.log(2.0) + 1e-9))
+
+
+def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> None:
+    """Two fits that differ in gusts alone are as good as each other; one that is better stays so."""
+    calm, windy = guess({}), guess({})
+    windy.likelihood.gust = np.full(1, 5.0)  # type: ignore[misc]
+    assert rubbing.surprise(calm, 1.0, False).sum() != rubbing.surprise(windy, 1.0, False).sum()
+    assert rubbing.weigh((calm, False), (windy, False), 1.0)[0] == 0.0
+    gain, error = rubbing.weigh((windy, False), (guess(TRUTH), True), 1.0)
+    assert gain > 3.0 * error
+
+
+def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
+    """The true friction makes no error worse and is favoured over none and twice as much; those are not over it."""
+    for other in ({}, DOUBLE):
+        assert rubbing.prefer(other, TRUTH) > 2.0
+        assert rubbing.prefer(TRUTH, other) == pytest.approx(-rubbing.prefer(other, TRUTH))
+        assert rubbing.worsens(TRUTH, other)
+        assert not rubbing.worsens(other, TRUTH)
+    assert not rubbing.worsens(TRUTH, TRUTH)
+
+
+def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldOut) -> None:
+    """One 30 times worse than it was: beyond u, thrice the median square, its square s counts as u (1 + ln s/u)."""
+    factor = np.ones(10)
+    factor[4] = 30.0
+    likelihood, residual = rubbing.likelihood({}), rubbing.residual({}) * factor[:, None]
+    square = (likelihood.whiten(residual) ** 2).sum(axis=1)
+    usual = 3.0 * np.median(square)
+    assert square[4] > 5.0 * usual
+    astray = HeldOut(rubbing.short, rubbing.long)
+    astray.residual = lambda values: residual  # type: ignore[method-assign]
+    found = astray.surprise(guess({}), 1.0, False)
+    assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
+    usually = np.flatnonzero(square <= usual)
+    np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])
+
+
+def test_truth_predicts_better(rubbing: HeldOut) -> None:
+    """The true friction lowers chi2 and the error of every horizon from 0.1 s; twice as much overshoots."""
+    nothing, truth, double = (rubbing.score(values) for values in ({}, TRUTH, DOUBLE))
+    assert truth.chi2 < 0.1 * min(nothing.chi2, double.chi2)
+    assert nothing.position_rmse_m is not None
+    assert truth.position_rmse_m is not None
+    assert truth.angle_rmse_rad is None
+    for before, after in zip(nothing.position_rmse_m[1:], truth.position_rmse_m[1:]):
+        assert after < before
+    for low, high in rubbing.change({}, TRUTH)["position_rmse_m"][2:]:
+        assert low < high < 0.0
+
+
+def test_a_right_twin_reaches_the_noise_floor(tmp_path: Path) -> None:
+    """A cart without friction and its twin: chi2 is 1 to what 1000 values know, 2 √(2/1000) or so.
+
+    The motor's commands act half a sample early or late at most, which adds a little.
+    """
+    judges = open_judges(load_cart(tmp_path), measure_cart(drive_cart(0.0, 5), 7))
+    assert judges.chi2({}) == pytest.approx(1.0, abs=0.15)

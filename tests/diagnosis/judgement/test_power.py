@@ -1,0 +1,92 @@
+"""What flights could have shown: on a cart that moves all is cleared, on one that stands nothing can be seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.carts import load_cart, measure_cart, open_search
+from tests.diagnosis.rigs import drive_cart
+from vpptwin.diagnosis.judgement.power import judge_power, weigh_strength
+from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.effects.friction import asymmetry
+from vpptwin.effects.joint import Place
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Search:
+    """A cart that is as its twin says."""
+    return open_search(load_cart(tmp_path_factory.mktemp("cart")), measure_cart(drive_cart(0.0, 3), 7))
+
+
+@pytest.fixture(scope="module")
+def verdict(moving: Search) -> tuple[list[Cleared], list[Unseen]]:
+    """What it could have shown."""
+    return judge_power(moving, moving.start, frozenset())
+
+
+def test_every_suspect_is_either_cleared_or_unseen(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
+    """Each once, in one of both lists; the accused in neither."""
+    cleared, unseen = verdict
+    effects = {u.effect.id for u in moving.unknowns}
+    assert sorted([s.effect for s in cleared] + [s.effect for s in unseen]) == sorted(effects)
+    cleared, unseen = judge_power(moving, moving.start, frozenset({"slide.coulomb"}))
+    assert {s.effect for s in cleared} | {s.effect for s in unseen} == effects - {"slide.coulomb"}
+
+
+def test_cleared_intervals_hold_the_truth(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
+    """What a cart without any effect shows: off values inside, to 90 % each; all narrower than a typical size."""
+    cleared, _ = verdict
+    parameters = {u.key: u.parameter for u in moving.unknowns}
+    limits = {u.effect.id for u in moving.unknowns if u.is_limit}
+    intervals = [s for s in cleared if s.effect not in limits]
+    inside = [s.low <= parameters[s.effect, s.parameter].off <= s.high for s in intervals]
+    assert len(intervals) >= 8
+    assert sum(inside) >= len(intervals) - 2
+    for suspect in intervals:
+        parameter = parameters[suspect.effect, suspect.parameter]
+        assert suspect.high - suspect.low < parameter.size
+        assert suspect.unit == parameter.unit
+        assert parameter.low <= suspect.low <= suspect.high <= parameter.high
+
+
+def test_limits_are_cleared_below_what_was_asked_for(
+    moving: Search, verdict: tuple[list[Cleared], list[Unseen]]
+) -> None:
+    """A motor that gave 97 % of the commands' 98th percentile saturates nowhere below that."""
+    (limit,) = [s for s in verdict[0] if s.effect == "motor.saturation"]
+    commands = np.abs(moving.bench.windows.command)
+    assert 0.0 < limit.low <= 0.97 * np.percentile(commands, 98.0) + 1e-9
+    assert limit.low >= 0.97 * np.percentile(commands, 50.0)
+    assert limit.high == next(u.parameter.high for u in moving.unknowns if u.effect.id == "motor.saturation")
+
+
+def test_where_nothing_moves_nothing_of_motion_is_seen(tmp_path: Path) -> None:
+    """A cart at rest with its motor off: neither friction nor damping, inertia, gain, delay or limits can be seen."""
+    still = np.zeros_like(drive_cart(0.0, 3)[0])
+    search = open_search(load_cart(tmp_path), measure_cart((still, still, still), 7))
+    cleared, unseen = judge_power(search, search.start, frozenset())
+    names = {s.effect for s in unseen}
+    assert names >= {
+        "slide.viscous", "slide.inertia", "motor.gain", "motor.delay", "motor.lag", "motor.backlash",
+        "motor.rate_limit", "motor.saturation",
+    }  # fmt: skip
+    for suspect in cleared:  # a constant force would have set it in motion
+        assert suspect.effect in ("slide.bias", "slide.spring")
+        assert suspect.low <= 0.0 <= suspect.high
+    reasons = {s.effect: s.reason for s in unseen}
+    assert reasons["motor.saturation"] == "nothing these flights did comes near a limit"
+    assert reasons["motor.gain"].startswith("gain of 0.05 would stand out by 0.")
+
+
+def test_what_only_changes_another_effect_needs_it() -> None:
+    """Friction that depends on the direction is not there to be seen where there is no friction."""
+    effect = asymmetry(Place("a", "on a"))
+    nothing = SimpleNamespace(effects=frozenset())
+    found = weigh_strength(SimpleNamespace(), nothing, Unknown(effect, effect.parameters[0], 0.0))  # type: ignore[arg-type]
+    assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which is not there")

@@ -1,0 +1,275 @@
+"""Which suspects become causes: the rules one by one, on judges and searches that are made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vpptwin.diagnosis.judgement.holdout import improvement
+from vpptwin.diagnosis.judgement.selection import (
+    BARS_TOGETHER,
+    BETTER,
+    HINT,
+    KINSHIP,
+    POWERLESS,
+    RIVAL_SIGMA,
+    SIGMAS_HELD_OUT,
+    STRONG,
+    TEMPER,
+    TOLERANCES,
+    Selection,
+    find_better,
+    is_cause,
+    lead,
+    look_alike,
+    weigh_rivals,
+)
+from vpptwin.diagnosis.judgement.verdict import Rival
+from vpptwin.diagnosis.search.search import BAR, Fit, Step
+from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.effects.friction import asymmetry, coulomb, stiction
+from vpptwin.effects.joint import Place, bias, spring, viscous
+
+PLACE = Place("a", "on a", tolerance=0.02)
+UNKNOWNS = tuple(
+    Unknown(effect, p, 0.1 if effect.id == "a.viscous" else p.off)
+    for effect in (
+        coulomb(PLACE),
+        viscous(PLACE, look_alikes=("a.spring",)),
+        bias(PLACE),
+        spring(PLACE),
+        stiction(PLACE),
+        coulomb(Place("b", "on b")),
+        asymmetry(PLACE),
+    )
+    for p in effect.parameters
+)
+WINDOWS = 25
+
+
+def fit(cost: float, **values: float) -> Fit:
+    """A fit of strengths, e.g. a_viscous=0.3, with its cost."""
+    keys = {u.effect.id: u.key for u in reversed(UNKNOWNS)}
+    named = {name.replace("_", "."): value for name, value in values.items()}
+    likelihood = SimpleNamespace(gust=np.ones(1))
+    return Fit(frozenset(named), {keys[e]: v for e, v in named.items()}, {}, cost, None, likelihood, {})  # type: ignore[arg-type]
+
+
+class Judges:
+    """Held-out windows whose surprise drops by `gain` standard errors with every effect that is named.
+
+    Args:
+        gain: in standard errors of the sum over windows, which is 5.
+        power: whitened change of prediction, squared and summed.
+        worse: whether an effect makes errors worse.
+        favour: by how many standard errors the errors favour whatever is fitted later.
+    """
+
+    def __init__(self, gain: float, power: float = 10.0 * POWERLESS, worse: bool = False, favour: float = 0.0) -> None:
+        scatter = np.tile([1.0, -1.0], WINDOWS)[:WINDOWS] - 1.0 / WINDOWS
+        scatter /= scatter.std(ddof=1)
+        self.drop = scatter + gain / np.sqrt(WINDOWS)
+        self.power, self.worse, self.favour = power, worse, favour
+
+    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool], scale: float) -> tuple[float, float]:
+        """Drop in surprise and its standard error."""
+        assert scale == SEARCH.scale
+        surprise = [-len(fit.effects) * self.drop for fit, _ in (before, after)]
+        return improvement(*surprise)
+
+    def worsens(self, *_: Any) -> bool:  # noqa: ANN401
+        """As made."""
+        return self.worse
+
+    def prefer(self, *_: Any) -> float:  # noqa: ANN401
+        """As made."""
+        return self.favour
+
+    def likelihood(self, *_: Any) -> SimpleNamespace:  # noqa: ANN401
+        """Residuals are white already."""
+        return SimpleNamespace(whiten=lambda residual: residual)
+
+    def residual(self, values: dict) -> np.ndarray:
+        """One number in every window."""
+        return np.full((WINDOWS, 1), len(values) * np.sqrt(self.power / WINDOWS))
+
+
+def search_of(vehicle: object) -> Any:  # noqa: ANN401
+    """What the rules read of a search, for the drone or (None) another rig."""
+    bench = SimpleNamespace(spec=SimpleNamespace(vehicle=vehicle))
+    return SimpleNamespace(unknowns=UNKNOWNS, scale=1.0, sticks=lambda effects: False, bench=bench)
+
+
+SEARCH, OTHER_RIG = search_of("drone"), search_of(None)
+
+
+def judge(
+    judges: Judges,
+    drop: float,
+    brought: dict[str, float] | None = None,
+    search: Any = SEARCH,  # noqa: ANN401
+    **values: float,
+) -> bool:
+    """Whether the last of the values is a cause beside the others, beside which it brings a drop in cost."""
+    tried = fit(50.0 - drop, **values)
+    *beside, effect = (name.replace("_", ".") for name in values)
+    before = fit(50.0, **{name: v for name, v in values.items() if name.replace("_", ".") in beside})
+    return is_cause(search, judges, Step(before, {effect: tried}), effect, brought or {})  # type: ignore[arg-type]
+
+
+SURE = Judges(10.0)
+
+
+@pytest.mark.parametrize(
+    ("drop", "named"), [(1.01 * BAR, True), (1.01 * HINT * BAR, True), (0.99 * HINT * BAR, False), (-5.0, False)]
+)
+def test_causes_clear_the_bar(drop: float, named: bool) -> None:
+    """Evidence below the bar of the fitted windows names nothing, however well held-out windows are predicted."""
+    assert judge(SURE, drop, a_coulomb=0.5) is named
+
+
+def test_fitted_and_held_out_windows_clear_a_higher_bar_together() -> None:
+    """Held-out ones that bring 2.2 standard errors of 5 leave so much for the fitted ones."""
+    least = BARS_TOGETHER * BAR - 2.2 * 0.25
+    for drop, named in ((least - 0.1, False), (least + 0.1, True)):
+        judges = Judges(2.2)
+        judges.drop = 0.05 * judges.drop
+        assert judge(judges, drop, a_coulomb=0.5) is named
+
+
+def test_errors_must_not_grow() -> None:
+    """A cause that makes the prediction of held-out poses worse is none; on other rigs it must make it better."""
+    assert not judge(Judges(10.0, worse=True), 10.0 * BAR, a_coulomb=0.5)
+    assert judge(Judges(10.0, favour=-1.0), 10.0 * BAR, a_coulomb=0.5)
+    assert not judge(Judges(10.0, favour=-1.0), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
+    assert judge(Judges(10.0, favour=0.1), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
+
+
+def test_evidence_against_a_rival() -> None:
+    """Cost, and what held-out windows say beyond a standard error; on other rigs errors have the last word."""
+    cause, rival = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(130.0, a_viscous=1.0)
+    assert lead(SEARCH, Judges(3.0), cause, rival) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
+    assert lead(SEARCH, Judges(-3.0), cause, rival) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
+    assert lead(SEARCH, Judges(-0.5), cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+    for favour, found in ((-3.0, -9.0), (-1.9, 30.0), (3.0, 30.0), (6.0, 36.0)):
+        judges = Judges(0.0, favour=favour)
+        assert lead(OTHER_RIG, judges, cause, rival) == pytest.approx(found)  # type: ignore[arg-type]
+        assert lead(SEARCH, judges, cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
+    """A force of 2.4 tolerances is what a well-built rig may have; 2.6 are not; counted from the twin's own value."""
+    for times, named in ((TOLERANCES - 0.1, False), (TOLERANCES + 0.1, True)):
+        assert judge(SURE, 10.0 * BAR, a_bias=sign * times * 0.02) is named
+        assert judge(SURE, 10.0 * BAR, a_viscous=0.1 + sign * times * 0.02) is named
+
+
+@pytest.mark.parametrize(
+    ("gain", "drop", "named"),
+    [
+        (SIGMAS_HELD_OUT + 0.2, 0.9 * STRONG, True),
+        (SIGMAS_HELD_OUT - 0.2, 0.9 * STRONG, False),
+        (SIGMAS_HELD_OUT - 0.2, 1.1 * STRONG, True),
+        (-0.8, 1.1 * STRONG, True),
+        (-1.2, 1.1 * STRONG, False),
+        (-5.0, 100.0 * STRONG, False),
+    ],
+)
+def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> None:
+    """By two standard errors; less is enough where evidence is overwhelming, but not what they contradict by one."""
+    assert judge(Judges(gain), drop, a_coulomb=0.5) is named
+
+
+@pytest.mark.parametrize(
+    ("gain", "drop", "named"),
+    [
+        (0.0, 2.1 * BAR, True),
+        (0.0, 1.9 * BAR, False),
+        (-SIGMAS_HELD_OUT + 0.2, 2.1 * BAR, True),
+        (-SIGMAS_HELD_OUT - 0.2, 2.1 * BAR, False),
+    ],
+)
+def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: float, named: bool) -> None:
+    """Where an effect hardly moves them, twice the evidence names it unless they speak against it."""
+    assert judge(Judges(gain, 0.9 * POWERLESS), drop, a_coulomb=0.5) is named
+    assert not judge(Judges(0.0, 1.1 * POWERLESS), 2.1 * BAR, a_coulomb=0.5)
+
+
+def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
+    """Beside sliding friction that brought 1000, breakaway must clear the bar by 50; another joint's need not."""
+    brought, more = {"a.coulomb": 1000.0}, HINT * BAR + KINSHIP * 1000.0
+    for drop, named in ((0.98 * more, False), (1.02 * more, True)):
+        assert judge(SURE, drop, brought, a_coulomb=1.0, a_stiction=0.5) is named
+    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, b_coulomb=0.5)
+    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, a_bias=0.5)
+    # What was dropped since is no kin.
+    assert judge(SURE, 1.01 * BAR, brought, a_bias=1.0, a_stiction=0.5)
+
+
+def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> None:
+    """Whichever of the two names the other."""
+    assert look_alike(SEARCH, "a.viscous", "a.spring")
+    assert look_alike(SEARCH, "a.spring", "a.viscous")
+    assert look_alike(SEARCH, "a.coulomb", "a.asymmetry")
+    assert not look_alike(SEARCH, "a.coulomb", "b.coulomb")
+    assert not look_alike(SEARCH, "a.bias", "a.spring")
+
+
+def test_rivals_by_hand() -> None:
+    """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
+    leads = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * RIVAL_SIGMA**2 * TEMPER}
+    first, second = weigh_rivals(leads)
+    less = np.exp(-2.0 / TEMPER)
+    assert (first.effect, second.effect) == ("a.spring", "a.viscous")
+    assert first.confidence == pytest.approx(1.0 / (2.0 + less))
+    assert second.confidence == pytest.approx(less / (2.0 + less))
+    assert (first.sigma, second.sigma) == (0.0, pytest.approx(np.sqrt(4.0 / TEMPER)))
+    assert weigh_rivals({}) == []
+
+
+def select(evidence: float, *rivals: Rival) -> Selection:
+    """A single cause with its evidence and rivals."""
+    cause = fit(0.0, a_coulomb=1.0)
+    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
+
+
+def test_confidence_by_hand() -> None:
+    """What rivals leave, less half of the odds that nothing is there; never beyond 0.999, never below a half of it."""
+    doubt = 0.5 * np.exp(-0.5 * 6.0 / TEMPER)
+    rivals = Rival("a.viscous", 0.25), Rival("a.spring", 0.15)
+    assert select(6.0).confidence("a.coulomb") == pytest.approx(1.0 - doubt)
+    assert select(6.0, *rivals).confidence("a.coulomb") == pytest.approx(0.6 * (1.0 - doubt))
+    assert select(1e9).confidence("a.coulomb") == 0.999
+    assert select(-3.0, *rivals).confidence("a.coulomb") == pytest.approx(0.3)
+
+
+def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
+    """The best rival of all causes, if the evidence prefers it by more than BETTER."""
+
+    def find(coulomb: dict[str, float], bias: dict[str, float]) -> tuple[str, str] | None:
+        return find_better(SEARCH, {"a.coulomb": coulomb, "a.bias": bias}, {})
+
+    little, much, most = -0.9 * BETTER, -1.1 * BETTER, -2.0 * BETTER
+    assert find({"a.spring": little}, {}) is None
+    assert find({"a.spring": little, "a.viscous": much}, {}) == ("a.coulomb", "a.viscous")
+    assert find({"a.spring": much}, {"a.spring": little, "a.viscous": most}) == ("a.bias", "a.viscous")
+    assert find_better(SEARCH, {}, {}) is None
+
+
+def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
+    """Unless the other is better by more than such laws are inexact, 5 % of what was brought; of one joint only."""
+    near = 0.98 * KINSHIP * 1000.0
+
+    def find(effect: str, rival: str, lead: float) -> tuple[str, str] | None:
+        return find_better(SEARCH, {effect: {rival: lead}}, {effect: 1000.0})
+
+    assert find("a.stiction", "a.coulomb", near) == ("a.stiction", "a.coulomb")
+    assert find("a.stiction", "a.coulomb", 1.05 * near) is None
+    assert find("a.coulomb", "a.stiction", -near) is None
+    assert find("a.coulomb", "a.stiction", -1.05 * near) == ("a.coulomb", "a.stiction")
+    assert find("a.stiction", "b.coulomb", 0.0) is None
+    assert find("a.stiction", "a.viscous", -1.1 * BETTER) == ("a.stiction", "a.viscous")

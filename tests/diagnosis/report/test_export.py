@@ -1,0 +1,180 @@
+"""What twins predict, as MCAP beside the log: decoded by mcap_ros2, it lies on the log and adds up to it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from tests.diagnosis.rigs import CARTS, record
+from tests.estimation.synthetic import draw_commands, fly_own
+from vpptwin.diagnosis.report.export import name_files, write_prediction
+from vpptwin.diagnosis.report.prediction import predict_flight
+from vpptwin.logs import Stream, read_flight, write_flight
+from vpptwin.logs.flight import Flight
+from vpptwin.twin.spec import TwinSpec, load_twin
+
+FLIP = Path(__file__).resolve().parents[3] / "demo/flights/flip.mcap"
+FRICTION = {"rail_x.coulomb": {"force": 0.3}}
+
+
+def decode(path: Path, topics: list[str] | None = None) -> dict[str, dict[int, object]]:
+    """Topic → stamp [ns] → message, by the reference reader; all topics, or some."""
+    found: dict[str, dict[int, object]] = defaultdict(dict)
+    with path.open("rb") as file:
+        for entry in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics):
+            stamp = entry.decoded_message.header.stamp
+            found[entry.channel.topic][stamp.sec * 10**9 + stamp.nanosec] = entry.decoded_message
+    return found
+
+
+@pytest.fixture(scope="module")
+def log() -> dict[str, dict[int, object]]:
+    """The demo flight itself, decoded."""
+    return decode(FLIP, ["/mocap/pose", "/imu/data"])
+
+
+@pytest.fixture(scope="module")
+def flip(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, object]]:
+    """Nominal twin and one with friction beside a demo flight, decoded."""
+    path = tmp_path_factory.mktemp("export") / "prediction.mcap"
+    twins = [load_twin(), load_twin().with_effects(FRICTION)]
+    write_prediction(path, twins[0], predict_flight(twins, read_flight(FLIP)))
+    return decode(path)
+
+
+def test_every_topic_of_the_log_has_its_shadow(flip: Mapping) -> None:
+    """Pose and gyro in the log's own form, and a residual for each measured quantity, for both twins."""
+    own = ("mocap/pose", "imu/data", "residual/x", "residual/z", "residual/theta", "residual/theta_rate")
+    assert set(flip) == {f"/twin/{twin}/{name}" for twin in ("before", "after") for name in own}
+
+
+@pytest.mark.parametrize("twin", ["before", "after"])
+def test_prediction_and_residual_add_up_to_the_log(flip: Mapping, log: Mapping, twin: str) -> None:
+    """At the log's very stamps, to rounding; at most the first 0.2 s and the last restart are missing."""
+    poses, imu = flip[f"/twin/{twin}/mocap/pose"], flip[f"/twin/{twin}/imu/data"]
+    assert set(poses) <= set(log["/mocap/pose"])
+    assert set(imu) <= set(log["/imu/data"])
+    assert len(poses) > len(log["/mocap/pose"]) - 80
+    for axis in ("x", "z"):
+        for stamp, residual in flip[f"/twin/{twin}/residual/{axis}"].items():
+            total = getattr(poses[stamp].pose.position, axis) + residual.position[0]
+            assert residual.name == [axis]
+            assert total == pytest.approx(getattr(log["/mocap/pose"][stamp].pose.position, axis), abs=1e-12)
+    for stamp, residual in flip[f"/twin/{twin}/residual/theta_rate"].items():
+        # Imu turns about +y, θ about -y.
+        total = imu[stamp].angular_velocity.y - residual.velocity[0]
+        assert total == pytest.approx(log["/imu/data"][stamp].angular_velocity.y, abs=1e-12)
+    for stamp, residual in flip[f"/twin/{twin}/residual/theta"].items():
+        turns = [
+            2.0 * np.arctan2(-q.y, q.w)
+            for q in (poses[stamp].pose.orientation, log["/mocap/pose"][stamp].pose.orientation)
+        ]
+        assert np.sin(0.5 * (turns[0] + residual.position[0] - turns[1])) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_right_friction_leaves_less(flip: Mapping) -> None:
+    """The demo's rig hides 0.30 N: with it the residual along x is less than two thirds."""
+    rms = [
+        np.sqrt(np.mean([m.position[0] ** 2 for m in flip[f"/twin/{t}/residual/x"].values()]))
+        for t in ("before", "after")
+    ]
+    assert rms[1] < 0.67 * rms[0]
+
+
+SPEC = load_twin()
+COMMANDS = draw_commands(1750, seed=2, quiet=200)
+BOUNDS = {"m": 4.1e-4, "rad": 1e-3, "rad/s": 2.5e-3}  # of tests/estimation/test_replay.py, which says where from
+
+
+@pytest.mark.parametrize("effects", [{}, FRICTION])
+def test_its_own_flight_leaves_no_residual(effects: dict) -> None:
+    """A twin that is right predicts its own noise-free log within what its estimated starting states leave."""
+    spec = SPEC.with_effects(effects)
+    prediction = predict_flight([spec], fly_own(spec, COMMANDS).flight)
+    for track in prediction.tracks:
+        known = np.isfinite(track.predicted[0])
+        assert known.mean() > 0.8
+        # Rates at a restart are less exact where friction makes the motion kink.
+        assert np.abs(track.residual[0][known]).max() < (10.0 if effects else 1.0) * BOUNDS[track.unit]
+
+
+ERRORS = {"gyro.bias": {"bias": 0.1}, "mocap.misalignment": {"angle": 0.05}, "mocap.scale": {"scale": 1.02}}
+
+
+@pytest.mark.parametrize("effect", ERRORS)
+def test_a_sensor_with_an_error_is_read_with_it(effect: str) -> None:
+    """A log seen through a sensor that errs leaves no residual in a twin whose sensor errs as much."""
+    flight = fly_own(SPEC, COMMANDS).flight
+    pose, imu = (flight.streams[topic] for topic in ("/mocap/pose", "/imu/data"))
+    shown = {
+        "gyro.bias": Stream(imu.time, {**imu.values, "rate": imu["rate"] + 0.1}),
+        "mocap.misalignment": Stream(pose.time, {**pose.values, "theta": pose["theta"] + 0.05}),
+        "mocap.scale": Stream(pose.time, {**pose.values, "x": 1.02 * pose["x"], "z": 1.02 * pose["z"]}),
+    }[effect]
+    streams = {**flight.streams, "/imu/data" if effect == "gyro.bias" else "/mocap/pose": shown}
+    spec = SPEC.with_effects({effect: ERRORS[effect]})
+    for track in predict_flight([spec], Flight(flight.path, flight.start_ns, streams, {})).tracks:
+        assert np.nanmax(np.abs(track.residual[0])) < BOUNDS[track.unit]
+
+
+def record_cart(folder: Path) -> tuple[Flight, TwinSpec]:
+    """A cart that is not ours: its log and its twin."""
+    log, twin = record(CARTS, 1.1, folder, seed=3)
+    return read_flight(log), load_twin(twin)
+
+
+def test_other_rigs_have_joint_states(tmp_path: Path) -> None:
+    """Position and velocity of the joint under the twin's namespace; one twin alone is `before`."""
+    flight, spec = record_cart(tmp_path)
+    write_prediction(tmp_path / "p.mcap", spec, predict_flight([spec], flight), {"twin": spec.name})
+    found, log = decode(tmp_path / "p.mcap"), decode(flight.path)["/joint_states"]
+    assert set(found) == {
+        "/twin/before/joint_states",
+        "/twin/before/residual/slide",
+        "/twin/before/residual/slide_rate",
+    }
+    for stamp, message in found["/twin/before/joint_states"].items():
+        assert message.name == ["slide"]
+        residual = found["/twin/before/residual/slide"][stamp]
+        assert message.position[0] + residual.position[0] == pytest.approx(log[stamp].position[0], abs=1e-12)
+
+
+def test_a_log_recorded_on_another_clock_is_met_there(tmp_path: Path) -> None:
+    """Stamps of simulated time, recorded an hour later by the wall: predictions carry both times of the log."""
+    flight = read_flight(FLIP)
+    write_flight(tmp_path / "log.mcap", {t: flight.streams[t] for t in ("/mocap/pose", "/rotor/command")}, start_ns=0)
+    shifted = tmp_path / "shifted.mcap"
+    shift_log_times(tmp_path / "log.mcap", shifted, 3600 * 10**9)
+    write_prediction(tmp_path / "p.mcap", SPEC, predict_flight([SPEC], read_flight(shifted)))
+    with (tmp_path / "p.mcap").open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages():
+            assert message.log_time - message.publish_time == pytest.approx(3600 * 10**9, abs=10)
+
+
+def shift_log_times(source: Path, target: Path, by: int) -> None:
+    """Copy a log with all recording times later [ns]."""
+    from mcap.writer import Writer
+
+    with source.open("rb") as file, target.open("wb") as into:
+        writer = Writer(into)
+        writer.start(profile="ros2")
+        ids: dict[int, int] = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            if channel.id not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            writer.add_message(ids[channel.id], message.log_time + by, message.data, message.publish_time)
+        writer.finish()
+
+
+def test_files_are_named_after_logs() -> None:
+    """One log needs no name; several have theirs, and logs of one name in two folders stay apart."""
+    assert name_files([Path("a/steps.mcap")]) == ["prediction.mcap"]
+    names = name_files([Path("a/steps.mcap"), Path("b/steps.mcap"), Path("mixed.mcap")])
+    assert names == ["prediction_steps.mcap", "prediction_steps_2.mcap", "prediction_mixed.mcap"]

@@ -1,0 +1,178 @@
+"""The folder of results: complete or as it was, whatever goes wrong; verdicts as JSON wherever they are asked for."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.diagnosis.made_up import FLIP, make_diagnosis
+from vpptwin.cli import main
+from vpptwin.diagnosis.report import command
+from vpptwin.diagnosis.report.output import exchange, stage_results
+from vpptwin.errors import InputError
+from vpptwin.twin.spec import load_twin
+
+RESULTS = ["prediction.mcap", "report.html", "twin.yaml", "verdict.json"]
+Fault = type[BaseException] | BaseException
+
+
+SLOW = ("predict_flight", "draw_pictures")
+MEMORY: dict[str, object] = {}
+
+
+@pytest.fixture(autouse=True)
+def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Diagnoses are made up, and predicted and drawn once, so that these tests are about files."""
+    monkeypatch.setattr(command, "diagnose", lambda *arguments: make_diagnosis())
+    for name in SLOW:
+        monkeypatch.setattr(command, name, partial(remember, name, getattr(command, name)))
+
+
+def remember(name: str, function: Callable[..., object], *arguments: object) -> object:
+    """What the function gave the first time: all these runs are of one flight."""
+    if name not in MEMORY:
+        MEMORY[name] = function(*arguments)
+    return MEMORY[name]
+
+
+def run(out: Path, *more: str) -> int:
+    """`vpptwin diagnose` of the demo flight."""
+    return main(["diagnose", str(FLIP), "--out", str(out), *more])
+
+
+def list_files(folder: Path) -> dict[str, bytes]:
+    """Everything in a folder, hidden files too."""
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_all_results_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four files and no rest of the work; each is named where the summary ends; the twin is one for every command."""
+    assert run(tmp_path / "out") == 0
+    assert sorted(list_files(tmp_path / "out")) == RESULTS
+    said = capsys.readouterr().out
+    for name in RESULTS:
+        assert str(tmp_path / "out" / name) in said
+    effects = load_twin(tmp_path / "out/twin.yaml").effects
+    assert effects == {"rail_x.coulomb": {"force": 0.306}, "gyro.bias": {"bias": 0.012}}
+
+
+def test_json_is_an_additional_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json FILE` holds what verdict.json holds; the summary is printed as ever."""
+    assert run(tmp_path / "out", "--json", str(tmp_path / "copy.json")) == 0
+    assert (tmp_path / "copy.json").read_bytes() == (tmp_path / "out/verdict.json").read_bytes()
+    assert "Dry friction" in capsys.readouterr().out
+
+
+def test_json_on_stdout_is_all_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json -` prints the verdict in place of the summary, and progress goes to stderr: a pipe can read it."""
+    assert run(tmp_path / "out", "--json", "-") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out/verdict.json").read_text())
+    assert not (tmp_path / "-").exists()
+
+
+def test_a_json_that_cannot_be_written_is_told_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Before minutes of work: exit code 2, one line, no folder made."""
+    assert run(tmp_path / "out", "--json", str(tmp_path / "nowhere/v.json")) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def refuse(fault: Fault) -> Callable[..., None]:
+    """A function that fails in this way whatever it is given."""
+
+    def fail(*arguments: object, **named: object) -> None:
+        raise fault
+
+    return fail
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"])
+@pytest.mark.parametrize("step", ["diagnose", "write_prediction", "write_json", "write_whole", "render_report"])
+def test_a_run_that_fails_leaves_the_old_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
+) -> None:
+    """Wherever it fails, a good verdict, report, twin and prediction stay, with nothing half-made beside them."""
+    old = {name: f"old {name}".encode() for name in RESULTS}
+    for name, content in old.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.setattr(command, step, refuse(fault))
+    with pytest.raises(type(fault)):
+        command.diagnose_logs([FLIP], "nominal", tmp_path)
+    assert list_files(tmp_path) == old
+
+
+def test_a_full_disk_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, the reason, and no folder left behind."""
+    monkeypatch.setattr(Path, "write_bytes", refuse(FULL))
+    assert run(tmp_path / "a/b") == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("vpptwin: ")
+    assert "No space left on device" in last
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize("failing", range(5))
+def test_an_exchange_that_fails_midway_is_undone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int) -> None:
+    """Whichever of the renames fails, the folder is as before: old files back, new ones gone."""
+    staged = tmp_path / "staged"
+    staged.mkdir()
+    for name in ("a", "b", "c"):
+        (staged / name).write_text(f"new {name}")
+    for name in ("a", "b"):
+        (tmp_path / name).write_text(f"old {name}")
+    replace, count = os.replace, iter(range(100))
+
+    def replace_some(source: Path, target: Path) -> None:
+        if next(count) == failing:
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", replace_some)
+    with pytest.raises(KeyboardInterrupt):
+        exchange(staged, tmp_path, [])
+    kept = {file.name: file.read_text() for file in tmp_path.iterdir() if file.is_file()}
+    assert kept == {"a": "old a", "b": "old b"}
+
+
+def test_predictions_of_other_logs_do_not_stay(tmp_path: Path) -> None:
+    """A folder used before for two other logs loses their predictions, and nothing that is not ours."""
+    (tmp_path / "verdict.json").write_text(json.dumps({"logs": ["a.mcap", "b.mcap"]}))
+    for name in ("prediction_a.mcap", "prediction_b.mcap", "prediction_mine.mcap", "notes.txt"):
+        (tmp_path / name).write_text("something")
+    assert run(tmp_path) == 0
+    assert sorted(list_files(tmp_path)) == sorted([*RESULTS, "notes.txt", "prediction_mine.mcap"])
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"logs": 3}', "\x00"])
+def test_an_old_verdict_that_makes_no_sense_is_replaced(tmp_path: Path, content: str) -> None:
+    """It tells nothing about old predictions; the run goes on."""
+    (tmp_path / "verdict.json").write_text(content)
+    assert command.list_stale(tmp_path) == []
+
+
+def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
+    """It may be somebody's; it is neither replaced nor emptied."""
+    (tmp_path / "report.html").mkdir()
+    (tmp_path / "report.html/keep").write_text("mine")
+    with pytest.raises(InputError, match=r"report\.html is a folder"):
+        command.diagnose_logs([FLIP], "nominal", tmp_path)
+    assert list_files(tmp_path) == {"report.html/keep": b"mine"}
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    """One line that says so."""
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(InputError, match="cannot write to"), stage_results(tmp_path / "out", []):
+        pass
+    assert (tmp_path / "out").read_text() == "mine"

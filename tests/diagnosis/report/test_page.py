@@ -1,0 +1,196 @@
+"""report.html: what a reader must find on it, that it needs nothing else, and that a phone can show it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.diagnosis.made_up import CAUSES, EXPERIMENT, FLIP, LEFT, UNSEEN, make_diagnosis, read_demo
+from tests.viz.browser import Browser
+from vpptwin.diagnosis.evidence.preflight import inspect_flight
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis
+from vpptwin.diagnosis.judgement.verdict import Unexplained
+from vpptwin.diagnosis.report.command import write_results
+from vpptwin.diagnosis.report.page import tie_units
+from vpptwin.diagnosis.report.provenance import trace_origin
+from vpptwin.diagnosis.report.ranking import rank_suspects
+from vpptwin.estimation.measurements import read_measurements
+
+VOID = {"meta", "link", "br", "img", "path", "use", "rect", "line", "circle"}
+
+
+def write(diagnosis: Diagnosis, folder: Path) -> str:
+    """The report of a diagnosis of the demo flight."""
+    spec, flight = read_demo()
+    origin = trace_origin(["diagnose", str(FLIP), "--out", "x y"], spec.name, [FLIP])
+    write_results(folder, folder, spec, [flight], diagnosis, origin)
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report with something in every section."""
+    spec, flight = read_demo()
+    folder = tmp_path_factory.mktemp("report")
+    write(replace(make_diagnosis(), preflight=[inspect_flight(spec, read_measurements(spec, flight))]), folder)
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def page(report: Path) -> str:
+    """Its text, with the spaces that don't break as plain ones."""
+    return report.read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+
+
+class Checker(HTMLParser):
+    """Collects headings, ids and tags that are left open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.headings: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Remember the tag until it is closed."""
+        if tag not in VOID:
+            self.open.append(tag)
+        self.ids += [value for name, value in attrs if name == "id" and value]
+
+    def handle_endtag(self, tag: str) -> None:
+        """Must close the tag that was opened last."""
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        """Collect headings."""
+        if self.open and self.open[-1] in ("h1", "h2"):
+            self.headings.append(data)
+
+
+def test_the_sentence_comes_first_then_how_sure_then_the_evidence(page: str) -> None:
+    """Sections in the order in which a reader asks."""
+    checker = Checker()
+    checker.feed(page)
+    assert checker.open == []
+    assert checker.headings == [
+        "Dry friction of 0.306 ± 0.006 N on the horizontal rail, which the twin lacks, explains 79 % of the error; "
+        "so might rail_x.viscous.",
+        "How sure, and what else it could be",
+        "Error by horizon",
+        "What the twin misses",
+        "Left unexplained",
+        "Suspects",
+        "Cleared",
+        "What could not be seen",
+        "What to fly next",
+        "The logs",
+        "Where this comes from",
+    ]
+
+
+def test_no_two_elements_share_an_id(page: str) -> None:
+    """A figure whose clip path is another figure's would be drawn wrong."""
+    checker = Checker()
+    checker.feed(page)
+    assert len(checker.ids) == len(set(checker.ids)) > 50
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        CAUSES[1].summary[1:],
+        "2.4 sigma, 6 % probable",
+        "4.7 sigma beyond flights without an effect",
+        "it follows rail_x position",
+        "−70 to −60 %",
+        "sensor noise",
+        f"rotor.drag, battery.sag: {UNSEEN[1].reason}",
+        "rail_z.coulomb: between 0 and",
+        EXPERIMENT.command,
+        "flip.mcap: 2 gaps over 0.05 s",
+        "of it usable",
+        "2cc387febc674e7fa99f6cd848fc7f7126397e29576ef37942c5ebce1b32c99f",
+        "vpptwin diagnose",
+        "--out &#39;x y&#39;",
+        "mujoco",
+    ],
+)
+def test_the_page_tells(page: str, words: str) -> None:
+    """Each finding of the verdict is on it in words."""
+    assert words in page
+
+
+def test_a_sensor_makes_no_missing_force(page: str) -> None:
+    """Friction has its picture of the missing force, a gyro's bias has none."""
+    assert "The missing force that is <code>rail_x.coulomb" in page
+    assert "The missing force that is <code>gyro.bias" not in page
+
+
+def test_a_long_list_is_folded(page: str) -> None:
+    """Thirty cleared suspects hide behind their families; printing unfolds them."""
+    assert re.search(r"<summary>32 suspects: rail_z, ", page)
+    assert "onbeforeprint" in page
+
+
+def test_a_twin_that_is_right_has_a_short_report(tmp_path: Path) -> None:
+    """Without causes there is no column `after`, no rival, nothing to fly, and the sentence says so."""
+    diagnosis = make_diagnosis()
+    verdict = replace(
+        diagnosis.verdict, causes=[], gap=False, after=diagnosis.verdict.before, experiment=None, improvement={},
+        unexplained=Unexplained(False, 0.0, None, []), cleared=[], unseen=[], warnings=[],
+    )  # fmt: skip
+    page = write(replace(diagnosis, verdict=verdict, values={}, leftover_plot=None), tmp_path)
+    assert "nothing is accused" in page
+    for absent in ("after</th>", "How sure", "fly next", "Left unexplained", "Cleared", "The logs", "twin after"):
+        assert absent not in page
+
+
+def test_other_peoples_names_cannot_break_the_page(tmp_path: Path) -> None:
+    """Markup in a warning is text."""
+    diagnosis = make_diagnosis()
+    page = write(
+        replace(diagnosis, verdict=replace(diagnosis.verdict, warnings=["<script>alert(1)</script>"])), tmp_path
+    )
+    assert "<script>" not in page
+
+
+def test_suspects_are_ranked_with_their_fates() -> None:
+    """Strongest first, whatever order they come in; drops below zero count as none."""
+    verdict = replace(make_diagnosis().verdict, unexplained=LEFT)
+    ranking = [("airframe.mass", -1.0), ("rail_x.coulomb", 50.0), ("rail_x.viscous", 20.0), ("rotor.drag", 5.0)]
+    suspects = rank_suspects(ranking, verdict)
+    assert [(s.effect, s.share, s.fate) for s in suspects] == [
+        ("rail_x.coulomb", 1.0, "named"),
+        ("rail_x.viscous", 0.4, "rival"),
+        ("rotor.drag", 0.1, "unseen"),
+        ("airframe.mass", 0.0, "cleared"),
+    ]
+
+
+def test_numbers_stay_with_their_units() -> None:
+    """No line breaks between value, deviation and unit."""
+    assert tie_units("of 0.31 ± 0.01 N on").replace("\N{NO-BREAK SPACE}", "_") == "of 0.31_±_0.01_N on"
+    assert tie_units("explains 94 % of").replace("\N{NO-BREAK SPACE}", "_") == "explains 94_% of"
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1200, 400])
+def test_the_page_fits_the_screen(report: Path, tmp_path: Path, width: int) -> None:
+    """On a desk and on a phone nothing sticks out sideways, nothing is fetched, and text keeps its contrast."""
+    with Browser(tmp_path / "profile", size=(width, 900), dark=True) as browser:
+        browser.open(report)
+        browser.draw_frames()
+        assert browser.complaints == []
+        assert browser.requests == [report.resolve().as_uri()]
+        assert browser.evaluate("document.documentElement.scrollWidth") == width
+        body = "getComputedStyle(document.body)"
+        colours: Mapping = {name: browser.evaluate(f"{body}.{name}") for name in ("color", "backgroundColor")}
+        assert colours == {"color": "rgb(28, 30, 33)", "backgroundColor": "rgb(255, 255, 255)"}
+        smallest = "Math.min(...[...document.querySelectorAll('svg text')].map(t => t.getBoundingClientRect().height))"
+        assert browser.evaluate(smallest) > 8.0

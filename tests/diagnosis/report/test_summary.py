@@ -1,0 +1,224 @@
+"""The sentences made of a verdict, and its errors as tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.diagnosis.judgement.test_verdict import AFTER, BEFORE, CAUSE, VERDICT
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.evidence.noise import NoiseFloor
+from vpptwin.diagnosis.judgement.verdict import (
+    Cause,
+    Cleared,
+    Estimate,
+    Experiment,
+    Rival,
+    Unexplained,
+    Unseen,
+    Verdict,
+)
+from vpptwin.diagnosis.report.error_table import tabulate_errors
+from vpptwin.diagnosis.report.summary import describe_cause, describe_cleared, format_value, headline, summarise
+from vpptwin.effects import CATALOGUE, Effect
+
+SILENT = NoiseFloor({}, {})
+NOISE = NoiseFloor({"position_rmse_m": 0.000566, "angle_rmse_rad": 0.003, "θ rate": 0.0063}, {"θ rate": "rad/s"})
+SURE = replace(CAUSE, also_explained_by=[], confidence=0.999)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (0.3081, 0.0123, "0.308 ± 0.012 N"),  # a leading 1 keeps two digits of the deviation
+        (0.3081, 0.0423, "0.31 ± 0.04 N"),
+        (-0.3081, 0.0073, "-0.308 ± 0.007 N"),
+        (12.34, 3.2, "12 ± 3 N"),
+        (1234.5, 250.0, "1234 ± 250 N"),
+        (0.0123, 0.00096, "0.0123 ± 0.0010 N"),  # 0.00096 rounds to 0.001
+        (0.123456, 0.0, "0.1235 N"),
+        (0.123456, float("nan"), "0.1235 N"),
+        (0.123456, float("inf"), "0.1235 N"),
+    ],
+)
+def test_values_have_the_digits_that_mean_something(value: float, std: float, text: str) -> None:
+    """Rounded to the deviation's first digit; without a deviation four digits."""
+    assert format_value(Estimate(value, "N", std, 0.0)) == text
+
+
+def test_small_times_and_lengths_are_in_thousandths() -> None:
+    """Milliseconds are what one speaks of; a value of a second stays, and so does one without unit."""
+    assert format_value(Estimate(0.0123, "s", 0.0004, 0.0)) == "12.3 ± 0.4 ms"
+    assert format_value(Estimate(1.2, "s", 0.03, 0.0)) == "1.20 ± 0.03 s"
+    assert format_value(Estimate(0.95, "", 0.02, 1.0)) == "0.95 ± 0.02"
+
+
+def accuse(effect: Effect, value: float = 0.31, std: float = 0.01, gain: float = 0.94) -> Cause:
+    """A cause with nothing beside it."""
+    parameters = {p.name: Estimate(value, p.unit, std, p.off) for p in effect.parameters}
+    return Cause(effect.id, 0.9, parameters, gain, [], effect.summary)
+
+
+@pytest.mark.parametrize(
+    ("effect", "sentence"),
+    [
+        (
+            "rail_x.coulomb",
+            "Dry friction of 0.310 ± 0.010 N on the horizontal rail, which the twin lacks, explains 94 % of the error.",
+        ),
+        (
+            "servo.trim",
+            "Blades that are not trimmed, offset_1 0.310 ± 0.010 rad and offset_2 0.310 ± 0.010 rad, which the twin "
+            "lacks, explain 94 % of the error.",
+        ),
+        (
+            "rail_x.spring",
+            "An elastic force of 0.310 ± 0.010 N/m on the horizontal rail (rest 0.310 ± 0.010 m), which the twin "
+            "lacks, explains 94 % of the error.",
+        ),
+        ("airframe.mass", "A wrong mass of the craft, +0.310 ± 0.010 kg, explains 94 % of the error."),
+        (
+            "rotor.thrust_gain",
+            "A wrong thrust constant of the rotors, gain 0.310 ± 0.010, where the twin has 1, explains 94 % of the "
+            "error.",
+        ),
+        (
+            "airframe.com",
+            "A centre of mass beside the hinge, 0.310 ± 0.010 m, which the twin lacks, explains 94 % of the error.",
+        ),
+        ("gyro.bias", "A bias of the gyro, 0.310 ± 0.010 rad/s, which the twin lacks, explains 94 % of the error."),
+    ],
+)
+def test_the_sentence_names_cause_size_and_share(effect: str, sentence: str) -> None:
+    """What, how much with its unit, what the twin has instead, which share of the error."""
+    assert describe_cause(accuse(next(e for e in CATALOGUE if e.id == effect))) == sentence
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.id)
+def test_every_effect_makes_a_sentence(effect: Effect) -> None:
+    """Size and unit are in it once, and it is one sentence."""
+    sentence = describe_cause(accuse(effect))
+    assert sentence.count("0.310 ± 0.010") == len(effect.parameters)
+    assert sentence.endswith(" 94 % of the error.")
+    assert sentence[0].isupper()
+    assert ".." not in sentence
+    assert "  " not in sentence
+
+
+def test_a_twin_that_has_some_already() -> None:
+    """The sentence says how much the twin has, in the unit of the value."""
+    friction = replace(SURE, parameters={"force": Estimate(0.3081, "N", 0.0123, 0.2)})
+    assert ", where the twin has 0.2 N, explains" in describe_cause(friction)
+    lag = Cause("servo.lag", 0.9, {"t": Estimate(0.028, "s", 0.001, 0.02)}, 0.3, [], "a wrong time constant")
+    assert "28.0 ± 1.0 ms, where the twin has 20 ms," in describe_cause(lag)
+
+
+def test_a_share_is_between_nothing_and_all() -> None:
+    """A gain beyond 1, where the fit ends below the noise floor, is all of the error."""
+    assert "100 % of the error" in describe_cause(replace(SURE, gain=1.03))
+    assert " 0 % of the error" in describe_cause(replace(SURE, gain=-0.1))
+
+
+def test_without_a_cause_the_headline_tells_two_cases_apart() -> None:
+    """Nothing wrong, or wrong in a way that no effect explains."""
+    fine = replace(VERDICT, causes=[], gap=False)
+    odd = replace(VERDICT, causes=[], unexplained=Unexplained(True, 1.0, "x", ["rail_x position"]))
+    assert "nothing is accused" in headline(fine)
+    assert "no known effect explains" in headline(odd)
+    assert headline(VERDICT) == describe_cause(CAUSE)
+
+
+def read(verdict: Verdict) -> list[str]:
+    """Its lines on certainty."""
+    return summarise(verdict, NOISE, {"air.drag": "aerodynamic drag on the craft"}).certainty
+
+
+def test_rivals_in_words() -> None:
+    """The headline hints at them; below come sigma and probability, with what the id means."""
+    rivals = [Rival("air.drag", 0.43, 0.42), Rival("rail_x.viscous", 0.02, 2.9)]
+    verdict = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=rivals, confidence=0.55)])
+    assert headline(verdict).endswith("of the error; so might air.drag or rail_x.viscous.")
+    sure, drag, viscous = read(verdict)
+    assert sure == "rail_x.coulomb: 55 % sure."
+    assert drag == (
+        "Can't tell air.drag (aerodynamic drag on the craft) from dry friction on the horizontal rail here: "
+        "0.4 sigma, 43 % probable."
+    )
+    assert "2.9 sigma, 2 % probable" in viscous
+    alone = "rail_x.coulomb: 99.9 % sure; no other effect of the catalogue comes close."
+    assert read(replace(VERDICT, causes=[SURE])) == [alone]
+
+
+def test_two_causes_are_told_apart() -> None:
+    """Each has its own sentence, and its certainty says whose it is."""
+    second = replace(SURE, effect="rail_z.coulomb", summary="dry friction on the vertical guide", gain=0.2)
+    verdict = replace(VERDICT, causes=[SURE, second])
+    assert summarise(verdict, NOISE, {}).others == [describe_cause(second)]
+    assert [line.split(":")[0] for line in read(verdict)] == ["rail_x.coulomb", "rail_z.coulomb"]
+
+
+def test_what_is_left_in_words() -> None:
+    """Share, significance, where it lives and what it follows."""
+    left = Unexplained(True, 0.24, "force on rail_x", ["rail_x position", "rail_x velocity"], 5.13)
+    assert summarise(VERDICT, NOISE, {}).unexplained.startswith("Nothing")
+    assert summarise(replace(VERDICT, unexplained=left), NOISE, {}).unexplained == (
+        "24 % of the error is left unexplained, 5.1 sigma beyond flights without an effect, most of it in force on "
+        "rail_x; it follows rail_x position and rail_x velocity."
+    )
+
+
+def test_the_error_in_words() -> None:
+    """Before, after, the interval of the change and the noise of the sensors, a quarter of a second ahead."""
+    change = {"position_rmse_m": [(-0.1, 0.02), (-0.2, -0.1), (-0.66, -0.51), (-0.5, -0.4), (-0.3, -0.2)]}
+    assert summarise(replace(VERDICT, improvement=change), NOISE, {}).error == (
+        "On flight that no fit has seen, the position error 0.25 s ahead goes from 5 to 2 mm (−66 to −51 %, 90 % "
+        "interval); sensor noise alone makes 0.566 mm."
+    )
+    assert "the position error 0.25 s ahead is 5 mm" in summarise(replace(VERDICT, causes=[]), SILENT, {}).error
+
+
+def test_cleared_unseen_and_next_flight() -> None:
+    """Bounds by family, what could not be seen by its reason, and the manoeuvre with what it separates."""
+    verdict = replace(
+        VERDICT,
+        cleared=[Cleared("rail_z.coulomb", "force", 0.0, 0.03, "N"), Cleared("rail_z.bias", "force", -0.02, 0.01, "N")],
+        unseen=[Unseen("rotor.drag", "no rotor speeds"), Unseen("battery.sag", "no rotor speeds")],
+        experiment=Experiment("x_steps", {"size": 0.5}, ["servo.lag", "command.delay"], 5.24, "vpptwin fly"),
+    )
+    summary = summarise(verdict, NOISE, {})
+    assert summary.cleared == {
+        "rail_z": ["rail_z.coulomb: between 0 and 0.03 N", "rail_z.bias: between -0.02 and 0.01 N"]
+    }
+    assert summary.unseen == ["rotor.drag, battery.sag: no rotor speeds"]
+    expected = "x_steps (size 0.5): it is predicted to set servo.lag and command.delay 5.2 sigma apart."
+    assert summary.experiment == expected
+    assert summarise(VERDICT, NOISE, {}).experiment is None
+
+
+def test_cleared_without_unit_names_its_parameter() -> None:
+    """A bare number would not say of what; small times are in milliseconds; two digits of the width are kept."""
+    assert describe_cleared(Cleared("rotor.thrust_gain", "gain", 0.987, 1.012, "")) == (
+        "rotor.thrust_gain: gain between 0.987 and 1.012"
+    )
+    assert (
+        describe_cleared(Cleared("command.delay", "delay", 0.0, 0.0012, "s")) == "command.delay: between 0 and 1.2 ms"
+    )
+
+
+def test_cleared_limits_have_no_upper_bound() -> None:
+    """What a servo could have done beyond what was asked of it, nobody knows."""
+    limit = Cleared("servo.rate_limit", "rate", 8.4, 1000.0, "rad/s")
+    assert describe_cleared(limit) == "servo.rate_limit: above 8.4 rad/s"
+
+
+def test_tables_are_in_thousandths() -> None:
+    """Three digits; no second column without a second score; no table of positions on a rig without slides."""
+    position, angle, rate = tabulate_errors(BEFORE, AFTER, NOISE)
+    assert (position.quantity, position.unit, position.noise) == ("position", "mm", "0.566")
+    assert (position.rows[-1].horizon, position.rows[-1].before, position.rows[-1].after) == ("1 s", "20", "4.9")
+    assert (angle.rows[0].before, angle.unit) == ("10", "mrad")
+    assert (rate.rows[2].before, rate.rows[2].after, rate.unit) == ("3000", "1000", "mrad/s")
+    assert len(position.rows) == len(HORIZONS_S)
+    (only, *_) = tabulate_errors(replace(BEFORE, position_rmse_m=None), None, SILENT)
+    assert (only.quantity, only.rows[4].before, only.rows[4].after, only.noise) == ("angle", "50", "", "")

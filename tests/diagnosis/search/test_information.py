@@ -1,0 +1,66 @@
+"""Which flights judge: those that the fit can best do without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.carts import load_cart, measure_cart
+from tests.diagnosis.rigs import drive_cart
+from vpptwin.diagnosis.search.information import ENOUGH, JUDGING, choose_judges, measure_information
+from vpptwin.diagnosis.search.suspects import list_unknowns
+
+
+@pytest.mark.parametrize(("flights", "judges"), [(2, 1), (3, 1), (5, 1), (6, 2), (9, 3)])
+def test_a_third_of_the_flights_judge(flights: int, judges: int) -> None:
+    """At least one, and of flights that tell the same the last ones."""
+    found = choose_judges(np.full((flights, 4), ENOUGH))
+    assert found == set(range(flights - judges, flights))
+
+
+def test_the_only_flight_that_shows_an_effect_is_fitted() -> None:
+    """The second effect shows in the last of three flights alone: the second, which the first makes up for, judges."""
+    assert choose_judges(np.array([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]]) * ENOUGH) == {1}
+
+
+def test_what_shows_nothing_does_not_judge() -> None:
+    """Of three flights that show all there is and one that shows nothing, a full one judges: the empty would be blind.
+
+    Without a full one 18/19 of the effect are seen, without the empty one 27/28, worth less than that a judge sees.
+    """
+    assert choose_judges(np.array([[9.0], [0.0], [9.0], [9.0]]) * ENOUGH) == {3}
+    assert 0.9 * JUDGING > 27.0 / 28.0 - 18.0 / 19.0
+
+
+def test_judges_are_chosen_one_by_one() -> None:
+    """Two pairs of flights that tell the same, of six: one of each pair judges, what is alone is fitted."""
+    shows = [[9.0, 0.0, 0.0, 0.0], [9.0, 0.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0]]
+    alone = [[0.0, 0.0, 9.0, 0.0], [0.0, 0.0, 0.0, 9.0]]
+    assert choose_judges(np.array(shows + alone) * ENOUGH) == {1, 3}
+
+
+def test_information_is_signal_to_noise_of_a_typical_size(tmp_path: Path) -> None:
+    """A cart that drives shows every effect of its catalogue, one that stands nothing that its motor drives.
+
+    By hand: a constant force F on 2 kg moves it by F t²/4 and speeds it up by F t/2 in windows of a second, against
+    the sensors' noise; each of 23 windows of 100 bins adds the same.
+    """
+    spec = load_cart(tmp_path)
+    driving = drive_cart(0.0, 3)
+    still = np.zeros_like(driving[0])
+    flights = [measure_cart(track, 7) for track in (driving, (still, still, still))]
+    unknowns = list_unknowns(spec)
+    effects = list(dict.fromkeys(u.effect.id for u in unknowns))
+    found = measure_information(spec, flights, unknowns, None)
+    assert found.shape == (2, len(effects))
+    assert (found[0] > ENOUGH).all()
+    seen = {effect for effect, signal in zip(effects, found[1]) if signal > ENOUGH}
+    assert "slide.bias" in seen
+    assert not seen & {"slide.inertia", "motor.gain", "motor.delay", "motor.lag", "motor.rate_limit"}
+    (force,) = (u.parameter.size for u in unknowns if u.effect.id == "slide.bias")
+    t = 0.0025 + 0.01 * np.arange(100)
+    noise = flights[1].positions[0].std, flights[1].velocities[0].std
+    signal = ((force * t**2 / 4.0 / noise[0]) ** 2 + (force * t / 2.0 / noise[1]) ** 2).sum()
+    assert found[1, effects.index("slide.bias")] == pytest.approx(23.0 * signal, rel=0.02)

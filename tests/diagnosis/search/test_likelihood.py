@@ -1,0 +1,189 @@
+"""The covariance of a window's residual on a rig simple enough to write it down: a free cart of 2 kg."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.rigs import CARTS, MASS, write_rig
+from vpptwin.diagnosis.evidence.bench import Bench, Variation
+from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.search.likelihood import (
+    GENERIC_GUST,
+    START_POSE,
+    START_VELOCITY,
+    Likelihood,
+    Response,
+    couple_gusts,
+    gust_std,
+    measure_response,
+    whiten_with,
+)
+from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin.spec import load_twin
+
+WINDOW, SEGMENTS, BINS, COUNT = 0.4, 4, 40, 8
+POSITION_STD, VELOCITY_STD = 1e-3, 1e-2
+SPEED = 0.3
+GUST = GENERIC_GUST * MASS * 10.0
+"""N: the share of a typical force, which accelerates the cart by 10 m/s²."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Eight windows of a cart that coasts at 0.3 m/s, measured without error at 200 Hz."""
+    spec = load_twin(write_rig(CARTS, tmp_path_factory.mktemp("cart")))
+    time = np.arange(0.0, 8.0, 0.005)
+    position = Series("slide", "m", time, SPEED * time, POSITION_STD, white=False)
+    velocity = Series("slide rate", "m/s", time, np.full_like(time, SPEED), VELOCITY_STD, white=False)
+    command = Series("control", "", time, np.zeros((len(time), 1)), 0.0)
+    flight = Measurements("coasting", {0: position}, {0: velocity}, None, command, None, (), 0.0, time[-1])
+    return build_bench(spec, [flight], [0.5 + 0.9 * np.arange(COUNT)], WINDOW, False)
+
+
+@pytest.fixture(scope="module")
+def response(bench: Bench) -> Response:
+    """Of the right twin."""
+    return measure_response(bench, {})
+
+
+@pytest.fixture(scope="module")
+def likelihood(bench: Bench, response: Response) -> Likelihood:
+    """About the right twin, gusts as assumed."""
+    return couple_gusts(bench, response, np.ones(1))
+
+
+def covariance_of(likelihood: Likelihood) -> np.ndarray:
+    """S of every window, (K, M, M): what whitening undoes."""
+    size = likelihood.response.basis.shape[1]
+    whole = np.broadcast_to(np.eye(size)[:, None], (size, COUNT, size))
+    root = np.linalg.inv(np.moveaxis(likelihood.whiten(whole.copy()), 0, -1))
+    return root @ np.swapaxes(root, 1, 2)
+
+
+def write_covariance(gust: float = 1.0) -> np.ndarray:
+    """S of one window, (80, 80), from x = x₀ + v₀ t + Σ pulses at the bins' mean instants: samples at 0 and 5 ms."""
+    t = 0.0025 + 0.01 * np.arange(BINS)
+    one, zero = np.ones(BINS), np.zeros(BINS)
+    covariance = np.diag(np.concatenate([POSITION_STD**2 * one, VELOCITY_STD**2 * one]))
+    columns = [START_POSE[False] * np.concatenate([one, zero]), START_VELOCITY[False] * np.concatenate([t, one])]
+    for column in columns:
+        covariance += np.outer(column, column)
+    pulses = []
+    for segment in range(SEGMENTS):
+        begin = 0.1 * segment
+        under, after = np.clip(t - begin, 0.0, 0.1), np.clip(t - begin - 0.1, 0.0, None)
+        pulses.append(GUST / MASS * np.concatenate([0.5 * under**2 + 0.1 * after, under]))
+    for pulse in pulses:
+        covariance += gust**2 * np.outer(pulse, pulse)
+    return covariance
+
+
+def test_gusts_are_a_share_of_the_typical_force(bench: Bench) -> None:
+    """0.1 % of 20 N."""
+    np.testing.assert_allclose(gust_std(bench.spec), [GUST])
+
+
+@pytest.mark.parametrize("gust", [0.5, 1.0, 20.0])
+def test_covariance_is_that_of_a_free_cart(bench: Bench, response: Response, gust: float) -> None:
+    """Every window's S is what Newton says, to what the twin's steps of 2 ms leave: parts in a thousand."""
+    expected = write_covariance(gust)
+    scale = np.sqrt(np.diag(expected))
+    found = covariance_of(couple_gusts(bench, response, np.array([gust])))
+    assert found.shape == (COUNT, 2 * BINS, 2 * BINS)
+    np.testing.assert_allclose(found / np.outer(scale, scale), [expected / np.outer(scale, scale)] * COUNT, atol=2e-3)
+
+
+def test_response_holds_the_terms_of_the_covariance(bench: Bench, response: Response, likelihood: Likelihood) -> None:
+    """S = R + J_x P J_xᵀ + J_n Q J_nᵀ to rounding, term by term from what the response says it holds."""
+    state = response.state * response.state_std
+    written = np.stack([np.diag(std**2) for std in bench.std])
+    written += state @ np.swapaxes(state, 1, 2)
+    np.testing.assert_allclose(response.sensor_factor @ np.swapaxes(response.sensor_factor, 1, 2), written, atol=1e-12)
+    written += response.push @ np.swapaxes(response.push, 1, 2)
+    np.testing.assert_allclose(covariance_of(likelihood), written, rtol=1e-7, atol=1e-12)
+
+
+def test_determinant_is_that_of_the_covariance(bench: Bench, response: Response) -> None:
+    """Without what couples windows each has the log determinant of its own S."""
+    found = couple_gusts(bench, response, np.array([3.0]))
+    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(covariance_of(found))[1], rtol=1e-9)
+    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(write_covariance(3.0))[1], atol=0.05)
+
+
+def test_whitened_draws_are_independent_and_unit(likelihood: Likelihood) -> None:
+    """Residuals drawn from starting states, gusts and noise become white: unit variance, no correlation."""
+    rng = np.random.default_rng(1)
+    draws = 3000
+    residual = rng.multivariate_normal(np.zeros(2 * BINS), write_covariance(), (draws, COUNT))
+    white = likelihood.whiten(residual)
+    samples = white.reshape(-1, 2 * BINS)
+    # 24000 draws know each variance to 0.9 % and each correlation to 0.65 %; the largest of 3160 is 4.5 sigma.
+    np.testing.assert_allclose(np.cov(samples.T), np.eye(2 * BINS), atol=0.05)
+    assert (white**2).mean() == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize(("pose", "velocity"), [(0.02, 0.0), (0.0, 0.3), (-0.03, 0.2)])
+def test_the_starting_state_is_marginalised(bench: Bench, likelihood: Likelihood, pose: float, velocity: float) -> None:
+    """A start that is wrong costs at most what its prior says, though sensors alone would put it 100 sigma away.
+
+    Measurements are perfect, so that the right start leaves no residual and the cost is that of the shift alone.
+    """
+    shift = Variation(pose=np.array([pose]), velocity=np.array([velocity]))
+    right, wrong = bench.predict([Variation(), shift])
+    np.testing.assert_allclose(right, bench.measured, atol=1e-9)
+    cost = (likelihood.whiten(bench.measured - wrong) ** 2).sum(axis=1)
+    prior = (pose / START_POSE[False]) ** 2 + (velocity / START_VELOCITY[False]) ** 2
+    assert (cost <= prior * 1.001).all()
+    assert (cost > 0.5 * prior).all()
+    alone = (((bench.measured - wrong) / bench.std) ** 2).sum(axis=1)
+    assert (alone > 1e3 * prior).all()
+
+
+def test_freedom_counts_values_less_starting_states(response: Response) -> None:
+    """Eight windows of 80 values, each with a fitted position and velocity."""
+    assert response.freedom == COUNT * (2 * BINS - 2)
+
+
+def test_pushes_act_where_and_when_they_should(bench: Bench) -> None:
+    """5 N on 2 kg during the third tenth: nothing before 0.2 s, 0.25 m/s more after 0.3 s."""
+    plain, pushed = bench.simulate([Variation(), Variation(push=(2, 0, 5.0))]).velocity[..., 0]
+    gained = pushed - plain
+    np.testing.assert_allclose(gained[:, :101], 0.0, atol=1e-12)
+    np.testing.assert_allclose(gained[:, 125], 0.125, atol=1e-9)
+    np.testing.assert_allclose(gained[:, 150:], 0.25, atol=1e-9)
+
+
+def test_variations_side_by_side_equal_each_alone(bench: Bench) -> None:
+    """Simulated together or alone, a variation gives the same channels to the last bit."""
+    variations = [
+        Variation(),
+        Variation({("slide.coulomb", "force"): 0.5}),
+        Variation({("slide.viscous", "damping"): 1.0}, pose=np.array([0.01])),
+        Variation(push=(0, 0, 1.0)),
+    ]
+    together = bench.predict(variations)
+    for i, variation in enumerate(variations):
+        np.testing.assert_array_equal(bench.predict([variation])[0], together[i])
+
+
+def test_coulomb_friction_slows_the_cart_as_newton_says(bench: Bench) -> None:
+    """0.5 N on 2 kg: 0.3 m/s fall by 0.25 m/s² · 0.4 s = 0.1 m/s."""
+    velocity = bench.simulate([Variation({("slide.coulomb", "force"): 0.5})]).velocity
+    np.testing.assert_allclose(velocity[0, :, -1, 0], SPEED - 0.1, atol=1e-3)
+
+
+def test_whitening_solves_each_window() -> None:
+    """By hand: [[2, 0], [1, 1]] y = (4, 5) gives y = (2, 3); the other window is scaled by 10."""
+    factor = np.array([[[2.0, 0.0], [1.0, 1.0]], [[10.0, 0.0], [0.0, 10.0]]])
+    white = whiten_with(factor, np.array([[4.0, 5.0], [4.0, 5.0]]))
+    np.testing.assert_allclose(white, [[2.0, 3.0], [0.4, 0.5]])
+    np.testing.assert_allclose(whiten_with(factor, np.ones((3, 2, 2))), [[[0.5, 0.5], [0.1, 0.1]]] * 3)
+
+
+def test_the_model_beside_the_twin_is_found(tmp_path: Path) -> None:
+    """The bench's rig has one simulated joint and one motor."""
+    spec = load_twin(write_rig(CARTS, tmp_path))
+    assert (spec.model.nv, spec.model.nu) == (1, 1)

@@ -1,0 +1,199 @@
+"""The search for causes: closed forms against brute force, and a cart whose friction is to be found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.carts import load_cart, measure_cart, open_search
+from tests.diagnosis.fakes import linear
+from tests.diagnosis.rigs import FRICTION, drive_cart
+from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.search.search import BAR, WORTH_A_REFIT, YIELDING, Fit, Search, Step, weigh_windows
+from vpptwin.diagnosis.search.shortlist import Start, rank_trials
+from vpptwin.diagnosis.search.suspects import Trial, Unknown, solve_hypothesis
+from vpptwin.effects.friction import coulomb
+from vpptwin.effects.joint import Place, bias, spring
+
+MEASURED = 200
+PLACE = Place("a", "on a", tolerance=0.3)
+HELD = (
+    Unknown(bias(PLACE), bias(PLACE).parameters[0], 0.2),
+    Unknown(coulomb(PLACE), coulomb(PLACE).parameters[0], 0.9),
+)
+STIFFNESS, REST = (Unknown(spring(PLACE), p, p.off) for p in spring(PLACE).parameters)
+
+
+def rank(residual: np.ndarray, columns: np.ndarray, trials: list[Trial], tried: np.ndarray) -> list[Start]:
+    """The starts of trials beside two parameters that sit within their tolerance, noise of variance 1.7."""
+    unknowns = (*HELD, STIFFNESS, REST)
+    at = np.array([u.nominal for u in unknowns])
+    about = linear(at, np.concatenate([columns, np.zeros((2, MEASURED))]), residual, tried)
+    base = solve_hypothesis(about, unknowns, frozenset(), 1.7)
+    return rank_trials(about, unknowns, trials, base, frozenset({"barred"}), 1.7)
+
+
+def find_drop(
+    residual: np.ndarray, columns: np.ndarray, column: np.ndarray, times: float | None
+) -> tuple[float, float]:
+    """Drop in cost and multiple of a column that is added, everything refitted by least squares with its priors."""
+    scale, tolerance = 1.7, np.array([u.parameter.tolerance for u in HELD])
+    priors = np.diag(1.0 / tolerance)
+    plain = np.concatenate([columns.T / np.sqrt(scale), priors])
+    target = np.concatenate([residual / np.sqrt(scale), np.zeros(2)])
+
+    def cost(design: np.ndarray, wanted: np.ndarray) -> tuple[float, np.ndarray]:
+        found = np.linalg.lstsq(design, wanted, rcond=None)[0]
+        return float(((wanted - design @ found) ** 2).sum()), found
+
+    before, _ = cost(plain, target)
+    added = np.concatenate([column / np.sqrt(scale), np.zeros(2)])
+    if times is not None:
+        return before - cost(plain, target - times * added)[0], times
+    after, found = cost(np.column_stack([plain, added]), target)
+    return before - after, float(found[-1])
+
+
+@pytest.fixture(scope="module")
+def problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residual, two columns and three trials, which look alike; the residual holds 1.4 times the first trial."""
+    rng = np.random.default_rng(2)
+    common = rng.standard_normal(MEASURED)
+    columns = rng.standard_normal((2, MEASURED)) + common
+    tried = rng.standard_normal((3, MEASURED)) + 0.7 * common
+    residual = 1.4 * tried[0] - 0.1 * columns[0] + rng.standard_normal(MEASURED)
+    return residual, columns, tried
+
+
+def test_trials_are_ranked_as_a_column_more_would_be(problem: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Drop in cost and best multiple of shapes are those of a fit with that column, everything else refitted."""
+    residual, columns, tried = problem
+    size, low, high = STIFFNESS.parameter.size, STIFFNESS.parameter.low, STIFFNESS.parameter.high
+    trials = [Trial("a.spring", {STIFFNESS.key: size, REST.key: rest}, False) for rest in (-0.5, 0.0, 0.5)]
+    starts = rank(residual, columns, trials, tried)
+    assert [start.effect for start in starts] == ["a.spring"] * 3
+    for start, column, rest in zip(starts, tried, (-0.5, 0.0, 0.5)):
+        drop, times = find_drop(residual, columns, column, None)
+        if times < 0.0:  # it can only push its own way
+            drop, times = 0.0, 0.0
+        assert start.drop == pytest.approx(drop, rel=1e-6, abs=1e-6)
+        assert start.values[STIFFNESS.key] == pytest.approx(np.clip(times * size, low, high), rel=1e-6)
+        assert start.values[REST.key] == rest
+    assert starts[0].drop > 100.0
+
+
+def test_limits_are_ranked_as_they_are(problem: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """A limit cannot be scaled: it is taken once, though that may make things worse; barred ones are left out."""
+    residual, columns, tried = problem
+    trials = [Trial("limit", {("limit", "rate"): 4.0}, True)] * 2 + [Trial("barred", {("barred", "x"): 1.0}, True)]
+    starts = rank(residual, columns, trials, tried)
+    assert [start.effect for start in starts] == ["limit", "limit"]
+    for start, column in zip(starts, tried):
+        assert start.drop == pytest.approx(find_drop(residual, columns, column, 1.0)[0], rel=1e-6)
+        assert start.values == {("limit", "rate"): 4.0}
+
+
+def test_a_window_that_goes_astray_counts_less() -> None:
+    """Mean squares 1, 1, 9 and 299 with median 5: usual misfit 15; weights 1, 1, 1, and √(30 / 314)."""
+    residual = np.sqrt(np.array([1.0, 1.0, 9.0, 299.0]))[:, None] * np.ones((4, 2))
+    weight = weigh_windows(residual, np.ones((4, 2), dtype=bool))
+    np.testing.assert_allclose(weight, np.repeat([1.0, 1.0, 1.0, np.sqrt(30.0 / 314.0)], 2))
+
+
+def test_bins_without_samples_do_not_excuse_a_window() -> None:
+    """A window measured in one bin of four has the mean square of that bin: 400, not 100."""
+    residual, valid = np.ones((3, 4)), np.ones((3, 4), dtype=bool)
+    residual[2], valid[2] = [20.0, 0.0, 0.0, 0.0], [True, False, False, False]
+    weight = weigh_windows(residual, valid).reshape(3, 4)
+    np.testing.assert_allclose(weight[2], np.sqrt(6.0 / 403.0))
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> Search:
+    """Ten windows of a cart with 1.1 N of dry friction, and a twin without any."""
+    return open_search(load_cart(tmp_path_factory.mktemp("cart")), measure_cart(drive_cart(FRICTION, 5), 7))
+
+
+@pytest.fixture(scope="module")
+def step(rubbing: Search) -> Step:
+    """Its first step."""
+    return rubbing.extend(rubbing.start)
+
+
+def test_the_planted_effect_brings_most(step: Step) -> None:
+    """Dry friction first, well before its look-alikes, and as strong as it is."""
+    assert step.ordered[0] == "slide.coulomb"
+    assert step.drop("slide.coulomb") > 10.0 * BAR
+    assert all(step.drop("slide.coulomb") > step.drop(other) + BAR for other in step.ordered[1:])
+    found = step.tried["slide.coulomb"]
+    assert found.effects == {"slide.coulomb"}
+    assert found.values["slide.coulomb", "force"] == pytest.approx(FRICTION, rel=0.05)
+    assert 0.0 < found.std["slide.coulomb", "force"] < 0.1
+
+
+def test_nothing_is_missed_beside_it(rubbing: Search, step: Step) -> None:
+    """Once it is known, no suspect clears the bar; what is barred is not even tried."""
+    found = rubbing.adopt(step.tried["slide.coulomb"])
+    further = rubbing.extend(found)
+    assert all(further.drop(effect) < BAR for effect in further.tried)
+    assert not {"slide.viscous", "slide.bias"} & set(
+        rubbing.extend(found, frozenset({"slide.viscous", "slide.bias"})).tried
+    )
+
+
+def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
+    """What sticks hardly feels where it started: its own response or a far likelier one; damping keeps the old."""
+    start = rubbing.start
+    force, damping = {("slide.coulomb", "force"): FRICTION}, {("slide.viscous", "damping"): 1.5}
+    stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about, start.likelihood)
+    own = rubbing.own(stuck)
+    assert own.likelihood.response.push is not start.likelihood.response.push or own.cost <= stuck.cost
+    assert own.cost < stuck.cost + YIELDING
+    damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about, start.likelihood)
+    assert rubbing.own(damped).likelihood.response.push is start.likelihood.response.push
+
+
+def test_fits_go_downhill(rubbing: Search) -> None:
+    """From a friction that is far too strong or far too weak, a fit ends lower than it began, inside the bounds."""
+    start = rubbing.start
+    for force in (0.4, 2.0):
+        values = {("slide.coulomb", "force"): force}
+        begun, done = (
+            rubbing.fit(frozenset({"slide.coulomb"}), values, start.about, start.likelihood, n) for n in (0, 6)
+        )
+        assert begun.values == values
+        assert done.cost < begun.cost + 2.0 * WORTH_A_REFIT
+        assert done.values["slide.coulomb", "force"] > 0.0
+
+
+def test_what_is_superfluous_is_dropped(rubbing: Search) -> None:
+    """Friction and a constant force that nothing asks for: friction stays alone."""
+    values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
+    effects = frozenset({"slide.coulomb", "slide.bias"})
+    both = rubbing.fit(effects, values, rubbing.start.about, rubbing.start.likelihood)
+    assert rubbing.drop_superfluous(rubbing.adopt(rubbing.own(both))).effects == {"slide.coulomb"}
+
+
+def test_a_rival_is_tried_beside_the_others_as_they_were(rubbing: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without friction the constant force moves to make up for it; a rival starts from both, the better one stays."""
+    values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
+    start = rubbing.start
+    both = rubbing.fit(frozenset({"slide.coulomb", "slide.bias"}), values, start.about, start.likelihood, 0)
+    without = rubbing.without(both, "slide.coulomb")
+    made: list[tuple[float, Fit]] = []
+    refit = rubbing.fit
+
+    def record(effects: frozenset[str], values: Mapping[Key, float], *args: object) -> Fit:
+        done = refit(effects, values, *args)
+        if effects == {"slide.bias", "slide.viscous"}:
+            made.append((values["slide.bias", "force"], done))
+        return done
+
+    monkeypatch.setattr(rubbing, "fit", record)
+    monkeypatch.setattr(rubbing, "own", lambda fit: fit)
+    step = rubbing.extend(without, against="slide.coulomb", values=values)
+    assert 0.05 in [bias for bias, _ in made]
+    assert without.values["slide.bias", "force"] != pytest.approx(0.05, rel=0.1)
+    assert step.tried["slide.viscous"].cost == min(done.cost for _, done in made)

@@ -1,0 +1,160 @@
+"""Ranges and steps of suspects, and where along them an effect is tried that no derivative shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.search.suspects import (
+    LIMIT_STEP,
+    Unknown,
+    grid_of_shape,
+    list_limits,
+    list_trials,
+    list_unknowns,
+)
+from vpptwin.effects import Effect, Parameter, Prior
+from vpptwin.effects.joint import Place, bias, spring
+from vpptwin.effects.servo import RATE_LIMIT
+from vpptwin.twin.spec import load_twin
+
+RATE = Unknown(RATE_LIMIT, RATE_LIMIT.parameters[0], 1000.0)
+"""Off at 1000 rad/s; real servos have 4 to 20."""
+LEVEL = Parameter("level", "rad", 10.0, 0.05, 10.0, Prior("uniform", 0.1, 0.3), 9.0)
+CLIP = Unknown(replace(RATE_LIMIT, id="servo.clip", parameters=(LEVEL,), follows="command"), LEVEL, 10.0)
+PLACE = Place("rail", "on a rail")
+
+
+def command(values: np.ndarray) -> Bench:
+    """A bench of which only the commands count, (K, steps, nu)."""
+    return SimpleNamespace(windows=SimpleNamespace(command=values))  # type: ignore[return-value]
+
+
+UNIFORM = command(np.linspace(-1.0, 1.0, 100001).reshape(1, -1, 1))
+
+
+def shaped(size: float, low: float = -9.0) -> tuple[Effect, tuple[Unknown, ...]]:
+    """A spring whose rest has that typical size, bounds from `low` to 9 and a prior of 0 ± 1, and its unknowns."""
+    effect = spring(PLACE)
+    rest = replace(effect.parameters[1], size=size, low=low, high=9.0, prior=Prior("normal", 0.0, 1.0))
+    effect = replace(effect, parameters=(effect.parameters[0], rest))
+    return effect, tuple(Unknown(effect, p, p.off) for p in effect.parameters)
+
+
+def test_limits_are_told_from_other_parameters() -> None:
+    """A rate that nothing reaches yet is a limit; one that the twin already has is not, nor is a force."""
+    assert RATE.is_limit
+    assert CLIP.is_limit
+    assert not Unknown(RATE_LIMIT, RATE.parameter, 10.0).is_limit
+    assert not Unknown(bias(PLACE), bias(PLACE).parameters[0], 0.0).is_limit
+    limits = {u.effect.id for u in list_unknowns(load_twin()) if u.is_limit}
+    assert "servo.rate_limit" in limits
+    assert not limits & {"rail_x.coulomb", "command.delay", "servo.lag", "airframe.mass"}
+
+
+def test_ranges_by_hand() -> None:
+    """A limit's prior from 4 to 20: 16. A normal prior's three widths, three typical sizes or all there is."""
+    assert RATE.width == 16.0
+    parameter = Parameter("p", "", 0.0, -4.0, 4.0, Prior("normal", 0.0, 1.0), 0.1)
+    effect = bias(PLACE)
+    for changed, width in (
+        (parameter, 3.0),
+        (replace(parameter, size=1.5), 4.5),
+        (replace(parameter, prior=Prior("normal", 0.0, 9.0)), 8.0),
+        (replace(parameter, prior=Prior("uniform", -1.0, 1.0)), 2.0),
+    ):
+        assert Unknown(effect, changed, 0.0).width == pytest.approx(width)
+
+
+def test_secants_never_leave_the_bounds() -> None:
+    """As long as the parameter's size wherever there is room for it, else turned around or up to a bound."""
+    for unknown in list_unknowns(load_twin()):
+        p = unknown.parameter
+        for value in (p.low, unknown.nominal, 0.3 * p.low + 0.7 * p.high, p.high):
+            step = unknown.step_from(value)
+            assert step != 0.0
+            assert p.low <= value + step <= p.high * (1.0 + 1e-12), unknown.key
+            if not unknown.is_limit and p.high - p.low >= 2.0 * p.size:
+                assert abs(step) == p.size
+
+
+def test_secants_of_limits_are_shares_of_them() -> None:
+    """Downwards, where a limit acts more; upwards at the lower bound."""
+    assert RATE.step_from(10.0) == pytest.approx(-10.0 * LIMIT_STEP)
+    assert RATE.step_from(0.5) == pytest.approx(0.5 * LIMIT_STEP)
+    assert RATE.scale_at(10.0) == pytest.approx(10.0 * LIMIT_STEP)
+
+
+def test_secants_stop_at_a_bound_where_neither_way_has_room() -> None:
+    """Between 0 and 1 with a size of 3: from 0.2 up to 1, from 0.8 down to 0."""
+    parameter = Parameter("p", "", 0.0, 0.0, 1.0, Prior("normal", 0.0, 0.1), 3.0)
+    unknown = Unknown(bias(PLACE), parameter, 0.0)
+    assert unknown.step_from(0.2) == pytest.approx(0.8)
+    assert unknown.step_from(0.8) == pytest.approx(-0.8)
+
+
+def test_limits_are_tried_where_the_commands_run_into_them() -> None:
+    """|u| uniform on 0 to 1 exceeds 0.98, 0.9, 0.75 and 0.5 for 2, 10, 25 and 50 % of the time: 3 % less than those."""
+    found = list_limits(CLIP, UNIFORM)
+    np.testing.assert_allclose(found, 0.97 * np.array([0.98, 0.9, 0.75, 0.5]), rtol=1e-4)
+
+
+def test_rates_are_tried_by_how_long_the_commands_span_takes() -> None:
+    """96 % of a uniform command of ±1 span 1.92; crossed in 30, 60, 120, 250 and 500 ms."""
+    found = list_limits(RATE, UNIFORM)
+    np.testing.assert_allclose(found, 1.92 / np.array([0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)
+
+
+def test_limits_beyond_their_bounds_are_not_tried() -> None:
+    """Commands ten times as small: rates under 0.5 rad/s and angles under 0.05 rad drop out; still ones try nothing."""
+    small = command(0.1 * UNIFORM.windows.command)
+    np.testing.assert_allclose(list_limits(RATE, small), 0.192 / np.array([0.03, 0.06, 0.12, 0.25]), rtol=1e-4)
+    np.testing.assert_allclose(list_limits(CLIP, small), 0.097 * np.array([0.98, 0.9, 0.75]), rtol=1e-4)
+    assert list_limits(RATE, command(np.zeros((2, 5, 1)))) == []
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_places_are_tried_over_the_likely_part_of_their_prior(alone: bool) -> None:
+    """1.5 widths of the prior in steps of three sizes of 0.16: -1.44 to 1.44 by 0.48; bounds cut it."""
+    _, (_, rest) = shaped(0.16)
+    np.testing.assert_allclose(grid_of_shape(rest, alone), 0.48 * np.arange(-3, 4), atol=1e-12)
+    _, (_, rest) = shaped(0.16, low=-0.5)
+    np.testing.assert_allclose(grid_of_shape(rest, alone), 0.48 * np.arange(-1, 4), atol=1e-12)
+
+
+def test_speeds_and_widths_are_tried_at_either_side_of_their_typical_size() -> None:
+    """What cannot be zero: 0.6, 1 and 1.6 times its value, inside the bounds; beside another shape its value alone."""
+    speed = Parameter("speed", "m/s", 0.5, 0.1, 0.7, Prior("normal", 0.5, 0.1), 0.2)
+    shape = Unknown(spring(PLACE), speed, 0.5)
+    np.testing.assert_allclose(grid_of_shape(shape, True), [0.3, 0.5])
+    np.testing.assert_allclose(grid_of_shape(shape, False), [0.5])
+
+
+def test_trials_switch_an_effect_on_at_every_place() -> None:
+    """A spring of its typical stiffness at each rest; every limit; nothing of an effect without a shape."""
+    effect, unknowns = shaped(0.16)
+    unknowns += (Unknown(bias(PLACE), bias(PLACE).parameters[0], 0.0), CLIP)
+    trials = list_trials(unknowns, UNIFORM)
+    springs, limits = trials[:7], trials[7:]
+    assert [t.effect for t in trials] == ["rail.spring"] * 7 + ["servo.clip"] * 4
+    stiffness = effect.parameters[0].size
+    for trial, rest in zip(springs, 0.48 * np.arange(-3, 4)):
+        assert not trial.limit
+        assert list(trial.values) == [("rail.spring", "stiffness"), ("rail.spring", "rest")]
+        assert list(trial.values.values()) == pytest.approx([stiffness, rest])
+    for trial, value in zip(limits, list_limits(CLIP, UNIFORM)):
+        assert trial.limit
+        assert trial.values == {("servo.clip", "level"): value}
+
+
+def test_what_the_twin_has_is_not_tried() -> None:
+    """A spring that is in the twin already has derivatives; a shape of a single place would tell nothing new."""
+    effect, _ = shaped(0.16)
+    there = tuple(Unknown(effect, p, n) for p, n in zip(effect.parameters, (0.4, 0.0)))
+    assert list_trials(there, UNIFORM) == ()
+    _, broad = shaped(2.0)
+    assert list_trials(broad, UNIFORM) == ()

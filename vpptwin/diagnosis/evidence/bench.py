@@ -1,0 +1,257 @@
+"""The test bench of a diagnosis: many variations of the twin driven through the same windows, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
+from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
+from vpptwin.effects import Stage
+from vpptwin.estimation.correct import correct_measurements
+from vpptwin.estimation.initial import estimate_states
+from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.windows import Motion, Windows, fly_windows
+from vpptwin.twin.sensors import PERFECT, Constants
+from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
+
+ROWS = 4096
+"""Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
+Key = tuple[str, str]
+"""Effect id and parameter name."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How one run through a window differs from the plain twin.
+
+    Attributes:
+        values: (effect id, parameter) → value.
+        pose: added to the starting pose, (nv,).
+        velocity: added to the starting velocity, (nv,).
+        push: (segment, degree of freedom, N or N m) of a force pulse; None for none.
+    """
+
+    values: Mapping[Key, float] = field(default_factory=dict)
+    pose: np.ndarray | None = None
+    velocity: np.ndarray | None = None
+    push: tuple[int, int, float] | None = None
+
+
+def pick(motion: Motion, run: int) -> Motion:
+    """One run of many, arrays (K, steps + 1, ...)."""
+    speed = motion.rotor_speed
+    return Motion(motion.pose[run], motion.velocity[run], None if speed is None else speed[run])
+
+
+class Bench:
+    """Windows with their measurements, and a twin that can be driven through them in many variations at once.
+
+    Args:
+        spec: the twin.
+        windows: K windows.
+        channels: what was measured in them.
+        segments: force pulses in a window.
+        flights: the measurements that the windows were cut from, by their index; states at the start of the windows
+            are estimated from them anew where sensors are found wrong.
+        causal: those states are estimated without looking ahead.
+        progress: called with the number of simulated steps as they are done.
+    """
+
+    def __init__(
+        self,
+        spec: TwinSpec,
+        windows: Windows,
+        channels: Sequence[Channel],
+        segments: int,
+        flights: Sequence[Measurements] = (),
+        causal: bool = False,
+        progress: Callable[[int], None] | None = None,
+    ) -> None:
+        self.spec, self.windows, self.channels, self.segments = spec, windows, list(channels), segments
+        self.flights, self.causal = list(flights), causal
+        self._progress = progress
+        self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
+        self._starts: dict[tuple[float, ...], Windows] = {}
+        self._gravity = -float(spec.model.opt.gravity[2])
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """All channels side by side, (K, C B)."""
+        return np.concatenate([c.value for c in self.channels], axis=1)
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Sensor noise of `measured`, (K, C B); huge where nothing was measured."""
+        return np.concatenate([c.std for c in self.channels], axis=1)
+
+    @cached_property
+    def valid(self) -> np.ndarray:
+        """Where something was measured, (K, C B)."""
+        return np.concatenate([c.weight.sum(axis=2) > 0 for c in self.channels], axis=1)
+
+    @cached_property
+    def columns(self) -> list[slice]:
+        """Where every channel lies in a row of `measured`."""
+        ends = np.cumsum([c.value.shape[1] for c in self.channels])
+        return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(self.channels, ends)]
+
+    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
+        """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured."""
+        predicted = self.predict([Variation(dict(values))], values)[0]
+        return np.where(self.valid, self.measured - predicted, 0.0)
+
+    def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
+        """The channels in every variation, (V, K, C B).
+
+        Args:
+            variations: how the runs differ. Those that differ in nothing but sensors share a simulation.
+            sensors_of: the states that windows start from are those seen through the sensors of these values.
+        """
+        moving: list[Variation] = []
+        place: list[int] = []
+        keys: dict[object, int] = {}
+        for variation in variations:
+            seen = self.without_sensors(variation)
+            shift = [None if a is None else a.tobytes() for a in (seen.pose, seen.velocity)]
+            key = (frozenset(seen.values.items()), *shift, seen.push)
+            if key not in keys:
+                keys[key] = len(moving)
+                moving.append(seen)
+            place.append(keys[key])
+        motion = self.simulate(moving, sensors_of)
+        return np.stack([self._observe(v, pick(motion, i)) for v, i in zip(variations, place)])
+
+    def without_sensors(self, variation: Variation) -> Variation:
+        """The variation without what changes sensors only, which moves nothing."""
+        moving = {key: value for key, value in variation.values.items() if key[0] not in self.of_sensors}
+        return replace(variation, values=moving)
+
+    @cached_property
+    def of_sensors(self) -> frozenset[str]:
+        """Ids of the effects that change what sensors show and nothing else."""
+        return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= set(PERFECT))
+
+    @cached_property
+    def gliding(self) -> dict[Key, float]:
+        """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
+        rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
+        return {(e.id, e.parameters[0].name): e.parameters[0].off for e in rubbing}
+
+    @cached_property
+    def _observed(self) -> frozenset[str]:
+        """Ids of the effects that change how motion shows in the channels."""
+        shown = {*PERFECT, "battery.sag"}
+        return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= shown)
+
+    def simulate(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> Motion:
+        """What happens in every variation, arrays (V, K, steps + 1, ...); arguments as for `predict`."""
+        count, number = len(variations), len(self.windows)
+        shape = (count * number, self.windows.steps + 1, self.spec.model.nv)
+        pose, velocity = np.empty(shape), np.empty(shape)
+        speed = np.empty((*shape[:2], 2)) if self.windows.throttle is not None else None
+        active = frozenset(effect for v in variations for effect, _ in v.values)
+        windows = self.windows_seen(sensors_of or {})
+        for begin in range(0, count * number, ROWS):
+            rows = np.arange(begin, min(begin + ROWS, count * number))
+            part = self._simulate_rows(variations, windows, rows // number, rows % number, active)
+            pose[rows], velocity[rows] = part.pose, part.velocity
+            if speed is not None:
+                speed[rows] = part.rotor_speed
+            if self._progress is not None:
+                self._progress(len(rows) * self.windows.steps)
+        full = (count, number)
+        return Motion(
+            pose.reshape(*full, *shape[1:]),
+            velocity.reshape(*full, *shape[1:]),
+            None if speed is None else speed.reshape(*full, *speed.shape[1:]),
+        )
+
+    def windows_seen(self, values: Mapping[Key, float]) -> Windows:
+        """The windows with the states at their starts estimated through the sensors of a twin with `values`."""
+        sensors = self.sensors(values)
+        key = tuple(float(sensors[name][0]) for name in PERFECT)
+        if key == tuple(PERFECT.values()) or not self.flights:
+            return self.windows
+        if key not in self._starts:
+            if len(self._starts) > 16:
+                self._starts.clear()
+            pose, velocity = self.windows.pose.copy(), self.windows.velocity.copy()
+            for i in np.unique(self.windows.flight):
+                rows = np.flatnonzero(self.windows.flight == i)
+                right = correct_measurements(self.flights[i], sensors)
+                nv = self.spec.model.nv
+                start = self.windows.start[rows]
+                pose[rows], velocity[rows] = estimate_states(right, start, nv, self._gravity, self.causal)
+            self._starts[key] = replace(self.windows, pose=pose, velocity=velocity)
+        return self._starts[key]
+
+    def _observe(self, variation: Variation, motion: Motion) -> np.ndarray:
+        """All channels of one variation, (K, M)."""
+        constants = self.sensors(variation.values)
+        return np.concatenate([self.observe_channel(c, motion, constants) for c in self.channels], axis=1)
+
+    def observe_channel(self, channel: Channel, motion: Motion, constants: Constants) -> np.ndarray:
+        """A channel as a simulation shows it, (K, B); arrays of `motion` (K, steps + 1, ...)."""
+        if channel.kind in (SPEED, CURRENT):
+            assert self.spec.vehicle is not None
+            assert motion.rotor_speed is not None
+            return predict_motor(channel, self.windows, motion.rotor_speed, constants, self.spec.vehicle.motor)
+        pose, velocity, start = motion.pose, motion.velocity, self.windows.start
+        return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants)
+
+    def sensors(self, values: Mapping[Key, float]) -> Constants:
+        """Constants of the sensors and the battery of a twin with parameters set, (1,)."""
+        return self.twin_with({key: v for key, v in values.items() if key[0] in self._observed}).constants.copy()
+
+    def twin_with(self, values: Mapping[Key, float]) -> Twin:
+        """One simulation of the twin with parameters set, for reading its constants."""
+        twin = self._twin(1, frozenset(effect for effect, _ in values))
+        for effect_id, effect in twin.effects.items():
+            for parameter in effect.parameters:
+                nominal = self.spec.value(effect, parameter.name)
+                twin.set_parameter(effect_id, parameter.name, values.get((effect_id, parameter.name), nominal))
+        return twin
+
+    def _twin(self, rows: int, active: frozenset[str]) -> Twin:
+        key = (rows, active)
+        if key not in self._twins:
+            if len(self._twins) > 24:
+                self._twins.clear()
+            self._twins[key] = Twin(self.spec, rows, active)
+        return self._twins[key]
+
+    def _simulate_rows(
+        self,
+        variations: Sequence[Variation],
+        windows: Windows,
+        which: np.ndarray,
+        window: np.ndarray,
+        active: frozenset[str],
+    ) -> Motion:
+        nv = self.spec.model.nv
+        twin = self._twin(len(which), active)
+        for effect_id in active:
+            effect = twin.effects[effect_id]
+            for parameter in effect.parameters:
+                nominal = self.spec.value(effect, parameter.name)
+                values = np.array([v.values.get((effect_id, parameter.name), nominal) for v in variations])
+                twin.set_parameter(effect_id, parameter.name, values[which])
+        taken = windows.take(window)
+        zero = np.zeros(nv)
+        pose = np.stack([zero if v.pose is None else v.pose for v in variations])
+        velocity = np.stack([zero if v.velocity is None else v.velocity for v in variations])
+        disturbance = None
+        if any(v.push is not None for v in variations):
+            pushes = np.zeros((len(variations), self.segments, nv))
+            for i, variation in enumerate(variations):
+                if variation.push is not None:
+                    segment, dof, size = variation.push
+                    pushes[i, segment, dof] = size
+            disturbance = pushes[which]
+        shifted = taken.shift(pose[which], velocity[which])
+        return fly_windows(twin, shifted, disturbance)

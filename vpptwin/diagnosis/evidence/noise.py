@@ -1,0 +1,57 @@
+"""What the noise of the sensors alone makes of prediction errors: the floor that no twin can go below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.channels import BIN
+from vpptwin.estimation.measurements import Measurements, Series
+
+POSITION, ANGLE = "position_rmse_m", "angle_rmse_rad"
+"""Keys of `Score`."""
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """Root mean square errors of a perfect twin.
+
+    Attributes:
+        rmse: key of a score (velocities by name) → error, in SI units.
+        units: name of a velocity → its unit.
+        known: the sensors are known; else noise is a cautious guess, which a good twin may well go below.
+    """
+
+    rmse: dict[str, float]
+    units: dict[str, str]
+    known: bool = True
+
+    @property
+    def label(self) -> str:
+        """What to call it."""
+        return "sensor noise" if self.known else "assumed noise"
+
+
+def find_noise_floor(flights: Sequence[Measurements]) -> NoiseFloor:
+    """Errors that sensor noise alone makes, root mean square over flights; slides and hinges summed as in a score."""
+    squares: dict[str, list[float]] = {}
+    units: dict[str, str] = {}
+    for flight in flights:
+        own: dict[str, float] = {}
+        for series in flight.positions.values():
+            key = POSITION if series.unit == "m" else ANGLE
+            own[key] = own.get(key, 0.0) + variance_of_bin(series)
+        for series in flight.velocities.values():
+            own[series.name], units[series.name] = variance_of_bin(series), series.unit
+        for key, square in own.items():
+            squares.setdefault(key, []).append(square)
+    known = all(series.white for flight in flights for series in flight.positions.values())
+    return NoiseFloor({key: float(np.sqrt(np.mean(parts))) for key, parts in squares.items()}, units, known)
+
+
+def variance_of_bin(series: Series) -> float:
+    """Variance of the mean over a bin, whose samples errors are compared with."""
+    period = float(np.median(np.diff(series.time))) if len(series.time) > 1 else BIN
+    return series.std**2 / (max(round(BIN / period), 1) if series.white else 1)

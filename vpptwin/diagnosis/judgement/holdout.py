@@ -1,0 +1,305 @@
+"""Flights that no fit has seen: what a twin's predictions are worth on them, before and after it was extended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation, pick
+from vpptwin.diagnosis.evidence.channels import BIN
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.search.likelihood import (
+    Likelihood,
+    Response,
+    couple_gusts,
+    measure_response,
+    rotary_dofs,
+    whiten_with,
+)
+from vpptwin.diagnosis.search.search import Fit
+from vpptwin.estimation.windows import Windows
+
+BLOCK = 1.5
+"""Windows within this time [s] count as one when errors are resampled."""
+WATCHED = 0.25
+"""No cause may make the error up to this horizon [s] worse."""
+WORSE = 0.1
+"""Share by which an error may grow: of the effects that are there none costs more."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Error of one twin on held-out windows.
+
+    Attributes:
+        position_rmse_m: root mean square over slide joints per horizon; None where the rig has none.
+        angle_rmse_rad: the same over hinges.
+        velocity_rmse: joint → root mean square error of its velocity per horizon [m/s or rad/s], where logged.
+        chi2: mean squared pose residual over sensor variance, starting states fitted; 1 is the noise floor.
+    """
+
+    position_rmse_m: list[float] | None
+    angle_rmse_rad: list[float] | None
+    velocity_rmse: dict[str, list[float]]
+    chi2: float
+
+    def as_dict(self) -> dict[str, object]:
+        """The score in the form of SPEC 7, velocities added."""
+        return asdict(self)
+
+
+class HeldOut:
+    """Held-out windows, short ones to judge likelihood and long ones for errors over the horizon.
+
+    Args:
+        short: windows of the length that is fitted, channels observed.
+        long: windows as long as the last horizon, started from states estimated without looking ahead.
+    """
+
+    def __init__(self, short: Bench, long: Bench) -> None:
+        self.short, self.long = short, long
+        self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
+        self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
+        self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._pose = np.zeros(short.valid.shape[1], dtype=bool)
+        for channel, columns in zip(short.channels, short.columns):
+            self._pose[columns] = channel.kind == "position"
+
+    def response(self, values: Mapping[Key, float]) -> Response:
+        """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
+        key = frozenset(values.items())
+        if key not in self._responses:
+            self._responses[key] = measure_response(self.short, values)
+        return self._responses[key]
+
+    def likelihood(self, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
+        """How improbable residuals of a twin with `values` are, gusts `gust` times as strong as assumed, (nv,)."""
+        strength = np.ones(self.short.spec.model.nv) if gust is None else gust
+        return couple_gusts(self.short, self.response(values), strength)
+
+    def surprise(self, fit: Fit, scale: float, sticks: bool, gust: np.ndarray | None = None) -> np.ndarray:
+        """Twice the negative log of the density that a fit predicts for every short window, (K,).
+
+        Args:
+            fit: effects with their values, and the strength of the gusts beside them.
+            scale: variance of the whitened residual.
+            sticks: one of them is dry friction. Then every window may have the response of the nominal twin as well as
+                the fit's own: a real slider slips a little earlier or later than the twin's.
+            gust: strength of the gusts, (nv,); None for the fit's own.
+        """
+        residual, found = self.residual(fit.likeliest), []
+        for values in (self.short.gliding, fit.values) if sticks else ({},):
+            likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
+            square = (likelihood.whiten(residual) ** 2).sum(axis=1) / scale
+            usual = 3.0 * float(np.median(square))
+            # As in the fit, a window that goes astray must not outvote the others.
+            square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
+            found.append(square + likelihood.logdet)
+        return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+
+    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool], scale: float) -> tuple[float, float]:
+        """Drop in surprise from one fit to another and its standard error.
+
+        Both are tried with the gusts of either and judged with those that suit them: how strongly it blew on the
+        flights that were fitted must not decide about these.
+
+        Args:
+            before: a fit, and whether it sticks.
+            after: another.
+            scale: variance of the whitened residual.
+        """
+        gusts = [fit.likelihood.gust for fit, _ in (before, after)]
+        found = [
+            min((self.surprise(fit, scale, sticks, gust) for gust in gusts), key=lambda surprise: float(surprise.sum()))
+            for fit, sticks in (before, after)
+        ]
+        return improvement(found[0], found[1])
+
+    def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether an error of the pose up to `WATCHED` ahead grows by more than `WORSE` and by a standard error."""
+        near = HORIZONS_S.index(WATCHED) + 1
+        ratios = self.error_ratios(before, after)
+        grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
+        return any(bool(np.any((mean > np.log1p(WORSE)) & (mean > error))) for mean, error in grown)
+
+    def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
+        """By how many standard errors the errors over all horizons favour `after`."""
+        ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
+        mean, error = tell_apart(np.nanmean(ratios, axis=0)[:, None])
+        return float(-mean[0] / max(error[0], 1e-12))
+
+    def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
+
+        Root mean squares of blocks are compared, noise of the sensors added to both: no single slip decides.
+        """
+        first, second, noise = self.squares(before), self.squares(after), self._noise
+        blocks = blocks_of(self.long.windows)
+        found = {}
+        for name in first:
+            measured = sum_blocks(np.isfinite(first[name]).astype(float), blocks)
+            sums = [sum_blocks(np.nan_to_num(part[name]), blocks) + noise[name] * measured for part in (first, second)]
+            with np.errstate(invalid="ignore"):  # a block without measurements is NaN
+                found[name] = 0.5 * np.log(sums[1] / sums[0])
+        return found
+
+    @cached_property
+    def _noise(self) -> dict[str, float]:
+        """Variance of the sensors as `squares` names them."""
+        rotary = rotary_dofs(self.long.spec)
+        found: dict[str, float] = {}
+        for channel in self.long.channels:
+            if channel.kind in ("position", "velocity"):
+                unit = "rad" if rotary[channel.axis] else "m"
+                name = channel.name if channel.kind == "velocity" else unit
+                found[name] = found.get(name, 0.0) + channel.sensor_std**2
+        return found
+
+    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
+        """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""
+        key = frozenset(values.items())
+        if key not in self._residuals:
+            self._residuals[key] = self.short.residual(values)
+        return self._residuals[key]
+
+    def chi2(self, values: Mapping[Key, float]) -> float:
+        """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""
+        squares, count = self.chi2_by_window(values)
+        return float(squares.sum() / max(count.sum(), 1))
+
+    def chi2_by_window(self, values: Mapping[Key, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Squared pose residual over sensor variance and its degrees of freedom in every short window, (K,) each."""
+        pose, free = self._pose, self.short.windows.free_dofs
+        valid = self.short.valid[:, pose]
+        noise = self.short.std[:, pose]
+        residual, found = self.residual(values)[:, pose], []
+        # What sticks leaves a wrong starting state no way out; a real slider yields.
+        for response in (self.response(self.short.gliding), self.response(values)):
+            state = response.state[:, pose] * response.state_std
+            covariance = np.einsum("kmi,kni->kmn", state, state)
+            diagonal = np.arange(covariance.shape[1])
+            covariance[:, diagonal, diagonal] += noise**2
+            found.append((whiten_with(np.linalg.cholesky(covariance), residual) ** 2).sum(axis=1))
+        squares = min(found, key=lambda square: float(square.sum()))
+        return squares, valid.sum(axis=1) - 2 * free
+
+    def score(self, values: Mapping[Key, float]) -> Score:
+        """Errors over the horizon from causally estimated states, and chi2."""
+        found = {name: mean_over(parts) for name, parts in self.squares(values).items()}
+        rates = {name: found[name] for name in found if name not in ("m", "rad")}
+        return Score(found.get("m"), found.get("rad"), rates, self.chi2(values))
+
+    def squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Squared errors of every long window near every horizon, (K, H): of slides "m", hinges "rad", and rates."""
+        key = frozenset(values.items())
+        if key not in self._squares:
+            self._squares[key] = self._measure_squares(values)
+        return self._squares[key]
+
+    def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
+        rotary = rotary_dofs(self.long.spec)
+        sensors = self.long.sensors(values)
+        squares: dict[str, np.ndarray] = {}
+        for channel in self.long.channels:
+            if channel.kind not in ("position", "velocity"):
+                continue
+            predicted = self.long.observe_channel(channel, pick(motion, 0), sensors)
+            measured = channel.weight.sum(axis=2) > 0
+            square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
+            near = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
+            if channel.kind == "velocity":
+                squares[channel.name] = near
+            else:
+                unit = "rad" if rotary[channel.axis] else "m"
+                squares[unit] = squares[unit] + near if unit in squares else near
+        return squares
+
+    def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
+        """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
+        first, second = self.squares(before), self.squares(after)
+        blocks = blocks_of(self.long.windows)
+        named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
+        result = {}
+        for name, old in first.items():
+            sums = np.stack([sum_blocks(np.nan_to_num(part), blocks) for part in (old, second[name])])
+            drawn = resample(sums)  # both are divided by the same number of windows
+            share = np.sqrt(drawn[:, 1] / np.maximum(drawn[:, 0], 1e-30)) - 1.0
+            low, high = np.quantile(share, [0.05, 0.95], axis=0)
+            result[named.get(name, name)] = [(float(a), float(b)) for a, b in zip(low, high)]
+        return result
+
+    def share_removed(
+        self, without: Mapping[Key, float], after: Mapping[Key, float], before: Mapping[Key, float]
+    ) -> tuple[float, tuple[float, float]]:
+        """Share of the excess chi2 of `before` by which `after` is better than `without`, with its 90 % interval."""
+        found = [self.chi2_by_window(values) for values in (without, after, before)]
+        squares = np.stack([squares for squares, _ in found])
+        number = found[0][1]
+        blocks = blocks_of(self.short.windows)
+        sums = np.stack([sum_blocks(row[:, None], blocks) for row in (*squares, number)])
+        drawn = resample(sums)[..., 0]
+        drawn = np.concatenate([sums.sum(axis=1).T, drawn])
+        excess = np.maximum(drawn[:, 2] - drawn[:, 3], 1e-9 * drawn[:, 3])
+        share = (drawn[:, 0] - drawn[:, 1]) / excess
+        low, high = np.quantile(share[1:], [0.05, 0.95])
+        return float(share[0]), (float(low), float(high))
+
+
+def blocks_of(windows: Windows) -> np.ndarray:
+    """Which block of flight every window belongs to, (K,): errors of neighbours are alike."""
+    block = np.floor(windows.start / BLOCK).astype(int) + 10**6 * windows.flight
+    return np.unique(block, return_inverse=True)[1]
+
+
+def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:
+    """Mean of the last two bins up to a horizon [s] in every window, (K,); NaN where nothing was measured."""
+    end = round(horizon / BIN)
+    part = square[:, max(end - 2, 0) : end]
+    number = np.isfinite(part).sum(axis=1)
+    return np.where(number > 0, np.nansum(part, axis=1) / np.maximum(number, 1), np.nan)
+
+
+def mean_over(squares: np.ndarray) -> list[float]:
+    """Root of the mean over windows that were measured, per horizon."""
+    number = np.isfinite(squares).sum(axis=0)
+    mean = np.where(number > 0, np.nansum(squares, axis=0) / np.maximum(number, 1), np.nan)
+    return [float(v) for v in np.sqrt(mean)]
+
+
+def sum_blocks(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Sums of rows (K, H) over blocks, (B, H)."""
+    sums = np.zeros((blocks.max() + 1, rows.shape[1]))
+    np.add.at(sums, blocks, rows)
+    return sums
+
+
+def resample(sums: np.ndarray, times: int = 500) -> np.ndarray:
+    """Totals of sums (V, B, H) over blocks drawn with replacement, the same for all V, (times, V, H)."""
+    blocks = sums.shape[1]
+    draws = np.random.default_rng(0).integers(blocks, size=(times, blocks))
+    counts = np.stack([np.bincount(draw, minlength=blocks) for draw in draws])
+    return np.einsum("tb,vbh->tvh", counts, sums)
+
+
+def tell_apart(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over blocks (B, H) and its standard error, (H,) each; infinite from fewer than two blocks."""
+    number = np.isfinite(rows).sum(axis=0)
+    mean = np.nansum(rows, axis=0) / np.maximum(number, 1)
+    square = np.nansum((rows - mean) ** 2, axis=0) / np.maximum(number - 1, 1)
+    return mean, np.where(number > 1, np.sqrt(square / np.maximum(number, 1)), np.inf)
+
+
+def improvement(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
+
+    Drops beyond four times their root mean square count as that much: a window which goes astray does not decide.
+    """
+    drop = before - after
+    most = 4.0 * float(np.sqrt(np.mean(drop**2)))
+    drop = np.clip(drop, -most, most)
+    return float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop))) if len(drop) > 1 else float("inf")

@@ -1,0 +1,80 @@
+"""What these flights could have shown: suspects that are cleared, and those that could not be seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
+from vpptwin.diagnosis.search.search import Fit, Search
+from vpptwin.diagnosis.search.suspects import Unknown, scatter_by_stretch, solve_hypothesis
+from vpptwin.effects import Effect
+
+SEEN = 4.0
+"""Standard deviations by which a typical size must stand out for its absence to mean something."""
+
+
+def judge_power(search: Search, fit: Fit, accused: frozenset[str]) -> tuple[list[Cleared], list[Unseen]]:
+    """Sort the effects that are not accused into those that would have shown and those that could not.
+
+    Args:
+        search: the search with its unknowns and trials.
+        fit: the last fit, all derivatives taken at it.
+        accused: named effects and those that cannot be told from them.
+    """
+    cleared: list[Cleared] = []
+    unseen: list[Unseen] = []
+    for effect in dict.fromkeys(u.effect for u in search.unknowns):
+        if effect.id in accused:
+            continue
+        strength = next(u for u in search.unknowns if u.effect.id == effect.id)
+        found = weigh_limit(search, fit, strength) if strength.is_limit else weigh_strength(search, fit, strength)
+        if isinstance(found, Cleared):
+            cleared.append(found)
+        else:
+            unseen.append(found)
+    return cleared, unseen
+
+
+def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Unseen:
+    """Whether a typical size of an effect would have shown, everything else uncertain within its tolerance."""
+    effect, parameter = strength.effect, strength.parameter
+    lacking = [other for other in effect.modifies if other not in fit.effects]
+    if effect.modifies and len(lacking) == len(effect.modifies):
+        return Unseen(effect.id, f"it only changes {' or '.join(lacking)}, which is not there")
+    i = next(i for i, u in enumerate(search.unknowns) if u.key == strength.key)
+    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects | {effect.id}, search.scale)
+    scatter = scatter_by_stretch(fit.about, solution, search.bench, search.scale)
+    std = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
+    # The range that was looked through counts as prior knowledge; it must not pass for something seen.
+    if std > 0.5 * strength.width or parameter.size < SEEN * std:
+        return Unseen(effect.id, describe_blindness(effect, parameter.size / max(std, 1e-12), search))
+    value = float(fit.about.at[i] + solution.deviation[i])
+    low, high = (float(parameter.clip(np.array(value + side * 1.645 * std))) for side in (-1.0, 1.0))
+    return Cleared(effect.id, parameter.name, low, high, parameter.unit)
+
+
+def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
+    """The lowest limit that these flights would not have run into visibly."""
+    about, parameter = fit.about, limit.parameter
+    base = solve_hypothesis(about, search.unknowns, fit.effects, search.scale)
+    best = 0.0
+    for trial, column in zip(search.trials, about.tried):
+        if trial.effect != limit.effect.id:
+            continue
+        cross = about.columns @ column
+        square = float(column @ column) / search.scale - float(cross @ base.covariance @ cross) / search.scale**2
+        if square > SEEN**2:
+            best = max(best, trial.values[limit.key])
+    if best == 0.0:
+        return Unseen(limit.effect.id, "nothing these flights did comes near a limit")
+    return Cleared(limit.effect.id, parameter.name, best, parameter.high, parameter.unit)
+
+
+def describe_blindness(effect: Effect, sigma: float, search: Search) -> str:
+    """Why an effect could not have been seen."""
+    parameter = effect.parameters[0]
+    size = f"{parameter.size:g} {parameter.unit}".strip()
+    text = f"{parameter.name} of {size} would stand out by {sigma:.1f} sigma only"
+    if effect.id == "air.ground_effect":
+        text += f": never below {float(search.bench.windows.pose[:, 1].min()):.2f} m"
+    return text

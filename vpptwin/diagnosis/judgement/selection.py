@@ -1,0 +1,237 @@
+"""Which suspects become causes: evidence on the fitted windows, judgement by held-out ones, rivals for every cause."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.verdict import Rival
+from vpptwin.diagnosis.search.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
+from vpptwin.effects import Effect
+from vpptwin.effects import Stage as EffectStage
+
+TEMPER = 1.5
+"""Differences in evidence are divided by this before they become probabilities: no noise model is exact."""
+RIVAL_SIGMA = 3.0
+"""A rival within so many sigma of the named cause is reported with it."""
+SIGMAS_HELD_OUT = 2.0
+"""Standard errors by which a cause must improve the held-out windows."""
+STRONG = 8.0 * BAR
+"""Evidence on fitted windows beyond which held-out ones must not speak against a cause by more than their standard
+error: whether a slider slips a little earlier decides much in a few windows, and those cannot outvote that."""
+POWERLESS = 25.0
+"""Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
+then named on twice the evidence, unless they speak against it."""
+HINT, BARS_TOGETHER = 0.8, 1.2
+"""Bars that fitted windows alone must bring, and that they and the held-out ones must bring together."""
+TOLERANCES = 2.5
+"""Build tolerances that a parameter must leave its nominal by before its effect is named."""
+KINSHIP = 0.05
+"""Share of a named cause's evidence that another effect of its kind must bring beside it."""
+BETTER = 2.0
+"""Evidence by which a rival must be better to take a cause's place."""
+MOST_SWAPS = 2
+MOST_STEPS = 9
+"""Steps of the search: flights that no known effect explains would keep it busy for ever."""
+
+Stage = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The causes, and what speaks for and against each.
+
+    Attributes:
+        fit: the causes fitted together.
+        first: the first step of the search, which ranks every suspect as the only cause.
+        rivals: cause → effects that explain the fitted windows nearly as well in its place.
+        instead: cause → the fits with those effects in its place, in the same order.
+        evidence: cause → drop in cost that it brings beside the others.
+    """
+
+    fit: Fit
+    first: Step
+    rivals: dict[str, list[Rival]]
+    instead: dict[str, list[Fit]]
+    evidence: dict[str, float]
+
+    def confidence(self, effect: str) -> float:
+        """Probability that the cause is right, among its rivals and that nothing is there."""
+        doubt = float(np.exp(-0.5 * min(max(self.evidence[effect], 0.0), 1400.0) / TEMPER))
+        others = sum(rival.confidence for rival in self.rivals[effect])
+        return float(min((1.0 - others) * (1.0 - 0.5 * doubt), 0.999))
+
+
+def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
+    """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
+    fit, barred, swaps, steps = search.start, frozenset[str](), 0, 0
+    brought: dict[str, float] = {}
+    first: Step | None = None
+    while True:
+        named = ", ".join(sorted(fit.effects)) or "nothing yet"
+        stage(f"trying suspects (named: {named})")
+        step = search.extend(fit, barred)
+        first, steps = first or step, steps + 1
+        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, brought)), None)
+        if accepted is not None and len(fit.effects) < MAX_CAUSES and steps < MOST_STEPS:
+            best, brought[accepted] = step.tried[accepted], step.drop(accepted)
+            fit = search.drop_superfluous(search.adopt(best))
+            barred |= step.before.effects - fit.effects
+            continue
+        stage("checking rivals")
+        replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
+        leads = {
+            effect: {rival: lead(search, held_out, fit, tried) for rival, tried in step.tried.items()}
+            for effect, step in replaced.items()
+        }
+        better = find_better(search, leads, brought) if swaps < MOST_SWAPS else None
+        if better is None:
+            rivals = {effect: weigh_rivals(row) for effect, row in leads.items()}
+            evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
+            instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
+            return Selection(fit, first, rivals, instead, evidence)
+        cause, rival = better
+        if trusts_errors(search):  # what they voted out does not come back on evidence
+            barred |= {cause}
+        brought[rival] = brought.get(cause, 0.0)
+        fit = search.drop_superfluous(search.adopt(replaced[cause].tried[rival]))
+        swaps += 1
+
+
+def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
+    """Fit exactly these effects, whatever the evidence for them: what somebody who knows the truth would find."""
+    first = search.extend(search.start)
+    fit = fit_together(search, effects)
+    return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
+
+
+def fit_together(search: Search, effects: Sequence[str]) -> Fit:
+    """Free these effects one after the other, each from its best starts, all of them fitted together in the end."""
+    fit = search.start
+    for effect in effects:
+        starts = [start for start in search.rank(fit) if start.effect == effect][:STARTS]
+        freed = fit.effects | {effect}
+        found = [search.own(search.fit(freed, s.values, fit.about, fit.likelihood)) for s in starts]
+        best = min(found, key=lambda f: f.cost)
+        fit = search.adopt(best)
+    return fit
+
+
+def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought: Mapping[str, float]) -> bool:
+    """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better.
+
+    Beside a cause that looks like it, it must bring a good part of what that cause `brought`: no law of friction is
+    exact, and what one leaves over another of its kind would mop up.
+    """
+    tried, drop = step.tried[effect], step.drop(effect)
+    kin = [drop for other, drop in brought.items() if other in tried.effects and look_alike(search, effect, other)]
+    if drop < HINT * BAR + KINSHIP * max(kin, default=0.0):
+        return False
+    own = [u for u in search.unknowns if u.effect.id == effect]
+    if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
+        return False
+    gain, error = compare(search, held_out, step.before, tried)
+    agreed = gain > (-1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error and drop + gain > BARS_TOGETHER * BAR
+    undecided = drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
+    if not agreed and not (undecided and is_powerless(held_out, step.before, tried)):
+        return False
+    if held_out.worsens(step.before.values, tried.values):
+        return False
+    return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > 0.0
+
+
+def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
+    """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
+    likelihood = held_out.likelihood({}, after.likelihood.gust)
+    changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
+    return bool((changed**2).sum() < POWERLESS)
+
+
+def trusts_errors(search: Search) -> bool:
+    """Whether errors on held-out flights have the last word.
+
+    How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
+    """
+    return search.bench.spec.vehicle is None
+
+
+def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:
+    """Drop in held-out surprise from one fit to another, and its standard error."""
+    fits = [(fit, search.sticks(fit.effects)) for fit in (before, after)]
+    return held_out.weigh(fits[0], fits[1], search.scale)
+
+
+def lead(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
+    """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
+
+    Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors; and a rival that
+    makes them grow is never better.
+    """
+    gain, error = compare(search, held_out, rival, fit)
+    evidence = rival.cost - fit.cost + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+    if not trusts_errors(search):
+        return evidence
+    sigmas = held_out.prefer(rival.values, fit.values)
+    if abs(sigmas) > SIGMAS_HELD_OUT:
+        evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
+    return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
+
+
+def look_alike(search: Search, first: str, second: str) -> bool:
+    """Whether two effects are hard to tell apart: by the catalogue, or as two kinds of dry friction on one joint."""
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    one, other = effects[first], effects[second]
+    return rub_together(one, other) or second in one.look_alikes or first in other.look_alikes
+
+
+def rub_together(one: Effect, other: Effect) -> bool:
+    """Whether two effects are laws of dry friction of one joint."""
+    return one.stage is other.stage is EffectStage.FRICTION and one.target == other.target
+
+
+def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
+    """The fit without a cause, and every shortlisted suspect tried in its place."""
+    return search.extend(search.complete(search.without(fit, effect)), against=effect, values=fit.values)
+
+
+def find_better(
+    search: Search, leads: Mapping[str, Mapping[str, float]], brought: Mapping[str, float]
+) -> tuple[str, str] | None:
+    """The cause that a rival should take the place of, and that rival; None if the evidence prefers none."""
+    behind = [
+        (found + handicap(search, effect, rival, brought), effect, rival)
+        for effect, row in leads.items()
+        for rival, found in row.items()
+    ]
+    least, effect, rival = min(behind, default=(0.0, "", ""))
+    return (effect, rival) if least < 0.0 else None
+
+
+def handicap(search: Search, effect: str, rival: str, brought: Mapping[str, float]) -> float:
+    """Evidence by which a rival must be better to take the place of a cause.
+
+    How a slider sticks makes the evidence rough: of two laws of a joint's dry friction that differ by less than such
+    laws are inexact, it is the one with fewer parameters that is named.
+    """
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    richer = len(effects[rival].parameters) - len(effects[effect].parameters)
+    if richer == 0 or not rub_together(effects[effect], effects[rival]):
+        return BETTER
+    inexact = max(BETTER, KINSHIP * brought.get(effect, 0.0))
+    return inexact if richer > 0 else -inexact
+
+
+def weigh_rivals(leads: Mapping[str, float]) -> list[Rival]:
+    """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
+
+    Args:
+        leads: rival → evidence for the cause against it.
+    """
+    close = {name: gap for name, found in leads.items() if (gap := max(found, 0.0) / TEMPER) < RIVAL_SIGMA**2}
+    weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
+    total = 1.0 + sum(weights.values())
+    ordered = sorted(close, key=lambda name: close[name])
+    return [Rival(name, weights[name] / total, float(np.sqrt(close[name]))) for name in ordered]

@@ -1,0 +1,155 @@
+"""The verdict as data: verdict.json of SPEC 7, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.files import write_whole
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter: value and standard deviation in `unit`, and its value in the twin that was diagnosed."""
+
+    value: float
+    unit: str
+    std: float
+    nominal: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that this data cannot tell from the named one: how probable it is instead, and how many sigma apart."""
+
+    effect: str
+    confidence: float
+    sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named effect; `gain` is the share of the held-out excess chi2 that it removes, with its 90 % interval."""
+
+    effect: str
+    confidence: float
+    parameters: dict[str, Estimate]
+    gain: float
+    also_explained_by: list[Rival]
+    summary: str = ""
+    gain_interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What is left: whether it exceeds no-effect flights, its share of the excess, its channel and what it follows.
+
+    `sigma` is the excess in standard deviations of what flights without an effect leave.
+    """
+
+    significant: bool
+    share: float
+    channel: str | None
+    depends_on: list[str]
+    sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cleared:
+    """A suspect that these flights would have shown: with 90 % probability its parameter lies between low and high."""
+
+    effect: str
+    parameter: str
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A suspect that these flights could not have shown, and why."""
+
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The manoeuvre of the library that separates what is confused best.
+
+    Attributes:
+        manoeuvre: its name.
+        parameters: its parameters.
+        separates: the effects that it tells apart.
+        sigma: how far apart they are predicted to be after it.
+        command: what to type to see it flown in the twin.
+    """
+
+    manoeuvre: str
+    parameters: dict[str, float]
+    separates: list[str]
+    sigma: float
+    command: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the twin gets wrong (SPEC 7)."""
+
+    logs: list[str]
+    twin: str
+    windows: int
+    held_out_windows: int
+    before: Score
+    after: Score
+    gap: bool
+    causes: list[Cause]
+    unexplained: Unexplained
+    cleared: list[Cleared] = field(default_factory=list)
+    unseen: list[Unseen] = field(default_factory=list)
+    improvement: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    """90 % interval of the change in error per horizon, as a share of the error before, from blocks of flight."""
+    experiment: Experiment | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, object]:
+        """The verdict in the form of SPEC 7."""
+        causes = [{k: v for k, v in asdict(cause).items() if k != "summary"} for cause in self.causes]
+        content: dict[str, object] = {
+            "logs": self.logs,
+            "twin": self.twin,
+            "samples": {"windows": self.windows, "held_out_windows": self.held_out_windows},
+            "horizons_s": list(HORIZONS_S),
+            "before": self.before.as_dict(),
+            "after": self.after.as_dict(),
+            "gap": self.gap,
+            "causes": causes,
+            "unexplained": asdict(self.unexplained),
+            "suggested_experiment": self.experiment.manoeuvre if self.experiment is not None else None,
+            "experiment": asdict(self.experiment) if self.experiment is not None else None,
+            "cleared": [asdict(suspect) for suspect in self.cleared],
+            "unseen": [asdict(suspect) for suspect in self.unseen],
+            "improvement": self.improvement,
+            "warnings": self.warnings,
+        }
+        return content
+
+
+def write_json(content: object, path: Path) -> None:
+    """Write JSON, whole or not at all; numbers that are not finite become null, which JSON lacks."""
+    write_whole(path, json.dumps(without_nan(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def without_nan(content: object) -> object:
+    """The same content with null for NaN and infinity."""
+    if isinstance(content, float):
+        return content if math.isfinite(content) else None
+    if isinstance(content, dict):
+        return {key: without_nan(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [without_nan(value) for value in content]
+    return content

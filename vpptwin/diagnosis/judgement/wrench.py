@@ -1,0 +1,91 @@
+"""The force that the twin lacks: the pulses that would have to act on each joint to explain what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.search.likelihood import Response, gust_std, whiten_with
+from vpptwin.effects import Effect
+from vpptwin.twin.model import HINGE
+
+WIDE = 30.0
+"""The pulses may be this many times stronger than gusts: strong enough to show any effect, bounded where unseen."""
+
+
+@dataclass(frozen=True)
+class WrenchPlot:
+    """A missing force against what it follows, before and after the twin was extended.
+
+    Attributes:
+        quantity: (n,) what it is plotted against.
+        before: missing force [N or N m], (n,).
+        after: the same with the extended twin.
+        x_label: quantity with unit.
+        y_label: force with unit.
+    """
+
+    quantity: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    x_label: str
+    y_label: str
+
+
+def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np.ndarray:
+    """Force pulses that explain the residuals (K, M) of a twin that responds so, (K, segments, nv) N, N m."""
+    white = whiten_with(response.sensor_factor, residual)
+    columns = whiten_with(response.sensor_factor, np.moveaxis(response.push, 2, 0))
+    gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / WIDE**2
+    share = np.linalg.solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
+    return share.reshape(len(residual), bench.segments, -1) * gust_std(bench.spec)
+
+
+def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) -> WrenchPlot:
+    """The missing force that an effect makes, on the joint it acts on or, for the craft, where it changes most."""
+    bench = held_out.short
+    model = bench.spec.model
+    before, after = (missing_wrench(bench, held_out.response(v), held_out.residual(v)) for v in ({}, values))
+    joints = {model.joint(i).name: int(model.joint(i).dofadr[0]) for i in range(model.njnt)}
+    drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench.spec) ** 2
+    dof = joints.get(effect.target, int(np.argmax(drop)))
+    joint = model.joint(int(model.dof_jntid[dof]))
+    rotary = int(joint.type[0]) == HINGE
+    quantity, x_label = quantity_of_segments(bench, effect, dof, joint.name, rotary)
+    kind, unit = ("torque", "N m") if rotary else ("force", "N")
+    return WrenchPlot(
+        quantity,
+        before[:, :, dof].ravel(),
+        after[:, :, dof].ravel(),
+        x_label,
+        f"missing {kind} on {joint.name} [{unit}]",
+    )
+
+
+def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rotary: bool) -> tuple[np.ndarray, str]:
+    """What an effect's force follows, averaged over each gust segment of each window, (K segments,), and its label."""
+    windows = bench.windows
+    if effect.follows in ("velocity", "position"):
+        motion = bench.simulate([Variation()])
+        track = (motion.velocity if effect.follows == "velocity" else motion.pose)[0, :, 1:, dof]
+        unit = "rad" if rotary else "m"
+        label = f"{joint} {effect.follows} [{unit}{'/s' if effect.follows == 'velocity' else ''}]"
+    else:
+        actuators = [bench.spec.model.actuator(i).name for i in range(bench.spec.model.nu)]
+        actuator = actuators.index(effect.target) if effect.target in actuators else None
+        command = windows.command.mean(axis=2) if actuator is None else windows.command[:, :, actuator]
+        if dof == 2 and actuator is None:
+            command = windows.command[:, :, -1] - windows.command[:, :, 0]
+        name = "difference of blade pitch commands" if dof == 2 and actuator is None else "mean blade pitch command"
+        label = f"{name} [rad]" if bench.spec.vehicle is not None else f"command of {effect.target}"
+        if actuator is None and bench.spec.vehicle is None:
+            label = "mean command"
+        track = command
+        if effect.follows == "command change":
+            track, label = np.gradient(command, windows.dt, axis=1), f"rate of {label.replace(']', '/s]')}"
+    parts = np.array_split(track, bench.segments, axis=1)
+    return np.stack([part.mean(axis=1) for part in parts], axis=1).ravel(), label

@@ -1,0 +1,56 @@
+"""`vpptwin compare`: how well a twin predicts flights, with nothing fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from threadpoolctl import threadpool_limits
+
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S, list_starts, window_length
+from vpptwin.diagnosis.evidence.noise import find_noise_floor
+from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
+from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.report.error_table import tabulate_errors
+from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json
+from vpptwin.diagnosis.report.terminal import print_errors
+from vpptwin.estimation.measurements import read_measurements
+from vpptwin.logs.read import read_flight
+from vpptwin.progress import open_bar
+from vpptwin.twin.spec import load_twin
+
+
+def compare_logs(
+    logs: Sequence[Path], twin: str, json: Path | None, topic_map: Path | None = None, effects: Sequence[Path] = ()
+) -> Score:
+    """Score a twin on whole logs and print (and write) the errors over the horizon.
+
+    Raises:
+        InputError: on bad logs, a bad twin, or a file that cannot be written.
+    """
+    spec = load_twin(twin, effects)
+    flights = [read_flight(log, topic_map) for log in logs]
+    if json is not None:
+        check_target(json)
+    measurements = [read_measurements(spec, flight) for flight in flights]
+    check_moving(measurements)
+    starts = list_starts(measurements, window_length(spec))
+    with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare") as bar:
+        held_out = open_held_out(spec, measurements, starts, bar.update)
+        score = held_out.score({})
+    if json != STDOUT:
+        console = Console(highlight=False)
+        tables = tabulate_errors(score, None, find_noise_floor(measurements))
+        print_errors(console, f"prediction error of twin {twin}", tables)
+        console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")
+    if json is not None:
+        content = {
+            "logs": [str(log) for log in logs],
+            "twin": twin,
+            "samples": {"windows": len(held_out.short.windows)},
+            "horizons_s": list(HORIZONS_S),
+            "error": score.as_dict(),
+        }
+        give_json(content, json)
+    return score

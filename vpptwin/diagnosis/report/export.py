@@ -1,0 +1,143 @@
+"""Twins' predictions and residuals as MCAP on the log's own clock: Foxglove and PlotJuggler lay them over the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
+from vpptwin.logs.flight import Flight
+from vpptwin.logs.write import FlightWriter
+from vpptwin.twin.spec import TwinSpec
+
+TWINS = ("before", "after")
+"""The twin that was diagnosed and the extended one; their topics are under `/twin/before` and `/twin/after`."""
+MOST = 100.0
+"""Samples per second of a quantity that are exported, out of those that the log has [Hz]."""
+OTHER_CLOCK = 60.0
+"""A recorder whose first message is this far from its stamp ran on another clock, say under simulated time [s]."""
+POSE_COLUMNS = {"x": "x", "z": "z", "θ": "theta"}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Messages of one topic.
+
+    Attributes:
+        name: its name.
+        time: (n,) s on the log's clock.
+        values: column → (n,), of a topic in the form of SPEC 3.
+        joints: joint → column → (n,), of a JointState.
+    """
+
+    name: str
+    time: np.ndarray
+    values: Mapping[str, np.ndarray] | None = None
+    joints: Mapping[str, Mapping[str, np.ndarray]] | None = None
+
+    def write(self, writer: FlightWriter, row: int, offset: float) -> None:
+        """Write one message, recorded `offset` [s] after its stamp."""
+        time = float(self.time[row])
+        if self.values is not None:
+            writer.write(self.name, time, {column: value[row] for column, value in self.values.items()}, time + offset)
+        if self.joints is not None:
+            joints = {name: {c: float(v[row]) for c, v in columns.items()} for name, columns in self.joints.items()}
+            writer.write_joints(self.name, time, joints, time + offset)
+
+
+def name_files(logs: Sequence[Path]) -> list[str]:
+    """A file for the prediction of each log: `prediction.mcap`, or `prediction_LOG.mcap` where there are several."""
+    if len(logs) == 1:
+        return ["prediction.mcap"]
+    names: list[str] = []
+    for log in logs:
+        name, count = f"prediction_{log.stem}.mcap", 2
+        while name in names:
+            name, count = f"prediction_{log.stem}_{count}.mcap", count + 1
+        names.append(name)
+    return names
+
+
+def write_prediction(
+    path: Path, spec: TwinSpec, prediction: FlightPrediction, metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write what twins predict for one log.
+
+    `/twin/before/mocap/pose` is to `/mocap/pose` what the twin is to the rig: same type, same stamps, same signs; other
+    rigs have `/twin/before/joint_states`. `/twin/before/residual/x` is a JointState of one name, whose position (or
+    velocity) is measured minus predicted.
+
+    Args:
+        path: file to write.
+        spec: the diagnosed twin.
+        prediction: of that twin and, second, the extended one if there is one.
+        metadata: stored in the file.
+    """
+    tracks = [thin_track(track) for track in prediction.tracks]
+    topics: list[Topic] = []
+    for i, twin in enumerate(TWINS[: len(tracks[0].predicted)]):
+        topics += list_drone(twin, tracks, i) if spec.signals is None else list_joints(twin, spec, tracks, i)
+        topics += [list_residual(twin, track, i) for track in tracks]
+    which = np.concatenate([np.full(len(topic.time), i) for i, topic in enumerate(topics)])
+    rows = np.concatenate([np.arange(len(topic.time)) for topic in topics])
+    offset = find_offset(prediction.flight)
+    with FlightWriter(path, prediction.flight.start_ns, metadata) as writer:
+        for place in np.argsort(np.concatenate([topic.time for topic in topics]), kind="stable"):
+            topics[which[place]].write(writer, int(rows[place]), offset)
+
+
+def find_offset(flight: Flight) -> float:
+    """Recording time minus stamp where a log was recorded on another clock than its stamps', else 0 [s]."""
+    try:
+        with flight.path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except (OSError, McapError):  # a log that was cut off has no summary, though its messages can be read
+        return 0.0
+    if summary is None or summary.statistics is None:
+        return 0.0
+    offset = (summary.statistics.message_start_time - flight.start_ns) / 1e9
+    return offset if abs(offset) > OTHER_CLOCK else 0.0
+
+
+def thin_track(track: Track) -> Track:
+    """The samples at which every twin was simulated, thinned out evenly if there are too many."""
+    known = np.flatnonzero(np.isfinite(track.predicted).all(axis=0))
+    rate = 1.0 / float(np.median(np.diff(track.time))) if len(track.time) > 1 else MOST
+    known = known[:: max(round(rate / MOST), 1)]
+    return replace(track, time=track.time[known], measured=track.measured[known], predicted=track.predicted[:, known])
+
+
+def list_drone(twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
+    """Pose and gyro of our drone as one twin gives them."""
+    poses = [track for track in tracks if track.kind == "position"]
+    values = {POSE_COLUMNS[track.name]: track.predicted[i] for track in poses}
+    topics = [Topic(f"/twin/{twin}/mocap/pose", poses[0].time, values)]
+    for track in tracks:
+        if track.kind == "velocity":
+            topics.append(Topic(f"/twin/{twin}/imu/data", track.time, {"rate": track.predicted[i]}))
+    return topics
+
+
+def list_joints(twin: str, spec: TwinSpec, tracks: Sequence[Track], i: int) -> list[Topic]:
+    """Joints of another rig as one twin gives them, those that were logged at the same instants in one message."""
+    assert spec.signals is not None
+    topics: dict[tuple[str, bytes], Topic] = {}
+    for joint, source in spec.signals.joints.items():
+        dof = int(spec.model.joint(joint).dofadr[0])
+        own = [track for track in tracks if track.dof == dof]
+        columns = {track.kind: track.predicted[i] for track in own}
+        key = source + "/".join(columns), own[0].time.tobytes()
+        topic = topics.setdefault(key, Topic(f"/twin/{twin}{source}", own[0].time, joints={}))
+        topics[key] = replace(topic, joints={**(topic.joints or {}), joint: columns})
+    return list(topics.values())
+
+
+def list_residual(twin: str, track: Track, i: int) -> Topic:
+    """Measured minus predicted of one quantity."""
+    name = track.name.replace("θ", "theta").replace(" ", "_")
+    return Topic(f"/twin/{twin}/residual/{name}", track.time, joints={name: {track.kind: track.residual[i]}})

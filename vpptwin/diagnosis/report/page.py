@@ -1,0 +1,67 @@
+"""report.html: one file that opens offline, with the sentence first and the evidence after it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from vpptwin.diagnosis.judgement.verdict import Verdict
+from vpptwin.diagnosis.report.pictures import Pictures
+from vpptwin.diagnosis.report.provenance import Provenance
+from vpptwin.diagnosis.report.ranking import Suspect
+from vpptwin.diagnosis.report.summary import Summary, format_plain, format_value
+
+FIRST_SUSPECTS = 10
+"""Suspects of the ranking that are not folded away."""
+FEW = 6
+"""Entries of a list that is not folded away."""
+
+
+def render_report(
+    verdict: Verdict,
+    summary: Summary,
+    ranking: Sequence[Suspect],
+    pictures: Pictures,
+    preflight: Sequence[str],
+    origin: Provenance,
+    meanings: Mapping[str, str],
+) -> str:
+    """The report of a diagnosis as one HTML page.
+
+    Args:
+        verdict: the verdict.
+        summary: the same in sentences.
+        ranking: all suspects, strongest first.
+        pictures: as SVG.
+        preflight: what each log could show, in words.
+        origin: where all that comes from.
+        meanings: effect id → summary of the catalogue.
+    """
+    environment = Environment(
+        loader=PackageLoader("vpptwin.diagnosis.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["tie"] = tie_units
+    return environment.get_template("report.html.j2").render(
+        verdict=verdict,
+        summary=summary,
+        ranking=ranking,
+        first_suspects=FIRST_SUSPECTS,
+        few=FEW,
+        pictures=pictures,
+        preflight=preflight,
+        origin=origin,
+        meanings=meanings,
+        format_value=format_value,
+        format_plain=format_plain,
+    )
+
+
+def tie_units(text: str) -> str:
+    """The text with its numbers tied to their deviations and units, so that no line breaks between them."""
+    return re.sub(r"(?<=\d) (?=%|± |\S*[A-Za-z]\b)|(?<=±) ", "\N{NO-BREAK SPACE}", text)

@@ -1,0 +1,214 @@
+"""A verdict in sentences, the same for the terminal and the report."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import floor, log10
+
+from vpptwin.diagnosis.evidence.noise import NoiseFloor
+from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Experiment, Rival, Verdict
+from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
+
+MILLI = {"m": "mm", "s": "ms", "rad": "mrad", "kg": "g", "N m": "mN m"}
+"""Units that are written with a thousandth where the number is below 0.1."""
+SHOWN_HORIZON = 2
+"""Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
+UNLIMITED = 1e5
+"""Off value of limits: a twin with that much has none."""
+OPEN = 30.0
+"""Ratio of bounds from which the upper one says nothing: of a limit that these flights never ran into."""
+SIZE_FITS = re.compile(
+    r"^(?!.*\b(?:wrong|of|that|whose)\b.* (?:on|in|from|between|along) )(.+?)( (?:on|in|from|between) .*)$"
+)
+"""Summaries such as `dry friction on the horizontal rail`, in which `of 0.31 N` fits before the place."""
+HEAD = re.compile(r"^(.*?)(?: (?:of|that|on|in|from|between|at|near|older|lost|along|beside|above|whose)\b.*)?$")
+"""What a summary is about: everything before its first preposition."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a verdict says, in sentences.
+
+    Attributes:
+        headline: the sentence to read if one reads no other.
+        others: one sentence for each further cause.
+        certainty: for each cause how sure it is, then what else it could be.
+        error: the error before and after.
+        tables: errors by horizon.
+        unexplained: what is left.
+        unseen: what could not be seen, grouped by reason.
+        cleared: family → what lies within which bounds.
+        experiment: what to fly next; None if nothing is to be decided.
+    """
+
+    headline: str
+    others: list[str]
+    certainty: list[str]
+    error: str
+    tables: list[ErrorTable]
+    unexplained: str
+    unseen: list[str]
+    cleared: dict[str, list[str]]
+    experiment: str | None
+
+
+def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) -> Summary:
+    """Put a verdict into sentences.
+
+    Args:
+        verdict: the verdict.
+        noise: what the sensors' noise alone makes of the errors.
+        meanings: effect id → summary of the catalogue.
+    """
+    tables = tabulate_errors(verdict.before, verdict.after if verdict.causes else None, noise, verdict.improvement)
+    cleared: dict[str, list[str]] = {}
+    for suspect in verdict.cleared:
+        cleared.setdefault(suspect.effect.split(".")[0], []).append(describe_cleared(suspect))
+    return Summary(
+        headline=headline(verdict),
+        others=[describe_cause(cause) for cause in verdict.causes[1:]],
+        certainty=[line for cause in verdict.causes for line in describe_certainty(cause, meanings)],
+        error=describe_error(verdict, tables),
+        tables=tables,
+        unexplained=describe_unexplained(verdict),
+        unseen=describe_unseen(verdict),
+        cleared=cleared,
+        experiment=describe_experiment(verdict.experiment) if verdict.experiment is not None else None,
+    )
+
+
+def headline(verdict: Verdict) -> str:
+    """The sentence to read if one reads no other."""
+    if verdict.causes:
+        return describe_cause(verdict.causes[0])
+    if verdict.unexplained.significant:
+        return "Something that no known effect explains separates the twin from these flights."
+    return "The twin explains these flights as well as sensor noise and gusts allow; nothing is accused."
+
+
+def describe_cause(cause: Cause) -> str:
+    """One sentence: what, how much, what the twin has instead, what it explains, and what might as well."""
+    (name, strength), *shape = cause.parameters.items()
+    wrong = cause.summary.startswith("a wrong ")
+    size = format_value(strength, signed=wrong and strength.nominal == 0.0)
+    if fits := SIZE_FITS.match(cause.summary) if strength.unit else None:
+        what = f"{fits[1]} of {size}{fits[2]}"
+        what += f" ({', '.join(f'{n} {format_value(e)}' for n, e in shape)})" if shape else ""
+    elif shape or not strength.unit:
+        what = f"{cause.summary}, {join_words([f'{name} {size}'] + [f'{n} {format_value(e)}' for n, e in shape])}"
+    else:
+        what = f"{cause.summary}, {size}"
+    if 0.0 < abs(strength.nominal) < UNLIMITED:
+        what += f", where the twin has {format_plain(strength.nominal, strength)},"
+    else:
+        what += "," if wrong else ", which the twin lacks,"
+    verb = "explain" if is_plural(cause.summary) else "explains"
+    share = 100.0 * min(max(cause.gain, 0.0), 1.0)
+    rivals = join_words([rival.effect for rival in cause.also_explained_by], "or")
+    also = f"; so might {rivals}" if rivals else ""
+    return f"{what[0].upper()}{what[1:]} {verb} {share:.0f} % of the error{also}."
+
+
+def describe_certainty(cause: Cause, meanings: Mapping[str, str]) -> list[str]:
+    """How sure the naming is, and a sentence for everything else that it could be; meanings: effect id → summary."""
+    sure = f"{cause.effect}: {100.0 * cause.confidence:.3g} % sure"
+    if not cause.also_explained_by:
+        return [f"{sure}; no other effect of the catalogue comes close."]
+    return [f"{sure}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
+
+
+def describe_rival(rival: Rival, cause: Cause, meanings: Mapping[str, str]) -> str:
+    """What else it could be, how far apart the two are, and how probable it is."""
+    meaning = f" ({meanings[rival.effect]})" if rival.effect in meanings else ""
+    apart = f"{rival.sigma:.1f} sigma, {100.0 * rival.confidence:.0f} % probable"
+    return f"Can't tell {rival.effect}{meaning} from {cause.summary} here: {apart}."
+
+
+def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
+    """The error before and after at one horizon, on flight that no fit has seen."""
+    table = tables[0]
+    row = table.rows[SHOWN_HORIZON]
+    ahead = f"{table.quantity} error {row.horizon} ahead"
+    floor = f"; {table.noise_label} alone makes {table.noise} {table.unit}" if table.noise else ""
+    if not row.after:
+        return f"On flight that no fit has seen, the {ahead} is {row.before} {table.unit}{floor}."
+    change = f" ({row.change}, 90 % interval)" if row.change else ""
+    errors = f"{row.before} to {row.after} {table.unit}"
+    return f"On flight that no fit has seen, the {ahead} goes from {errors}{change}{floor}."
+
+
+def describe_unexplained(verdict: Verdict) -> str:
+    """What remains unexplained."""
+    left = verdict.unexplained
+    if not left.significant:
+        return "Nothing beyond noise and gusts is left unexplained."
+    follows = f"; it follows {join_words(left.depends_on)}" if left.depends_on else ""
+    beyond = f", {left.sigma:.1f} sigma beyond flights without an effect" if left.sigma else ""
+    where = f", most of it in {left.channel}" if left.channel else ""
+    return f"{100.0 * left.share:.0f} % of the error is left unexplained{beyond}{where}{follows}."
+
+
+def describe_unseen(verdict: Verdict) -> list[str]:
+    """What these flights could not have shown, grouped by reason."""
+    reasons: dict[str, list[str]] = {}
+    for suspect in verdict.unseen:
+        reasons.setdefault(suspect.reason, []).append(suspect.effect)
+    return [f"{', '.join(effects)}: {reason}" for reason, effects in reasons.items()]
+
+
+def describe_cleared(suspect: Cleared) -> str:
+    """Between which bounds the parameter of a cleared suspect lies."""
+    unit, factor = choose_unit(suspect.unit, max(abs(suspect.low), abs(suspect.high)))
+    parameter = "" if unit else f"{suspect.parameter} "
+    low, high = factor * suspect.low, factor * suspect.high
+    if low > 0.0 and high > OPEN * low:
+        return f"{suspect.effect}: {parameter}above {low:.2g} {unit}".rstrip()
+    digits = 1 - floor(log10(high - low)) if high > low else 3
+    bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
+    return f"{suspect.effect}: {parameter}{bounds} {unit}".rstrip()
+
+
+def describe_experiment(experiment: Experiment) -> str:
+    """The manoeuvre that would decide, and how clearly."""
+    values = ", ".join(f"{name} {value:g}" for name, value in experiment.parameters.items())
+    given = f" ({values})" if values else ""
+    between = join_words(experiment.separates)
+    return f"{experiment.manoeuvre}{given}: it is predicted to set {between} {experiment.sigma:.1f} sigma apart."
+
+
+def format_value(estimate: Estimate, signed: bool = False) -> str:
+    """Value ± standard deviation with unit, to the digits that the deviation leaves meaningful."""
+    unit, factor = choose_unit(estimate.unit, max(abs(estimate.value), abs(estimate.nominal)))
+    value, std, plus = factor * estimate.value, factor * estimate.std, "+" if signed else ""
+    if not 0.0 < std < float("inf"):
+        return f"{value:{plus}.4g} {unit}".rstrip()
+    first, exponent = f"{std:.0e}".split("e")
+    digits = max(0, (first == "1") - int(exponent))
+    return f"{value:{plus}.{digits}f} ± {std:.{digits}f} {unit}".rstrip()
+
+
+def format_plain(value: float, estimate: Estimate) -> str:
+    """Another value of a parameter, written in the unit that its estimate is written in."""
+    unit, factor = choose_unit(estimate.unit, max(abs(estimate.value), abs(estimate.nominal)))
+    return f"{factor * value:.4g} {unit}".rstrip()
+
+
+def choose_unit(unit: str, size: float) -> tuple[str, float]:
+    """A readable unit for values of a size, and the factor to it."""
+    if unit in MILLI and size < 0.1:
+        return MILLI[unit], 1e3
+    return unit.replace("^2", "²"), 1.0
+
+
+def is_plural(phrase: str) -> bool:
+    """Whether a summary speaks of several things: `rotors of unequal thrust`."""
+    head = HEAD.match(phrase)
+    last = (head[1] if head else phrase).split()[-1]
+    return last.endswith("s") and not last.endswith("ss") and not phrase.startswith(("a ", "an "))
+
+
+def join_words(items: list[str], conjunction: str = "and") -> str:
+    """A list in words: a, b and c."""
+    return f" {conjunction} ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))

@@ -1,0 +1,72 @@
+"""Which flights tell of what: the flights that judge are those that the fit can best do without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Variation
+from vpptwin.diagnosis.evidence.flights import build_bench, list_starts, window_length
+from vpptwin.diagnosis.search.suspects import Unknown, list_trials
+from vpptwin.estimation.measurements import Measurements
+from vpptwin.twin.spec import TwinSpec
+
+SAMPLE = 16
+"""Windows of every flight that are looked at."""
+JUDGING = 0.5
+"""What it is worth that an effect shows where it is judged, against that it shows where it is fitted."""
+ENOUGH = 50.0
+"""Squared signal to noise of a typical size at which an effect counts as half seen."""
+
+
+def measure_information(
+    spec: TwinSpec,
+    measurements: Sequence[Measurements],
+    unknowns: tuple[Unknown, ...],
+    progress: Callable[[int], None] | None,
+) -> np.ndarray:
+    """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
+    window = window_length(spec)
+    starts = list_starts(measurements, window)
+    sample = [s[np.linspace(0, len(s) - 1, min(SAMPLE, len(s))).astype(int)] for s in starts]
+    bench = build_bench(spec, measurements, sample, window, False, progress)
+    effects = list(dict.fromkeys(u.effect.id for u in unknowns))
+    variations, rows = [Variation()], []
+    for unknown in unknowns:
+        if not unknown.is_limit:
+            moved = unknown.parameter.clip(np.array(unknown.nominal + unknown.step_from(unknown.nominal)))
+            variations.append(Variation({unknown.key: float(moved)}))
+            rows.append(effects.index(unknown.effect.id))
+    for trial in list_trials(unknowns, bench):
+        variations.append(Variation(trial.values))
+        rows.append(effects.index(trial.effect))
+    predicted = bench.predict(variations)
+    signal = (np.where(bench.valid, predicted[1:] - predicted[0], 0.0) / bench.std) ** 2
+    found = np.zeros((len(measurements), len(effects)))
+    for flight, all_starts in enumerate(starts):
+        mine = bench.windows.flight == flight
+        share = len(all_starts) / max(mine.sum(), 1)
+        for row, values in zip(rows, signal[:, mine].sum(axis=(1, 2)) * share):
+            found[flight, row] = max(found[flight, row], values)
+    return found
+
+
+def choose_judges(information: np.ndarray) -> set[int]:
+    """A third of the flights (at least one), chosen one by one so that what is left shows as many effects as possible.
+
+    Of flights that the others can do without, those judge that show most themselves.
+
+    Args:
+        information: (flights, effects).
+    """
+    count = len(information)
+    kept = set(range(count))
+    for _ in range(max(count // 3, 1)):
+
+        def seen_without(flight: int) -> float:
+            left, own = information[sorted(kept - {flight})].sum(axis=0), information[flight]
+            return float((left / (left + ENOUGH)).sum() + JUDGING * (own / (own + ENOUGH)).sum())
+
+        kept.discard(max(sorted(kept, reverse=True), key=seen_without))
+    return set(range(count)) - kept

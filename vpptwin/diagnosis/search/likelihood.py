@@ -1,0 +1,271 @@
+"""How improbable a residual is: sensor noise, unknown gusts and the unknown starting state, all at once.
+
+A window's residual is r = J_x δx₀ + J_n n + e: δx₀ the error of the estimated starting state, n force pulses that
+nobody modelled (gusts), e sensor noise. All are Gaussian, so δx₀ and n are marginalised exactly through the covariance
+S = R + J_x P J_xᵀ + J_n Q J_nᵀ, and a residual is judged by S⁻¹.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.twin.model import describe_joints
+from vpptwin.twin.spec import TwinSpec
+
+START_POSE = {False: 0.02, True: 0.1}
+"""Prior on the starting pose [m], rotary [rad]: wide, the window itself pins it down."""
+START_VELOCITY = {False: 0.3, True: 1.0}
+"""Prior on the starting velocity [m/s], rotary [rad/s]."""
+GUST = 0.01
+"""Force that nobody modelled, as a share of the drone's weight."""
+GENERIC_GUST = 0.001
+"""The same on other rigs, as a share of the force that moves a joint about: indoors, without rotors."""
+GUST_TIME = 0.3
+"""Time over which gusts stay alike [s]."""
+FORGOTTEN = 5.0
+"""Gusts so many times that apart have nothing in common."""
+LEAST_GUST, MOST_GUST = 0.2, 50.0
+"""Bounds of the gusts' strength as a multiple of what is assumed."""
+GUST_DOUBT = 2.0
+"""How well that is known beforehand: standard deviation of its logarithm."""
+MOST_COUPLED = 48
+"""Windows in a stretch: the cost of coupling them grows with the cube, the loss at a cut is small."""
+STEP_POSE = {False: 0.002, True: 0.005}
+STEP_VELOCITY = {False: 0.01, True: 0.05}
+
+
+@dataclass(frozen=True)
+class Response:
+    """What starting states and unmodelled forces do to K windows of a twin, sensors whitened.
+
+    Attributes:
+        sensor_factor: lower Cholesky factors of R + J_x P J_xᵀ, (K, M, M).
+        basis: U, orthonormal columns of what force pulses do in every window, (K, M, G) with G = segments nv.
+        triangles: the pulses in that basis, in units of their standard deviation, (K, G, G).
+        freedom: measured values less fitted starting states, over all windows.
+        state: derivative by the starting state, (K, M, 2 nv).
+        state_std: prior of the starting state, (2 nv,).
+        push: derivative by force pulses in units of their standard deviation, (K, M, G).
+    """
+
+    sensor_factor: np.ndarray
+    basis: np.ndarray
+    triangles: np.ndarray
+    freedom: int
+    state: np.ndarray
+    state_std: np.ndarray
+    push: np.ndarray
+
+    def along(self, residual: np.ndarray) -> np.ndarray:
+        """What pulses could have done to residuals (..., K, M), (..., K, G)."""
+        return np.einsum("kmg,...km->...kg", self.basis, whiten_with(self.sensor_factor, residual), optimize=True)
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Whitening of K windows' residuals.
+
+    Gusts outlast a window, so that windows of one flight are not independent: with U an orthonormal basis of what
+    gusts can do inside the windows, the covariance is I + U C Uᵀ once sensors and starting states are whitened, and
+    the Cholesky factor of I + C in the order of time turns residuals into innovations.
+
+    Attributes:
+        response: what starting states and pulses do.
+        gust: strength of the gusts as a multiple of what is assumed, per degree of freedom, (nv,).
+        stretches: windows whose gusts are coupled, in the order of time, with the factor of I + C, (n G, n G).
+        logdet: logarithm of the determinant of S, every window's share of it, (K,).
+    """
+
+    response: Response
+    gust: np.ndarray
+    stretches: list[tuple[np.ndarray, np.ndarray]]
+    logdet: np.ndarray
+
+    def whiten(self, residual: np.ndarray) -> np.ndarray:
+        """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
+        white = whiten_with(self.response.sensor_factor, residual)
+        along = np.einsum("kmg,...km->...kg", self.response.basis, white, optimize=True)
+        moved = self.innovate(along) - along
+        return white + np.einsum("kmg,...kg->...km", self.response.basis, moved, optimize=True)
+
+    def innovate(self, along: np.ndarray) -> np.ndarray:
+        """Innovations of the gusts from what pulses could have done, (..., K, G).
+
+        They are independent with variance 1 if nothing but gusts as strong as assumed disturbs the rig.
+        """
+        innovation = np.empty_like(along)
+        for windows, factor in self.stretches:
+            part = along[..., windows, :]
+            flat = part.reshape(-1, factor.shape[0])
+            solved = solve_triangular(factor, flat.T, lower=True, check_finite=False).T
+            innovation[..., windows, :] = solved.reshape(part.shape)
+        return innovation
+
+
+def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Solve factor y = residual window by window; residual (V, K, M) or (K, M)."""
+    stacked = residual if residual.ndim == 3 else residual[None]
+    result = np.empty_like(stacked)
+    for k in range(stacked.shape[1]):
+        result[:, k] = solve_triangular(factor[k], stacked[:, k].T, lower=True, check_finite=False).T
+    return result if residual.ndim == 3 else result[0]
+
+
+def gust_std(spec: TwinSpec) -> np.ndarray:
+    """Standard deviation of an unmodelled force pulse per degree of freedom, (nv,) N, N m."""
+    if spec.vehicle is not None:
+        weight = spec.vehicle.airframe.mass * spec.vehicle.gravity
+        return GUST * weight * np.array([1.0, 1.0, spec.vehicle.airframe.half_length])
+    std = np.full(spec.model.nv, 0.0)
+    for name, _, scale in describe_joints(spec.model):
+        std[spec.model.joint(name).dofadr[0]] = GENERIC_GUST * scale
+    return std
+
+
+def rotary_dofs(spec: TwinSpec) -> np.ndarray:
+    """Which degrees of freedom are angles, (nv,) bool."""
+    rotary = np.zeros(spec.model.nv, dtype=bool)
+    for name, is_rotary, _ in describe_joints(spec.model):
+        rotary[spec.model.joint(name).dofadr[0]] = is_rotary
+    return rotary
+
+
+def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
+    """Correlation between the gusts of segments at times (..., n), (..., n, n).
+
+    Wind outlasts a segment; what disturbs a rig without rotors is taken as independent from segment to segment.
+    """
+    apart = np.abs(time[..., :, None] - time[..., None, :])
+    return (apart == 0.0).astype(float) if bench.spec.vehicle is None else np.exp(-apart / GUST_TIME)
+
+
+def middles_of_segments(bench: Bench) -> np.ndarray:
+    """Times of the middle of every gust segment of every window, (K, segments) s."""
+    span = bench.windows.steps * bench.windows.dt
+    return bench.windows.start[:, None] + (np.arange(bench.segments) + 0.5) * span / bench.segments
+
+
+def list_stretches(bench: Bench) -> list[np.ndarray]:
+    """Windows of one flight that follow each other, in the order of time."""
+    windows = bench.windows
+    if bench.spec.vehicle is None:
+        return [np.array([k]) for k in range(len(windows))]
+    order = np.lexsort((windows.start, windows.flight))
+    breaks = np.diff(windows.flight[order]) != 0
+    breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * GUST_TIME
+    whole = np.split(order, np.flatnonzero(breaks) + 1)
+    return [piece for part in whole for piece in np.array_split(part, -(-len(part) // MOST_COUPLED))]
+
+
+def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likelihood:
+    """The likelihood of a twin whose windows respond so, under gusts `gust` times as strong as assumed, (nv,)."""
+    size = response.triangles.shape[1]
+    time, stretches = middles_of_segments(bench), []
+    logdet = 2.0 * np.log(np.diagonal(response.sensor_factor, axis1=1, axis2=2)).sum(axis=1)
+    for part in list_stretches(bench):
+        prior = np.kron(likeness_of_gusts(bench, time[part].ravel()), np.diag(gust**2))
+        rows = np.zeros((len(part) * size, len(part) * size))
+        for i, k in enumerate(part):
+            rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
+        factor = np.linalg.cholesky(np.eye(len(rows)) + rows @ prior @ rows.T)
+        logdet[part] += 2.0 * np.log(np.diag(factor)).reshape(len(part), -1).sum(axis=1)
+        stretches.append((part, factor))
+    return Likelihood(response, gust, stretches, logdet)
+
+
+def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    """Most probable strength of the gusts as a multiple of what is assumed, (nv,), windows taken one by one.
+
+    On rigs without rotors no wind blows: a gust there would be an excuse, and stays as small as it is assumed.
+
+    Args:
+        bench: K windows.
+        response: what starting states and pulses do in them.
+        residual: (K, M).
+        scale: variance of the whitened residual.
+    """
+    if bench.spec.vehicle is None:
+        return np.ones(bench.spec.model.nv)
+    along = response.along(residual)
+    alike = likeness_of_gusts(bench, middles_of_segments(bench))
+    nv = bench.spec.model.nv
+    one = np.eye(response.triangles.shape[1])
+
+    def surprise(log_gust: np.ndarray) -> float:
+        strength = np.diag(np.exp(2.0 * log_gust))
+        prior = np.einsum("kij,ab->kiajb", alike, strength).reshape(len(alike), len(one), len(one))
+        covariance = one + response.triangles @ prior @ np.swapaxes(response.triangles, 1, 2)
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(factor, along[..., None])[..., 0]
+        logdet = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+        square = (white**2).sum(axis=1) / scale
+        # Student-t of 4 degrees of freedom for every value: a window that goes astray must not make a storm.
+        heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
+        return float(heavy.sum() + logdet + ((log_gust / GUST_DOUBT) ** 2).sum())
+
+    low, high = np.log(LEAST_GUST), np.log(MOST_GUST)
+    found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
+    return np.exp(found.x)
+
+
+def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Response:
+    """Linearise the windows of a twin with the parameters `values` by starting states and force pulses.
+
+    Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
+    """
+    spec, nv = bench.spec, bench.spec.model.nv
+    rotary, assumed = rotary_dofs(spec), gust_std(spec)
+    variations = [Variation(values)]
+    sizes = []
+    for dof in range(nv):
+        step = STEP_POSE[bool(rotary[dof])]
+        variations.append(Variation(values, pose=step * np.eye(nv)[dof]))
+        sizes.append(step)
+    for dof in range(nv):
+        step = STEP_VELOCITY[bool(rotary[dof])]
+        variations.append(Variation(values, velocity=step * np.eye(nv)[dof]))
+        sizes.append(step)
+    for segment in range(bench.segments):
+        for dof in range(nv):
+            times = 1.0 if gust is None else float(max(gust[dof], 1.0))
+            variations.append(Variation(values, push=(segment, dof, times * float(assumed[dof]))))
+            sizes.append(times)
+    predicted = bench.predict(variations, values)
+    slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
+    state, push = slopes[: 2 * nv], slopes[2 * nv :]
+    prior = np.array([START_POSE[bool(r)] for r in rotary] + [START_VELOCITY[bool(r)] for r in rotary])
+    return assemble(bench, np.moveaxis(state, 0, -1), prior, np.moveaxis(push, 0, -1))
+
+
+def assemble(
+    bench: Bench, state: np.ndarray, state_std: np.ndarray, push: np.ndarray, floor: np.ndarray | float = 0.0
+) -> Response:
+    """A response from its derivatives.
+
+    Args:
+        bench: K windows.
+        state: derivative by the starting state, (K, M, 2 nv).
+        state_std: its prior, (2 nv,).
+        push: derivative by force pulses in units of their standard deviation, (K, M, G).
+        floor: standard deviation added to the sensors' noise, which broadcasts to (K, M).
+    """
+    scaled = state * state_std
+    sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
+    diagonal = np.arange(sensor.shape[1])
+    sensor[:, diagonal, diagonal] += bench.std**2 + np.square(floor)
+    factor = np.linalg.cholesky(sensor)
+    basis, triangles = np.linalg.qr(np.moveaxis(whiten_with(factor, np.moveaxis(push, -1, 0)), 0, -1))
+    freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
+    return Response(factor, basis, triangles, freedom, state, state_std, push)
+
+
+def build_likelihood(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
+    """The likelihood of a twin with the parameters `values`, under gusts `gust` times as strong as assumed, (nv,)."""
+    strength = np.ones(bench.spec.model.nv) if gust is None else gust
+    return couple_gusts(bench, measure_response(bench, values), strength)
