@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench, window_length
+from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
 from vpptwin.diagnosis.judgement.experiment import Candidate, fly_library, observe_candidates
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import separate
@@ -54,7 +54,6 @@ CASES = (
 
 def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, ...]) -> list[float]:
     """Fly a manoeuvre with gusts in the twin of the first explanation; sigma by which each rival then fits worse."""
-    assert spec.vehicle is not None
     effects: dict[str, dict[str, float]] = {}
     for (effect, name), value in case[0].values.items():
         effects.setdefault(effect, {})[name] = value
@@ -62,7 +61,7 @@ def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, .
     gusts = Gusts(spec, 1, pilot.ticks + round(SETTLING * spec.vehicle.control.policy_rate), 7)
     tracks = fly(Twin(spec.with_effects(effects), 1, CARRIERS, num_threads=1), pilot, 7, gusts)
     flight = read_measurements(spec, Flight(Path(manoeuvre.name), 0, record_streams(tracks), {}))
-    length = window_length(spec)
+    length = spec.robot.window
     bench = build_bench(spec, [flight], [np.arange(flight.start + SETTLE, flight.end - length, length)], length, False)
     search = Search(bench, list_unknowns(spec))
     known, likelihood = search.start.about, search.start.likelihood
@@ -74,7 +73,7 @@ def print_case(spec: TwinSpec, case: tuple[Explanation, ...], flown: bool) -> No
     """One line of the table for every rival."""
     candidates: list[Candidate] = fly_library(spec, case)
     bench = observe_candidates(spec, candidates)
-    windows = np.array([c.manoeuvre.duration / window_length(spec) for c in candidates])
+    windows = np.array([c.manoeuvre.duration / spec.robot.window for c in candidates])
     sigma = separate(bench, case, list_unknowns(spec), windows)
     names = [c.manoeuvre.name for c in candidates]
     best = int(np.argmax(sigma.min(axis=0)))

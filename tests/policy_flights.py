@@ -115,7 +115,6 @@ def load_flyer(checkpoint: Path | str, task: str | None = None) -> tuple[Policy,
 def read_drone() -> tuple[dict[str, Effect], Vehicle]:
     """The catalogue of effects and the nominal vehicle."""
     twin = load_twin()
-    assert twin.vehicle is not None
     return {effect.id: effect for effect in twin.catalogue}, twin.vehicle
 
 

@@ -20,17 +20,13 @@ def run_effects(options: argparse.Namespace) -> None:
     from vpptwin.twin.spec import load_twin
 
     spec = load_twin(options.twin, options.effects)
-    if options.pictures and spec.vehicle is None:
-        raise InputError(
-            f"{spec.name} is not the drone", "the drone, which the pictures' flight is for", "leave it out"
-        )
     if options.pictures:
         from vpptwin.viz.fingerprint import draw_catalogue
 
         files = draw_catalogue(spec, Path(options.pictures))
         print(f"{len(files)} pictures in {options.pictures}")
         return
-    print_catalogue(spec.catalogue, options.markdown, "effects" if spec.vehicle is not None else "")
+    print_catalogue(spec.catalogue, options.markdown, spec.robot.pictures)
 
 
 def run_diagnose(options: argparse.Namespace) -> None:
@@ -101,7 +97,7 @@ def run_identify(options: argparse.Namespace) -> None:
 
 def run_fly(options: argparse.Namespace) -> None:
     """`vpptwin fly`."""
-    from vpptwin.pilot.command import Sortie, check_out, fly_log, print_library, require_drone
+    from vpptwin.pilot.command import Sortie, check_out, fly_log, print_library
     from vpptwin.twin.spec import load_twin
     from vpptwin.viz.markers import describe_flight
 
@@ -112,7 +108,7 @@ def run_fly(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}", "a number from 0 on", "choose another")
     spec = load_twin(options.twin, options.effects)
-    vehicle, out = require_drone(spec), check_out(options.out)
+    vehicle, out = spec.vehicle, check_out(options.out)
     if options.controller is not None:
         spec = spec.with_controller(options.controller)
     pilot: Pilot

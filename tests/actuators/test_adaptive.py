@@ -226,7 +226,7 @@ def hidden(request: pytest.FixtureRequest) -> TwinSpec:
     spec, rotor = load_twin(), NOMINAL.rotor
     if request.param == "bent map":
         bent = {"k_t": 0.75 * rotor.k_t, "k_t2": 0.25 * rotor.k_t / rotor.pitch_max, "thrust_power": 2.0}
-        spec = replace(spec, vehicle=NOMINAL.model_copy(update={"rotor": rotor.model_copy(update=bent)}))
+        spec = spec.with_robot(rotorcraft=NOMINAL.model_copy(update={"rotor": rotor.model_copy(update=bent)}))
     effects = {
         "servo.trim": {"offset_1": 0.015, "offset_2": -0.01}, "servo.backlash": {"gap": 0.02},
         "rotor.drag": {"gain": 1.2},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from vpptwin.diagnosis.evidence.flights import list_starts, window_length
+from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis, open_held_out
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
@@ -56,7 +56,7 @@ def make_diagnosis() -> Diagnosis:
     """Two causes, a rival, a remainder, suspects cleared and unseen, a next flight."""
     spec, flight = read_demo()
     measurements = [read_measurements(spec, flight)]
-    starts = [list_starts(measurements, window_length(spec))[0][10:25]]
+    starts = [list_starts(measurements, spec.robot.window)[0][10:25]]
     held_out = open_held_out(spec, measurements, starts, None)
     before, after = held_out.score({}), held_out.score(VALUES)
     accused = {*(cause.effect for cause in CAUSES), *(s.effect for s in UNSEEN), "rail_x.viscous"}

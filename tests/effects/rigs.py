@@ -72,7 +72,7 @@ class Rig:
     @property
     def drone(self) -> bool:
         """Whether it is ours."""
-        return self.spec.vehicle is not None
+        return self.spec.robot.step == "step_drone"
 
     def effect(self, effect_id: str) -> Effect:
         """The effect as this rig has it, off values bound to the vehicle."""
@@ -124,7 +124,7 @@ class Rig:
         """The same rig simulated with another inner step [s]."""
         model = copy.copy(self.spec.model)
         model.opt.timestep = dt
-        return replace(self, spec=replace(self.spec, model=model))
+        return replace(self, spec=self.spec.with_robot(model=model))
 
 
 @dataclass(frozen=True)

@@ -105,8 +105,7 @@ def test_efforts_are_held(cart: TwinSpec) -> None:
 
 def test_rig_without_actuator_signals_is_passive(cart: TwinSpec) -> None:
     """If no actuator is mapped to a topic its control input is zero throughout."""
-    assert cart.signals is not None
-    passive = replace(cart, signals=cart.signals.model_copy(update={"actuators": {}}))
+    passive = cart.with_robot(signals=cart.robot.signals.model_copy(update={"actuators": {}}))
     command = read_measurements(passive, log_cart()).command
     np.testing.assert_array_equal(command.value, 0.0)
     assert (command.time[0], command.time[-1]) == (0.0, TIME[-1])

@@ -150,7 +150,7 @@ def test_shifted_starts(windows: Windows) -> None:
     """A shift is added to the starting states of a copy, and nothing else changes."""
     pose, velocity = np.full((8, 3), 0.01), np.full((8, 3), -0.02)
     before = windows.pose.copy()
-    shifted = windows.shift(pose, velocity)
+    shifted = windows.shift(SPEC.model, pose, velocity)
     np.testing.assert_array_equal(windows.pose, before)
     np.testing.assert_array_equal(shifted.pose, before + 0.01)
     np.testing.assert_array_equal(shifted.velocity, windows.velocity - 0.02)

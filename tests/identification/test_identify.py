@@ -140,7 +140,6 @@ def test_the_command_writes_file_and_page(written: tuple[Path, str], tmp_path: P
     twin = tmp_path / "twin.yaml"
     twin.write_text(f"model: rail_rig.xml\nvehicle: vehicle.yaml\nactuator: {folder / 'actuator.yaml'}\n")
     spec = load_twin(twin)
-    assert spec.vehicle is not None
     assert spec.vehicle.servo.time_constant == content["servo"]["time_constant"]
     assert spec.effects["command.delay"]["delay"] == content["servo"]["delay"]
     assert spec.vehicle.airframe == NOMINAL.airframe

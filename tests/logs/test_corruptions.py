@@ -11,7 +11,7 @@ import pytest
 from tests.logs import corrupt
 from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
 from tests.reality.recording import Recording, write_mcap
-from vpptwin.diagnosis.evidence.flights import list_starts, window_length
+from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
@@ -224,7 +224,7 @@ def test_a_twin_scores_alike_on_a_spoilt_log(recording: Recording, clean: Measur
     spoilt, _ = measure(spoil_all(recording))
     scores = []
     for flight in (clean, spoilt):
-        starts = list_starts([flight], window_length(SPEC))
+        starts = list_starts([flight], SPEC.robot.window)
         scores.append(open_held_out(SPEC, [flight], starts, lambda steps: None).score({}).chi2)
     assert scores[1] == pytest.approx(scores[0], rel=0.25)
 

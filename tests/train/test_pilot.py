@@ -97,7 +97,6 @@ def test_the_end_of_a_plan_is_quiet() -> None:
 def test_a_pilot_gets_the_rotors_that_its_task_wants(tiny_run: Path) -> None:
     """For wall-backtrack the twin and what is believed of it have a thrust-to-weight of 2.5; for hover it stays."""
     pilot, spec = load_pilot(tiny_run, "wall-backtrack", load_twin(), 6.0, 3)
-    assert spec.vehicle is not None
     assert spec.vehicle.control.thrust_max == pytest.approx(2.5 * 0.5 * 9.81)
     pose, still, blank = np.array([[1.0, 1.2, 0.0]]), np.zeros((1, 3)), np.zeros((1, 2))
     command, integral = pilot.command(0, pose, still, blank)

@@ -69,7 +69,7 @@ class Flights:
         model = copy.copy(spec.model)
         model.opt.timestep = step
         active = {effect for hidden in self.hidden for effect in hidden}
-        twin = Twin(replace(spec, model=model), len(self.hidden), active, num_threads=1)
+        twin = Twin(spec.with_robot(model=model), len(self.hidden), active, num_threads=1)
         for effect in active:
             rows = np.array([row for row, hidden in enumerate(self.hidden) if effect in hidden])
             for parameter in twin.effects[effect].parameters:

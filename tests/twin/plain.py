@@ -61,7 +61,7 @@ class Inputs:
 
 def fly_plain(twin: Twin, state: TwinState, inputs: Inputs) -> TwinState:
     """Where plain Python gets, from the same parameters and state; the state is not modified."""
-    result, drone = state.copy(), twin.spec.vehicle is not None
+    result, drone = state.copy(), twin.spec.robot.step == "step_drone"
     model = twin.spec.model
     pipeline = write_pipeline(model, twin.spec.catalogue)
     steps = pipeline.build(keep_plain)

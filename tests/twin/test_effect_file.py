@@ -78,7 +78,7 @@ def apply(constants, site, /, *, lag):
 LEFT = Effect("servo.left", "a lag", "lag", (LAG,), Stage.CONSTANT, apply, (), writes=("actuator.time_constant",))
 """
     spec = load_twin("nominal", [write_effects(tmp_path, text)])
-    assert spec.catalogue[-1].parameter("lag").off == spec.vehicle.servo.time_constant  # type: ignore[union-attr]
+    assert spec.catalogue[-1].parameter("lag").off == spec.vehicle.servo.time_constant
 
 
 def test_functions_compiled_by_the_user_are_taken(rig: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,7 +50,7 @@ def spin_twin(spec: TwinSpec, effects: Effects, commands: tuple[np.ndarray, np.n
     """Speeds of the twin's motors at the end of every command, beside a measured speed, (FLIGHTS, COMMANDS, 2)."""
     model = copy.copy(spec.model)
     model.opt.timestep = step
-    twin = Twin(replace(spec, model=model), FLIGHTS, effects, num_threads=1)
+    twin = Twin(spec.with_robot(model=model), FLIGHTS, effects, num_threads=1)
     for effect, parameters in effects.items():
         for name, value in parameters.items():
             twin.set_parameter(effect, name, value)

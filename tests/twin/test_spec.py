@@ -45,7 +45,6 @@ def test_nominal_has_nothing_switched_on() -> None:
     spec = load_twin("nominal")
     assert spec.effects == {}
     assert [effect.id for effect in spec.catalogue] == [effect.id for effect in CATALOGUE]
-    assert spec.vehicle is not None
     assert spec.model_file.name == "rail_rig.xml"
     assert Twin(spec, 2).effects == {}
 
@@ -107,8 +106,8 @@ def test_other_rigs_get_generic_effects(write: Writer) -> None:
     assert units["slide.viscous", "damping"] == "N s/m"
     assert units["swing.viscous", "damping"] == "N m s/rad"
     assert units["motor.delay", "delay"] == "s"
-    assert spec.vehicle is None
-    with pytest.raises(AttributeError, match="not the drone"):
+    assert spec.robot.rotorcraft is None
+    with pytest.raises(InputError, match="not the drone"):
         _ = Twin(spec, 1).vehicle
 
 

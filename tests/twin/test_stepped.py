@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -59,11 +58,11 @@ def test_a_model_changed_by_hand_is_stepped_whole() -> None:
     """Where the file would make another model than the twin holds, nothing is stripped."""
     changed = copy.copy(RIG.model)
     changed.dof_damping[0] = 0.5
-    spec = replace(RIG, model=changed)
+    spec = RIG.with_robot(model=changed)
     assert spec.stepped is changed
     friction = copy.copy(RIG.model)
     friction.geom_friction[:, 0] = 0.1
-    assert replace(RIG, model=friction).stepped is friction
+    assert RIG.with_robot(model=friction).stepped is friction
 
 
 def test_stages_with_something_to_do_stay() -> None:

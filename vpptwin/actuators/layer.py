@@ -15,7 +15,6 @@ from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.motor import compute_current, step_speed
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
-from vpptwin.vehicle import Vehicle
 
 Record = Any
 """One row of a structured array: fields by name, written in place."""
@@ -76,11 +75,10 @@ def constants_dtype(actuators: int) -> np.dtype:
     )
 
 
-def nominal_constants(vehicle: Vehicle | None, records: np.ndarray) -> dict[str, np.ndarray]:
-    """Constants of actuators and sensors of one simulation with no effect switched on, name → (...)."""
+def nominal_constants(lag: float, records: np.ndarray) -> dict[str, np.ndarray]:
+    """Constants of one simulation's actuators, of nominal time constant `lag` [s], and sensors: name → (...)."""
     nominal = {name: np.full(records[name].shape[1:], NOMINAL.get(name, 0.0)) for name in records.dtype.names or ()}
-    if vehicle is not None:
-        nominal["actuator.time_constant"][:] = vehicle.servo.time_constant
+    nominal["actuator.time_constant"][:] = lag
     return nominal
 
 

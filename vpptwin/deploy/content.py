@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from vpptwin import __version__
-from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import TrainConfig, to_plain
 from vpptwin.train.env import strengthen
@@ -78,9 +77,6 @@ def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], tw
         InputError: if the twin is not what it should be.
     """
     spec = strengthen(load_twin(twin or trained.twin, trained.effects), trained.task.thrust_to_weight)
-    vehicle = spec.vehicle
-    if vehicle is None:
-        raise InputError(f"twin {spec.name} is not the drone", "a twin that names a vehicle", "export for such a twin")
     if trained.controller is not None:
         spec = spec.with_controller(trained.controller)
     inputs = draw_observations(trained, VECTORS, seed=1)
@@ -91,7 +87,7 @@ def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], tw
         "twin": Path(spec.name).name, "twin_sha256": hash_twin(spec), "controller": spec.controller,
         "observation": list(trained.sight.names), "config": to_plain(replace(trained, out=None, resume=None)),
     }  # fmt: skip
-    return Content(policy, trained, vehicle, spec.controller == "adaptive", inputs, outputs, metadata)
+    return Content(policy, trained, spec.vehicle, spec.controller == "adaptive", inputs, outputs, metadata)
 
 
 def draw_observations(trained: TrainConfig, count: int, seed: int) -> np.ndarray:
@@ -118,6 +114,7 @@ def hash_twin(spec: TwinSpec) -> str:
     model = spec.model
     parts = [np.ascontiguousarray(getattr(model, name)).tobytes() for name in
              ("body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_range", "geom_pos", "geom_size")]  # fmt: skip
-    vehicle = "" if spec.vehicle is None else spec.vehicle.model_dump_json()
-    said = json.dumps([vehicle, spec.effects, spec.controller], sort_keys=True, default=str).encode()
+    said = json.dumps(
+        [spec.vehicle.model_dump_json(), spec.effects, spec.controller], sort_keys=True, default=str
+    ).encode()
     return sha256(b"".join([*parts, said])).hexdigest()

@@ -51,5 +51,4 @@ def load_exported_pilot(
     exported = load_exported(path)
     chosen = choose_task(exported.trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
-    assert spec.vehicle is not None
     return ExportedPilot(exported, chosen, spec.vehicle, duration, seed), spec

@@ -11,7 +11,6 @@ from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.series import Measurements, Series
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.twin.model import HINGE
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
@@ -20,25 +19,25 @@ POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     """Measurements of another rig: the joint states and control inputs that the twin's `signals` name."""
-    assert spec.signals is not None
+    signals = spec.robot.signals
     positions: dict[int, Series] = {}
     velocities: dict[int, Series] = {}
     driven: dict[int, Series] = {}
     spans: dict[str, tuple[float, float]] = {}
     warnings: list[str] = []
-    for joint, topic in {**spec.signals.joints, **spec.signals.driven}.items():
+    for joint, topic in {**signals.joints, **signals.driven}.items():
         dof, position, velocity = read_joint(spec, flight, topic, joint)
         cleaned, found = clean_series(position, f"{topic} {joint}: position")
         warnings += found
         spans[f"{topic} {joint}"] = (float(position.time[0]), float(position.time[-1]))
-        if joint in spec.signals.driven:
+        if joint in signals.driven:
             driven[dof] = cleaned
             continue
         positions[dof] = cleaned
         if velocity is not None:
             velocities[dof], found = clean_series(velocity, f"{topic} {joint}: velocity")
             warnings += found
-    command = read_efforts(spec, flight, spec.signals.actuators)
+    command = read_efforts(spec, flight, signals.actuators)
     spans["commands"] = (float(command.time[0]), float(command.time[-1]))
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     measurements = Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
@@ -49,8 +48,7 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
     """Degree of freedom, position and, where logged, velocity of a joint."""
     stream = find_joint(flight, topic, joint)
     dof = int(spec.model.joint(joint).dofadr[0])
-    rotary = int(spec.model.joint(joint).type[0]) == HINGE
-    length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
+    length, unit = ("rad", "rad/s") if spec.robot.rotary[dof] else ("m", "m/s")
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import singledispatch
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from vpptwin.estimation.policy import reconstruct_commands
 from vpptwin.estimation.series import Lag, Measurements, Series
 from vpptwin.logs.check import check_accelerometer
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Sensors, Vehicle
 
@@ -35,16 +38,22 @@ def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
     Raises:
         InputError: if the log lacks a topic, joint or actuator that the twin needs.
     """
-    return read_drone(spec, flight) if spec.vehicle is not None else read_joints(spec, flight)
+    return read_signals(spec.robot, spec, flight)
 
 
-def read_drone(spec: TwinSpec, flight: Flight) -> Measurements:
+@singledispatch
+def read_signals(robot: Robot, spec: TwinSpec, flight: Flight) -> Measurements:
+    """Measurements of a robot of this class."""
+    return read_joints(spec, flight)
+
+
+@read_signals.register(PlanarDrone)
+def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measurements:
     """Measurements of the drone on its rig (SPEC 3), from whatever part of it was recorded.
 
     Raises:
         InputError: if the log lacks poses, or all from which the rotors' commands could be known.
     """
-    assert spec.vehicle is not None
     flight.require("/mocap/pose")
     sensors, streams = spec.vehicle.sensors, flight.streams
     warnings = tell_lost(spec, streams)
@@ -167,7 +176,6 @@ def measure_offset(flight: Flight, measurements: Measurements) -> Lag | None:
 
 def tell_lost(spec: TwinSpec, topics: Mapping[str, Stream]) -> list[str]:
     """What a drone's log cannot tell because topics are missing, one line each."""
-    assert spec.vehicle is not None
     lines = []
     if "/imu/data" not in topics:
         lines.append(

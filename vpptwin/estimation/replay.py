@@ -24,7 +24,7 @@ class Prediction:
 
     Attributes:
         time: (T,) s on the flight's clock.
-        qpos: (T, nv) m, rad; where the twin is, not what its sensors show.
+        qpos: (T, nq) m, rad; where the twin is, not what its sensors show.
         qvel: (T, nv) m/s, rad/s.
         blade_pitch: command as the servos see it, (T, nu) rad (control input on other rigs).
         rotor_speed: (T, nu) rad/s; nominal where it was not measured.
@@ -69,12 +69,13 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     every = max(round(1.0 / (rate * windows.dt)), 1)
     picked = slice(0, windows.steps, every)
     time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]
-    nominal = spec.vehicle.rotor.speed if spec.vehicle is not None else 0.0
-    speed = np.full_like(windows.command, nominal) if windows.rotor_speed is None else windows.rotor_speed
-    nv, nu = spec.model.nv, spec.model.nu
+    speed = (
+        np.full_like(windows.command, spec.robot.rotor_speed) if windows.rotor_speed is None else windows.rotor_speed
+    )
+    nq, nv, nu = spec.model.nq, spec.model.nv, spec.model.nu
     return Prediction(
         time=time.reshape(-1),
-        qpos=motion.pose[:, :-1][:, picked].reshape(-1, nv),
+        qpos=motion.pose[:, :-1][:, picked].reshape(-1, nq),
         qvel=motion.velocity[:, :-1][:, picked].reshape(-1, nv),
         blade_pitch=windows.command[:, picked].reshape(-1, nu),
         rotor_speed=speed[:, picked].reshape(-1, nu),

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from vpptwin.estimation.initial import estimate_states, fit_end
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
@@ -31,7 +33,7 @@ class Windows:
         warm: past commands, (K, warm steps, nu).
         command: actuator commands, mean over each step, (K, steps, nu).
         rotor_speed: measured rotor speed, mean over each step, (K, steps, 2); None where it was not measured.
-        pose: estimated pose at the start, (K, nv).
+        pose: estimated pose at the start, (K, nq).
         velocity: estimated velocity at the start, (K, nv).
         driven: tracks of joints that follow the log; None where there are none.
         throttle: mean over each step, (K, steps, 2); None where it or the rotor speed is not known.
@@ -58,7 +60,7 @@ class Windows:
     @property
     def free_dofs(self) -> int:
         """Degrees of freedom that are simulated."""
-        return self.pose.shape[1] - (0 if self.driven is None else len(self.driven.dofs))
+        return self.velocity.shape[1] - (0 if self.driven is None else len(self.driven.dofs))
 
     def take(self, ids: np.ndarray) -> Windows:
         """Some of the windows; repeats are allowed."""
@@ -79,9 +81,10 @@ class Windows:
             spin=spin,
         )
 
-    def shift(self, pose: np.ndarray, velocity: np.ndarray) -> Windows:
-        """The same windows with something added to their starting states, (K, nv) each."""
-        return replace(self, pose=self.pose + pose, velocity=self.velocity + velocity)
+    def shift(self, model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray) -> Windows:
+        """The same windows with their starting states moved along tangent vectors, (K, nv) each."""
+        moved = integrate_pose(model, self.pose, pose)
+        return replace(self, pose=moved, velocity=self.velocity + velocity)
 
 
 def average_held(series: Series, edges: np.ndarray) -> np.ndarray:
@@ -198,7 +201,7 @@ class Motion(NamedTuple):
     """What a twin does in K windows, at the start and after every step.
 
     Attributes:
-        pose: (K, steps + 1, nv) m, rad.
+        pose: (K, steps + 1, nq) m, rad.
         velocity: at the same times, (K, steps + 1, nv) m/s, rad/s.
         rotor_speed: of the simulated motors, (K, steps + 1, 2) rad/s; None where the throttle is not known.
     """

@@ -152,9 +152,6 @@ def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | No
     accelerometer, θ and v from the motion capture, f as commanded. Lags and whatever else acts go into it, as they do
     in the paper; a constant is fitted beside it.
     """
-    if spec.vehicle is None:
-        return None
-    craft = spec.vehicle.airframe.mass + spec.vehicle.rig.slider_mass
     along, wanted = [], []
     for flight in flights:
         if any(topic not in flight.streams for topic in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose")):
@@ -162,6 +159,7 @@ def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | No
         command, imu, pose = (flight.streams[t] for t in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose"))
         if "accel_x" not in imu.values:
             return None
+        craft = spec.vehicle.airframe.mass + spec.vehicle.rig.slider_mass
         time = np.arange(max(pose.time[2], command.time[0]), min(pose.time[-3], imu.time[-1]), 0.01)
         speed = [np.interp(time, pose.time, np.gradient(pose[axis], pose.time)) for axis in ("x", "z")]
         speed = [np.convolve(v, np.ones(5) / 5.0, "same") for v in speed]

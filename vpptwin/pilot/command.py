@@ -45,19 +45,6 @@ class Sortie:
     describe: Callable[[TwinSpec, Mapping[str, Stream]], Iterable[Message]] = lambda spec, streams: ()
 
 
-def require_drone(spec: TwinSpec) -> Vehicle:
-    """The vehicle of a twin.
-
-    Raises:
-        InputError: if it is another rig.
-    """
-    if spec.vehicle is None:
-        raise InputError(
-            f"twin {spec.name} is not the drone", "a twin that names a vehicle", "fly `nominal` or such a twin"
-        )
-    return spec.vehicle
-
-
 def check_out(out: Path | None) -> Path:
     """Refuse a log that cannot be written, before the flight rather than after it.
 
@@ -79,7 +66,7 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
     Raises:
         InputError: if the twin diverges or the log cannot be written; nothing is left behind then.
     """
-    spec, vehicle = sortie.spec, require_drone(sortie.spec)
+    spec, vehicle = sortie.spec, sortie.spec.vehicle
     period = 1.0 / vehicle.control.policy_rate
     gusts = Gusts(spec, 1, pilot.ticks + round(SETTLING / period), sortie.seed) if sortie.gusts else None
     twin = Twin(spec, 1, active=CARRIERS if gusts is not None else (), num_threads=1)

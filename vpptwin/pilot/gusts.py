@@ -28,20 +28,18 @@ class Gusts:
     """
 
     def __init__(self, spec: TwinSpec, count: int, ticks: int, seed: int) -> None:
-        assert spec.vehicle is not None
         missing = set(CARRIERS) - {e.id for e in spec.catalogue}
         if missing:
             raise InputError(
                 f"{spec.name} has no effect {min(missing)}", "a model that gusts can push", "leave out --gusts"
             )
-        airframe = spec.vehicle.airframe
-        std = SHARE * airframe.mass * spec.vehicle.gravity * np.array([1.0, 1.0, airframe.half_length])
-        decay = np.exp(-1.0 / (spec.vehicle.control.policy_rate * GUST_TIME))
+        wind = spec.robot.disturbance
+        decay = np.exp(-1.0 / (spec.vehicle.control.policy_rate * wind.memory))
         kicks = np.stack([np.random.default_rng([seed, i, 1]).standard_normal((ticks, 3)) for i in range(count)])
         force = kicks.copy()
         for k in range(1, ticks):
             force[:, k] = decay * force[:, k - 1] + np.sqrt(1.0 - decay**2) * kicks[:, k]
-        self.force = force * std
+        self.force = force * wind.std
         self._calm = np.array([spec.effects.get(effect, {}).get("force", 0.0) for effect in CARRIERS])
 
     def blow(self, twin: Twin, tick: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -367,8 +366,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
     spec = load_twin(config.twin, config.effects)
-    if spec.vehicle is None:
-        raise InputError(f"twin {config.twin} is not the drone", "a twin that names a vehicle", "train on such a twin")
+    _ = spec.vehicle  # refuses other rigs
     if config.controller is not None:
         spec = spec.with_controller(config.controller)
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
@@ -383,11 +381,11 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
 
 def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:
     """A twin whose rotors, and what is believed of them, give this thrust-to-weight ratio; itself for None."""
-    vehicle = spec.vehicle
-    if thrust_to_weight is None or vehicle is None:
+    if thrust_to_weight is None:
         return spec
+    vehicle = spec.vehicle
     weight = (vehicle.airframe.mass + vehicle.rig.slider_mass) * vehicle.gravity
     factor = thrust_to_weight * weight / vehicle.control.thrust_max
     rotor = strengthen_rotor(vehicle.rotor, factor)
     control = vehicle.control.model_copy(update={"thrust_max": vehicle.control.thrust_max * factor})
-    return replace(spec, vehicle=vehicle.model_copy(update={"rotor": rotor, "control": control}))
+    return spec.with_robot(rotorcraft=vehicle.model_copy(update={"rotor": rotor, "control": control}))

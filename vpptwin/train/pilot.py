@@ -99,7 +99,6 @@ def load_pilot(
     policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
     chosen = choose_task(trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
-    assert spec.vehicle is not None
     return PolicyPilot(policy, trained, chosen, spec.vehicle, duration, seed), spec
 
 

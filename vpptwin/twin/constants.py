@@ -12,7 +12,6 @@ from vpptwin.actuators.layer import nominal_constants
 from vpptwin.effects import Effect, Stage
 from vpptwin.engine.callback import installed
 from vpptwin.twin.kernel import Kernel
-from vpptwin.twin.model import locate_effect
 from vpptwin.twin.spec import TwinSpec
 
 Key = tuple[str, str]
@@ -35,7 +34,7 @@ class ConstantTable:
         self._batch = batch
         self._effects = [e for e in effects.values() if e.stage is Stage.CONSTANT]
         self._by_id = effects
-        self._sites = {e.id: locate_effect(spec.model, e, spec.vehicle is not None) for e in self._effects}
+        self._sites = {e.id: spec.robot.locate(e) for e in self._effects}
         columns = kernel.pipeline.columns
         self.parameters = np.zeros((num_sims, len(columns)))
         for effect in spec.catalogue:
@@ -52,7 +51,7 @@ class ConstantTable:
             self.values[effect_id, name] = self._column(self._columns[effect_id, name])
             self.values[effect_id, name][:] = spec.value(effects[effect_id], name)
         self.records = np.zeros(num_sims, kernel.constants)
-        self._nominal = nominal_constants(spec.vehicle, self.records)
+        self._nominal = nominal_constants(spec.robot.servo_lag, self.records)
         self.table = {name: self.records[name] for name in kernel.constants.names or ()}
         written = {name for e in self._effects for name in e.writes}
         self._fields = sorted(written - set(self.table))

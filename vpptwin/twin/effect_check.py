@@ -7,36 +7,18 @@ import inspect
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-
-import mujoco
 
 from vpptwin.effects import Effect, Parameter, Prior, Stage
 from vpptwin.errors import InputError
 from vpptwin.twin.model import missing_parts
-from vpptwin.vehicle import Vehicle
+from vpptwin.twin.robot import Robot
 
 FOLLOWS = ("velocity", "position", "command", "command change")
 KINDS = ("normal", "uniform", "halfnormal")
 SEE = "see docs/own_effects.md"
 
 
-@dataclass(frozen=True)
-class Rig:
-    """What an effect is to act on.
-
-    Attributes:
-        model: the MuJoCo model.
-        vehicle: nominal numbers of the drone; None for other rigs.
-        driven: joints that follow their log.
-    """
-
-    model: mujoco.MjModel
-    vehicle: Vehicle | None
-    driven: frozenset[str] = frozenset()
-
-
-def check_effect(effect: Effect, where: str, rig: Rig, known: tuple[str, ...]) -> None:
+def check_effect(effect: Effect, where: str, rig: Robot, known: tuple[str, ...]) -> None:
     """Refuse an effect that is not one, or not one of this rig.
 
     Args:
@@ -105,7 +87,7 @@ def check_parameter(parameter: Parameter, where: str) -> None:
         raise InputError(f"{where}: tolerance {p.tolerance:g}", "0 or more", "correct it")
 
 
-def check_place(effect: Effect, where: str, rig: Rig) -> None:
+def check_place(effect: Effect, where: str, rig: Robot) -> None:
     """Check that the rig has what the effect acts on."""
     model, target = rig.model, effect.target
     joints = [model.joint(i).name for i in range(model.njnt)]
@@ -122,7 +104,7 @@ def check_place(effect: Effect, where: str, rig: Rig) -> None:
     if effect.stage is Stage.CONSTANT and target and target not in [*joints, *actuators, *bodies]:
         listed = ", ".join(filter(None, [*joints, *actuators, *bodies]))
         raise InputError(f"{where}: target {target!r}", f"a joint, actuator or body of the rig: {listed}", "correct it")
-    if not on_joint and effect.stage is not Stage.CONSTANT and rig.vehicle is None:
+    if not on_joint and effect.stage is not Stage.CONSTANT and rig.body < 0:
         acts = "thrust" if effect.stage is Stage.THRUST else "the craft"
         expected = "effects on joints, as the rig is not the drone"
         raise InputError(f"{where} acts on {acts}", expected, "give it a target")

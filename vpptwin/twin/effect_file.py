@@ -13,10 +13,9 @@ from typing import TypeVar
 
 from vpptwin.effects import CATALOGUE, Effect
 from vpptwin.errors import InputError
-from vpptwin.twin.effect_check import Rig, check_effect
+from vpptwin.twin.effect_check import check_effect
 from vpptwin.twin.effect_trial import try_effect
-from vpptwin.twin.model import read_nominal
-from vpptwin.vehicle import Vehicle
+from vpptwin.twin.robot import Robot
 
 BUILD = "build_effects"
 """Name of the function that makes effects for the rig at hand."""
@@ -25,16 +24,13 @@ SEE = "see docs/own_effects.md"
 Result = TypeVar("Result")
 
 
-def extend_catalogue(
-    catalogue: tuple[Effect, ...], files: Sequence[Path], rig: Rig, vehicle: Vehicle | None
-) -> tuple[Effect, ...]:
+def extend_catalogue(catalogue: tuple[Effect, ...], files: Sequence[Path], rig: Robot) -> tuple[Effect, ...]:
     """A rig's catalogue, and after it the effects of the user's files in their order.
 
     Args:
         catalogue: effects that the rig has without the files.
         files: Python files. They are run.
-        rig: at hand.
-        vehicle: whose numbers give off values; None for other rigs.
+        rig: at hand, whose nominal numbers give off values.
 
     Raises:
         InputError: if a file is missing, does not run or defines no effect, or an effect is not one of this rig's.
@@ -45,7 +41,7 @@ def extend_catalogue(
         for effect in read_effects(file, rig):
             check_name(effect, file, sources)
             sources[effect.id] = str(file)
-            extended.append(bind_effect(effect, file, vehicle))
+            extended.append(bind_effect(effect, file, rig))
     for i, effect in enumerate(extended[len(catalogue) :], len(catalogue)):
         where = f"{sources[effect.id]}: effect {effect.id}"
         check_effect(effect, where, rig, tuple(sources))
@@ -54,7 +50,7 @@ def extend_catalogue(
     return tuple(extended)
 
 
-def read_effects(file: Path, rig: Rig) -> list[Effect]:
+def read_effects(file: Path, rig: Robot) -> list[Effect]:
     """Run a file and list the effects it defines: those at its top level, then those that it builds for this rig.
 
     Raises:
@@ -131,16 +127,12 @@ def check_name(effect: Effect, file: Path, sources: dict[str, str]) -> None:
         raise InputError(found, "an id of its own", "rename it")
 
 
-def bind_effect(effect: Effect, file: Path, vehicle: Vehicle | None) -> Effect:
-    """The effect with off values of the vehicle, where its parameters name any."""
-
-    def look_up(key: str) -> float:
-        try:
-            if vehicle is not None:
-                return read_nominal(vehicle, key)
-        except (AttributeError, KeyError):
-            pass
-        expected = "a key of the vehicle file, such as servo.time_constant" if vehicle else "none: no vehicle here"
-        raise InputError(f"{file}: effect {effect.id}: nominal {key!r}", expected, "give `off` itself")
-
-    return effect.bind(look_up)
+def bind_effect(effect: Effect, file: Path, rig: Robot) -> Effect:
+    """The effect with off values of the rig, where its parameters name any."""
+    try:
+        return effect.bind(rig.nominal)
+    except KeyError as error:
+        known = "none: no vehicle here"
+        if rig.rotorcraft is not None:
+            known = "a key of the vehicle file, such as servo.time_constant"
+        raise InputError(f"{file}: effect {effect.id}: nominal {error}", known, "give `off` itself") from error

@@ -19,15 +19,14 @@ from numba.core.errors import NumbaError
 from vpptwin.actuators.layer import constants_dtype, nominal_constants
 from vpptwin.effects import Craft, Effect, Motion, Rotor, Stage
 from vpptwin.errors import InputError
-from vpptwin.twin.effect_check import Rig
-from vpptwin.twin.model import locate_effect
+from vpptwin.twin.robot import Robot
 
 CASES = 24
 """States and parameter values that an effect is tried at."""
 FAST = 'only numbers, math and numpy functions of numbers; functions that it calls decorated with "@numba.njit"'
 
 
-def try_effect(effect: Effect, where: str, rig: Rig) -> None:
+def try_effect(effect: Effect, where: str, rig: Robot) -> None:
     """Call an effect within its bounds and at its off values.
 
     Raises:
@@ -130,14 +129,14 @@ def draw_inputs(effect: Effect, rng: np.random.Generator) -> tuple[Any, ...]:
     return (Craft(*pose, *velocity, float(np.sin(angle)), float(np.cos(angle)), 0.2, *speeds, draw(0, 60)),)
 
 
-def try_constants(effect: Effect, where: str, rig: Rig) -> None:
+def try_constants(effect: Effect, where: str, rig: Robot) -> None:
     """Apply a CONSTANT effect to the rig's nominal constants.
 
     Raises:
         InputError: if it writes what there is not or what it does not declare, or as `try_effect`.
     """
     rng = np.random.default_rng(1)
-    site, nominal = locate_effect(rig.model, effect, rig.vehicle is not None), list_constants(effect, where, rig)
+    site, nominal = rig.locate(effect), list_constants(effect, where, rig)
     off = [float(p.off) for p in effect.parameters]
     for case in range(CASES):
         values = off if case == 0 else [float(rng.uniform(p.low, p.high)) for p in effect.parameters]
@@ -174,10 +173,10 @@ def refuse_undeclared(effect: Effect, where: str, name: str) -> None:
     raise InputError(found, "a declaration of every constant that it changes", f"writes=({name!r},) in its Effect")
 
 
-def list_constants(effect: Effect, where: str, rig: Rig) -> dict[str, np.ndarray]:
+def list_constants(effect: Effect, where: str, rig: Robot) -> dict[str, np.ndarray]:
     """Nominal values of one simulation: of actuators and sensors, and of the model's fields that the effect writes."""
     records = np.zeros(1, constants_dtype(int(rig.model.nu)))
-    constants = nominal_constants(rig.vehicle, records)
+    constants = nominal_constants(rig.servo_lag, records)
     for name in effect.writes:
         if name not in constants and name not in MODEL_FIELDS:
             expected = ", ".join(suggest(name, [*constants, *MODEL_FIELDS]))

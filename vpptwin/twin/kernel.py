@@ -31,6 +31,11 @@ CONTEXT = np.dtype(
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
+CALLS = {
+    "step_drone": "step_drone(carray(pointer_to(context.vehicle), (1,), VEHICLE)[0], rig, view, row, tape, k)",
+    "step_rig": "step_rig(rig, view, row, tape, k)",
+}
+"""Inner steps of `vpptwin.twin.step` by name, as the callback calls them."""
 READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
 
 ENTRY = """
@@ -115,31 +120,31 @@ _KERNELS: dict[str, Kernel] = {}
 
 
 def compile_kernel(
-    model: mujoco.MjModel, catalogue: Sequence[Effect], drone: bool, depth: int, adaptive: bool = False
+    model: mujoco.MjModel, catalogue: Sequence[Effect], step: str, carriage: int, depth: int, adaptive: bool = False
 ) -> Kernel:
     """The compiled step of a catalogue on a model; compiled once per process, and once per machine where files last.
 
     Args:
         model: of the twin.
         catalogue: its effects, whether switched on or not.
-        drone: whether it is the drone, with its cascade and rotors.
+        step: name of the rig's inner step, one of `CALLS`.
+        carriage: index of the body that carries a guide, -1 without one.
         depth: commands that the delay line holds.
         adaptive: whether the actuators' controller learns.
     """
     pipeline = write_pipeline(model, catalogue)
     nu = int(model.nu)
     dtypes = {"LAYER": layer_dtype(nu, depth, adaptive), "CONSTANTS": constants_dtype(nu)}
-    source = pipeline.source + write_entry(model, pipeline, drone)
+    source = pipeline.source + write_entry(model, pipeline, step, carriage)
     key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
     if key not in _KERNELS:
         _KERNELS[key] = _compile(source, key, pipeline, dtypes)
     return _KERNELS[key]
 
 
-def write_entry(model: mujoco.MjModel, pipeline: Pipeline, drone: bool) -> str:
+def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: int) -> str:
     """The text of the C function for a model's sizes."""
     nv = int(model.nv)
-    names = [model.body(i).name for i in range(model.nbody)]
     arguments = {
         "model_words": mirror_size("mjModel") // 8,
         "data_words": mirror_size("mjData") // 8,
@@ -159,10 +164,8 @@ def write_entry(model: mujoco.MjModel, pipeline: Pipeline, drone: bool) -> str:
         "nq": int(model.nq),
         "nv": nv,
         "nu": int(model.nu),
-        "carriage": names.index("carriage") if drone and "carriage" in names else -1,
-        "step": "step_drone(carray(pointer_to(context.vehicle), (1,), VEHICLE)[0], rig, view, row, tape, k)"
-        if drone
-        else "step_rig(rig, view, row, tape, k)",
+        "carriage": carriage,
+        "step": CALLS[step],
     }
     return ENTRY.format(**arguments)
 

@@ -1,22 +1,17 @@
-"""The MuJoCo model of a twin: compiled from MJCF with the vehicle's numbers applied."""
+"""The MuJoCo model of a twin: compiled from MJCF, checked, and what is read off it."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
-from functools import reduce
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from vpptwin.effects import Effect, Site
+from vpptwin.effects import Effect
 from vpptwin.engine.callback import WORDS, installed
 from vpptwin.errors import InputError
-from vpptwin.vehicle import Vehicle
-
-CRAFT_JOINTS = ("rail_x", "rail_z", "pitch")
-"""Joints of the drone in the order of its generalized coordinates x, z, θ."""
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -32,23 +27,25 @@ BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
 """Actuators whose force the compiled step foresees, as friction answers to it."""
 
 
-def read_nominal(vehicle: Vehicle, key: str) -> float:
-    """The vehicle's number at a dotted key, e.g. `servo.time_constant`."""
-    value: object = reduce(getattr, key.split("."), vehicle)
-    if not isinstance(value, float):
-        raise KeyError(key)
-    return value
+Adapt = Callable[[mujoco.MjSpec, Path], None]
+"""Writes a rig's own numbers into the specification that was read from a file."""
 
 
-def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
-    """Compile an MJCF, with masses, inertia, geometry, travel and gravity from the vehicle where there is one.
+def compile_model(
+    path: Path, adapt: Adapt = lambda spec, path: None, check: Callable[[mujoco.MjModel, Path], None] | None = None
+) -> mujoco.MjModel:
+    """Compile an MJCF.
+
+    Args:
+        path: of the file.
+        adapt: writes numbers into it.
+        check: refuses a model that lacks what a rig must have.
 
     Raises:
-        InputError: if MuJoCo refuses the file, a vehicle is given and the model is not of the drone, or the model is
-            one that a twin can't step (`check_engine`).
+        InputError: if MuJoCo or `check` refuses it, or the model is one that a twin can't step (`check_engine`).
     """
     try:
-        spec = specify_model(path, vehicle)
+        spec = specify_model(path, adapt)
         with installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
             model = spec.compile()
     except InputError:
@@ -59,22 +56,21 @@ def compile_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
         ) from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
-    if vehicle is not None:
-        check_craft(model, path)
+    if check is not None:
+        check(model, path)
     check_engine(model, path)
     return model
 
 
-def specify_model(path: Path, vehicle: Vehicle | None) -> mujoco.MjSpec:
-    """Read an MJCF, with the numbers of a vehicle where there is one, and with room for our marks.
+def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
+    """Read an MJCF, with a rig's own numbers, and with room for our marks.
 
     Raises:
-        InputError: if a vehicle is given and the model is not of the drone.
+        InputError: if it lacks what those numbers are for.
         ValueError: if MuJoCo refuses the file.
     """
     spec = mujoco.MjSpec.from_file(str(path))
-    if vehicle is not None:
-        apply_vehicle(spec, vehicle, path)
+    adapt(spec, path)
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
 
@@ -126,41 +122,6 @@ def check_engine(model: mujoco.MjModel, path: Path) -> None:
             )
 
 
-def check_craft(model: mujoco.MjModel, path: Path) -> None:
-    """Check that the drone's joints come first, in the order of its coordinates, and that it has two rotors."""
-    joints = tuple(model.joint(i).name for i in range(model.njnt))
-    if joints[:3] != CRAFT_JOINTS:
-        raise InputError(f"{path}: joints {', '.join(joints)}", "first rail_x, rail_z, pitch", "put them in this order")
-    if model.nu != 2:
-        raise InputError(f"{path}: {model.nu} actuators", "two, the thrusts of rotors 1 and 2", "see rail_rig.xml")
-
-
-def apply_vehicle(spec: mujoco.MjSpec, vehicle: Vehicle, path: Path) -> None:
-    """Write the vehicle's numbers into the specification of vpp_planar.xml, rail_rig.xml or a model like them."""
-    joints = {joint.name: joint for joint in spec.joints}
-    bodies = {body.name: body for body in spec.bodies}
-    missing = [f"joint {name}" for name in CRAFT_JOINTS if name not in joints]
-    if missing or "craft" not in bodies:
-        found = missing[0] if missing else "body craft"
-        raise InputError(
-            f"{path}: no {found}", "joints rail_x, rail_z and pitch and a body craft", "leave out `vehicle`"
-        )
-    spec.option.gravity = [0.0, 0.0, -vehicle.gravity]
-    spec.option.timestep = 1.0 / vehicle.control.inner_rate
-    craft = bodies["craft"]
-    craft.mass = vehicle.airframe.mass
-    craft.inertia = [vehicle.airframe.inertia] * 3  # it turns about y alone; any inertia then makes a possible body
-    for site in spec.sites:
-        if site.name in ("rotor_1", "rotor_2"):
-            side = -1.0 if site.name == "rotor_1" else 1.0
-            site.pos = [side * vehicle.airframe.half_length, site.pos[1], site.pos[2]]
-    if "carriage" in bodies and "slider" in bodies:
-        bodies["carriage"].mass = vehicle.rig.carriage_mass
-        bodies["slider"].mass = vehicle.rig.slider_mass
-        joints["rail_x"].range = list(vehicle.rig.travel_x)
-        joints["rail_z"].range = list(vehicle.rig.travel_z)
-
-
 def inertia_at_rest(model: mujoco.MjModel) -> np.ndarray:
     """Joint-space inertia in the reference pose, (nv, nv) kg, kg m²."""
     data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -200,19 +161,49 @@ def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:
     return held
 
 
-def locate_effect(model: mujoco.MjModel, effect: Effect, drone: bool) -> Site:
-    """Indices of the place in this model where an effect acts."""
-    joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
-    actuators = {model.actuator(i).name: i for i in range(model.nu)}
-    bodies = {model.body(i).name: i for i in range(model.nbody)}
-    return Site(
-        dof=joints.get(effect.target, -1),
-        actuator=actuators.get(effect.target, -1),
-        body=bodies.get(effect.target, bodies.get("craft", -1) if drone else -1),
-    )
-
-
 def missing_parts(model: mujoco.MjModel, effect: Effect) -> list[str]:
     """Joints and bodies that an effect needs and the model lacks."""
     names = {model.joint(i).name for i in range(model.njnt)} | {model.body(i).name for i in range(model.nbody)}
     return [name for name in effect.needs if name not in names]
+
+
+def check_signals(
+    name: str,
+    model: mujoco.MjModel,
+    absent: bool,
+    signals: Mapping[str, str],
+    driven: Mapping[str, str],
+    inputs: Mapping[str, str],
+) -> None:
+    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint.
+
+    Args:
+        name: of the twin.
+        model: its model.
+        absent: there are no signals at all.
+        signals: simulated joint → topic.
+        driven: joint that follows its log → topic.
+        inputs: actuator → topic.
+
+    Raises:
+        InputError: naming the first mistake.
+    """
+    if model.nq != model.njnt:
+        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    if not signals:
+        raise InputError(
+            f"{name}: {'neither vehicle nor signals' if absent else 'signals without joints'}",
+            "signals that map joints and actuators to topics, as the rig is not ours",
+            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
+        )
+    both = sorted(set(signals) & set(driven))
+    if both:
+        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
+    for kind, given, known in (("joint", signals, joints), ("joint", driven, joints), ("actuator", inputs, actuators)):
+        for key in given:
+            if key not in known:
+                listed = ", ".join(filter(None, known))
+                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
+                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")

@@ -7,17 +7,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import shorten
-from typing import Annotated, Literal, cast, get_args
+from typing import Annotated, Any, Literal, cast, get_args
 
 import mujoco
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from vpptwin.actuators.file import equip, load_actuator
-from vpptwin.effects import CATALOGUE, Effect, effects_for_rig, find_effect
+from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError
 from vpptwin.resources import find_model_file
-from vpptwin.twin.model import compile_model, describe_joints, missing_parts, read_nominal
+from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.robot import Robot, Signals
 from vpptwin.twin.stepped import strip_model
 from vpptwin.vehicle import Vehicle, load_vehicle
 
@@ -38,19 +39,6 @@ FileEffects = Annotated[
     dict[str, dict[str, Annotated[float, BeforeValidator(refuse_bool)]]],
     BeforeValidator(lambda value: {} if value is None else value),
 ]
-
-
-class Signals(BaseModel):
-    """Topics that carry a rig's joints and control inputs, by MJCF name.
-
-    Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
-    question.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    joints: dict[str, str]
-    actuators: dict[str, str] = {}
-    driven: dict[str, str] = {}
 
 
 class Origin(BaseModel):
@@ -81,11 +69,9 @@ class TwinSpec:
     Attributes:
         name: how the user named it.
         model_file: the MJCF.
-        model: the compiled model with the vehicle's numbers applied.
-        vehicle: nominal numbers of the drone; None for other rigs.
-        catalogue: every effect this rig can have, off values bound to the vehicle.
+        robot: the rig.
+        catalogue: every effect that it can have, off values bound to its nominal numbers.
         effects: what is switched on, id → parameter → value.
-        signals: topics of joints and actuators; None for the drone.
         vehicle_file: where the vehicle was read from.
         effect_files: Python files whose effects follow those of ours in the catalogue.
         controller: of the drone's actuators.
@@ -95,28 +81,40 @@ class TwinSpec:
 
     name: str
     model_file: Path
-    model: mujoco.MjModel = field(repr=False)
-    vehicle: Vehicle | None
+    robot: Robot
     catalogue: tuple[Effect, ...] = field(repr=False)
     effects: EffectValues
-    signals: Signals | None = None
     vehicle_file: Path | None = None
     effect_files: tuple[Path, ...] = ()
     controller: Controller = "map"
     actuator_file: Path | None = None
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model of the rig."""
+        return self.robot.model
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """Nominal numbers of the drone; InputError on any other rig."""
+        return self.robot.vehicle
+
     @cached_property
     def stepped(self) -> mujoco.MjModel:
         """The model that simulations step: without what is only looked at, unless an effect changes geoms."""
         if any(name.startswith("geom_") for effect in self.catalogue for name in effect.writes):
             return self.model
-        return strip_model(self.model, self.model_file, self.vehicle)
+        return strip_model(self.model, self.model_file, self.robot.adapt)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> TwinSpec:
         """The same rig with other effects switched on."""
         checked = check_effects(effects, self.catalogue, self.name)
         return replace(self, effects=checked)
+
+    def with_robot(self, **changes: Any) -> TwinSpec:  # noqa: ANN401
+        """The same twin of a rig with other fields, such as its `model` or `rotorcraft`; nothing is compiled anew."""
+        return replace(self, robot=replace(self.robot, **changes))
 
     def with_controller(self, controller: str) -> TwinSpec:
         """The same rig under another controller of its actuators.
@@ -127,7 +125,7 @@ class TwinSpec:
         known = get_args(Controller)
         if controller not in known:
             raise InputError(f"unknown controller {controller!r}", f"one of {', '.join(known)}", "check the name")
-        if self.vehicle is None and controller != "map":
+        if controller not in self.robot.controllers:
             raise InputError(
                 f"{self.name}: controller {controller!r} without vehicle", "it with our drone only", "leave it out"
             )
@@ -244,56 +242,21 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         vehicle = equip(vehicle, actuator)
         if actuator.servo.delay > 0.0:
             given.setdefault("command.delay", {"delay": actuator.servo.delay})
-    model = compile_model(model_file, vehicle)
-    if vehicle is not None:
-        if file.signals is not None:
-            raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
-        catalogue = tuple(
-            effect.bind(lambda key: read_nominal(vehicle, key))
-            for effect in CATALOGUE
-            if not missing_parts(model, effect)
-        )
-    else:
-        check_signals(name, model, file.signals)
-        actuators = filter(None, (model.actuator(i).name for i in range(model.nu)))
-        driven = file.signals.driven if file.signals is not None else {}
-        joints = [joint for joint in describe_joints(model) if joint[0] not in driven]
-        catalogue = effects_for_rig(joints, actuators)
+    if vehicle is not None and file.signals is not None:
+        raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
+    robot = (
+        Robot.load(name, model_file, file.signals)
+        if vehicle is None
+        else PlanarDrone.assemble(name, model_file, vehicle)
+    )
+    catalogue = robot.list_effects()
     if effect_files:
-        from vpptwin.twin.effect_file import Rig, extend_catalogue  # which brings the compiler
+        from vpptwin.twin.effect_file import extend_catalogue  # which brings the compiler
 
-        driven_joints = frozenset(file.signals.driven if file.signals is not None else {})
-        catalogue = extend_catalogue(catalogue, effect_files, Rig(model, vehicle, driven_joints), vehicle)
+        catalogue = extend_catalogue(catalogue, effect_files, robot)
     effects = check_effects(given, catalogue, name)
     spec = TwinSpec(
-        name, model_file, model, vehicle, catalogue, effects, file.signals, vehicle_file, effect_files,
+        name, model_file, robot, catalogue, effects, vehicle_file, effect_files,
         actuator_file=actuator_file, intervals=file.provenance.intervals_90_percent,
     )  # fmt: skip
     return spec.with_controller(file.controller)
-
-
-def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
-    if model.nq != model.njnt:
-        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    actuators = [model.actuator(i).name for i in range(model.nu)]
-    if signals is None or not signals.joints:
-        raise InputError(
-            f"{name}: {'neither vehicle nor signals' if signals is None else 'signals without joints'}",
-            "signals that map joints and actuators to topics, as the rig is not ours",
-            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
-        )
-    both = sorted(set(signals.joints) & set(signals.driven))
-    if both:
-        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
-    for kind, given, known in (
-        ("joint", signals.joints, joints),
-        ("joint", signals.driven, joints),
-        ("actuator", signals.actuators, actuators),
-    ):
-        for key in given:
-            if key not in known:
-                listed = ", ".join(filter(None, known))
-                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
-                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")

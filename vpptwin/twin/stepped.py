@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.engine.callback import installed
-from vpptwin.twin.model import specify_model
-from vpptwin.vehicle import Vehicle
+from vpptwin.twin.model import Adapt, specify_model
 
 LOOKS = ("geom_", "cam_", "light_", "bvh_", "name")
 """Fields of geoms, which are compared row by row, and of what no step goes by."""
@@ -25,19 +24,19 @@ NAMED = {"geom_matid", "geom_dataid", "geom_user"}
 Disable = mujoco.mjtDisableBit
 
 
-def strip_model(model: mujoco.MjModel, path: Path, vehicle: Vehicle | None) -> mujoco.MjModel:
+def strip_model(model: mujoco.MjModel, path: Path, adapt: Adapt) -> mujoco.MjModel:
     """The model without geoms that touch nothing, cameras and lights; `model` itself where that would change more.
 
     Args:
         model: of the twin.
         path: its MJCF.
-        vehicle: whose numbers were applied to it.
+        adapt: what was written into that.
     """
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     if touching.all() or model.geom_fluid[~touching].any():
         return model
     try:
-        spec = specify_model(path, vehicle)
+        spec = specify_model(path, adapt)
         for geom in list(spec.geoms):
             if not geom.contype and not geom.conaffinity:
                 spec.delete(geom)

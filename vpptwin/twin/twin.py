@@ -10,11 +10,11 @@ import numpy as np
 from mujoco.batch import Batch
 
 from vpptwin.actuators.adaptive import start_memory
-from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
 from vpptwin.twin.kernel import CONTEXT, compile_kernel, delay_depth, warm_up
+from vpptwin.twin.manifold import integrate_pose
 from vpptwin.twin.model import hold_joints
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
@@ -56,7 +56,7 @@ class Twin:
         self.num_sims = num_sims
         self.effects: dict[str, Effect] = {e.id: e for e in spec.catalogue if e.id in wanted}
         self.dt = float(spec.model.opt.timestep)
-        driven = spec.signals.driven if spec.signals is not None else {}
+        robot, driven = spec.robot, spec.robot.driven
         model = hold_joints(spec.stepped, driven) if driven else copy.copy(spec.stepped)
         self._dry = np.array(model.dof_frictionloss)
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
@@ -64,7 +64,7 @@ class Twin:
         leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
         depth = delay_depth(spec.catalogue, self.dt)
         self._kernel = compile_kernel(
-            model, spec.catalogue, spec.vehicle is not None, depth, spec.controller == "adaptive"
+            model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive"
         )
         self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
@@ -76,16 +76,14 @@ class Twin:
         for name in driven:
             dof = int(model.joint(name).dofadr[0])
             self._led[dof] = model.dof_armature[dof]
-        self._vehicle = record_vehicle(spec.vehicle) if spec.vehicle is not None else np.zeros(1)
+        self._numbers = robot.numbers
         self._scratch = np.zeros(self._kernel.scratch_shape(num_sims, int(model.nv)))
         self._context = np.zeros(1, CONTEXT)
         mark_rows(self._batch.bind("userdata"), self._context)
 
     @property
     def vehicle(self) -> Vehicle:
-        """The believed vehicle; only the drone has one."""
-        if self.spec.vehicle is None:
-            raise AttributeError(f"{self.spec.name} is not the drone: it has no vehicle")
+        """The believed vehicle; InputError on other rigs than the drone."""
         return self.spec.vehicle
 
     def set_parameter(
@@ -152,19 +150,15 @@ class Twin:
         """
         self._constants.refresh()
         rows = np.arange(self.num_sims) if ids is None else ids
-        model, n = self.spec.model, len(rows)
-        start = np.array(model.qpos0)
-        if self.spec.vehicle is not None:
-            start[1] = 1.0
+        robot, model, n = self.spec.robot, self.spec.model, len(rows)
         layer = np.zeros(n, self._kernel.layer)
         layer["output"] = layer["mean"] = self._constants.table["actuator.trim"][rows]
-        if self.spec.vehicle is not None:
-            layer["rotor_speed"] = layer["mean_speed"] = self.spec.vehicle.rotor.speed
-            if self.spec.controller == "adaptive":
-                layer["adaptive"] = start_memory(self.spec.vehicle.rotor.speed)
+        layer["rotor_speed"] = layer["mean_speed"] = robot.rotor_speed
+        if self.spec.controller == "adaptive":
+            layer["adaptive"] = start_memory(robot.rotor_speed)
         return TwinState(
             time=np.array(np.broadcast_to(time, n), dtype=float),
-            qpos=np.array(np.broadcast_to(start if qpos is None else qpos, (n, model.nq)), dtype=float),
+            qpos=np.array(np.broadcast_to(robot.start_pose if qpos is None else qpos, (n, model.nq)), dtype=float),
             qvel=np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float),
             warmstart=np.zeros((n, model.nv)),
             memory=np.zeros((n, 2 + model.nv)),
@@ -173,11 +167,11 @@ class Twin:
 
     def pose_at_time(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Positions at the state's time: `qpos` less the half step by which it leads, same shape as qpos."""
-        return qpos - 0.5 * self.dt * qvel
+        return integrate_pose(self.spec.model, qpos, -0.5 * self.dt * qvel)
 
     def pose_for_engine(self, pose: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Engine positions `qpos` for a pose and velocity at one time: the inverse of `pose_at_time`."""
-        return pose + 0.5 * self.dt * qvel
+        return integrate_pose(self.spec.model, pose, 0.5 * self.dt * qvel)
 
     def step_policy(self, state: TwinState, command: np.ndarray, duration: float = 0.01) -> TwinState:
         """Fly under a policy command through the whole cascade (SPEC 2).
@@ -245,11 +239,11 @@ class Twin:
         """
         result, steps, model = state.copy(), commands.shape[1], self.spec.model
         tape = {"command": commands}
-        if self.spec.vehicle is not None and rotor_speed is not None:
+        if rotor_speed is not None:
             tape["speed"] = rotor_speed
         spun = None
-        if self.spec.vehicle is not None and throttle is not None:
-            spun = np.empty((self.num_sims, steps, 2))
+        if throttle is not None:
+            spun = np.empty((self.num_sims, steps, model.nu))
             tape |= {"throttle": throttle, "rotor_speed": spun}
         if disturbance is not None:
             tape["push"] = disturbance
@@ -278,7 +272,7 @@ class Twin:
         live, context = self._live, self._context[0]
         held = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in tape.items()}
         rows = {
-            "vehicle": self._vehicle, "layer": state.actuators, "constants": self._constants.records,
+            "vehicle": self._numbers, "layer": state.actuators, "constants": self._constants.records,
             "parameters": self._constants.parameters, "memory": state.memory, "scratch": self._scratch,
             "active": self._active, "dry": self._dry, "driven": self._led,
             "counter": np.zeros(self.num_sims, np.int64),

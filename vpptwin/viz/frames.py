@@ -50,17 +50,17 @@ class Painter:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, vehicle: Vehicle | None, view: View, size: tuple[int, int] = (640, 400)
+        self, model: mujoco.MjModel, rotorcraft: Vehicle | None, view: View, size: tuple[int, int] = (640, 400)
     ) -> None:
         """Set up a canvas.
 
         Args:
             model: the rig.
-            vehicle: numbers of our craft, None for other rigs.
+            rotorcraft: numbers of the rotors that are drawn; None where there are none.
             view: what part of the x-z plane is seen.
             size: of a frame, width and height in pixels.
         """
-        self.model, self.vehicle, self.size = model, vehicle, size
+        self.model, self.rotorcraft, self.size = model, rotorcraft, size
         self._data = mujoco.MjData(model)
         self._scale = FINER * 0.5 * size[1] / view.half_height  # pixels per metre
         self._centre = view.centre[[0, 2]]
@@ -100,8 +100,8 @@ class Painter:
         if twin is not None:
             self._draw_bodies(pen, twin, to_colour(TWIN, 0.45))
         self._draw_bodies(pen, qpos)
-        if spin is not None and self.vehicle is not None:
-            self._draw_rotors(pen, self.vehicle, spin)
+        if spin is not None and self.rotorcraft is not None:
+            self._draw_rotors(pen, self.rotorcraft, spin)
         font = ImageFont.load_default(FINER * 15)
         for row, line in enumerate(text):
             pen.text((FINER * 10, FINER * (8 + 19 * row)), line, fill=TEXT, font=font)

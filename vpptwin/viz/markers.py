@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import START_NS, Message
-from vpptwin.twin.model import CRAFT_JOINTS
+from vpptwin.twin.drone import CRAFT_JOINTS
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.palette import TARGET, to_rgb
 from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, find_craft, fit_craft, pose_bodies
@@ -27,8 +27,8 @@ CUBE, SPHERE, CYLINDER = 1, 2, 3
 
 
 def describe_flight(spec: TwinSpec, streams: Mapping[str, Stream]) -> list[Message]:
-    """Messages that show the streams of a flight of our craft on its rig; none for other rigs."""
-    if spec.vehicle is None:
+    """Messages that show the streams of a flight of our craft on its rig; none for logs without poses."""
+    if "/mocap/pose" not in streams:
         return []
     model = copy.copy(spec.model)
     fit_craft(model, spec.vehicle)

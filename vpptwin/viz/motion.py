@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import singledispatch
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -11,7 +12,8 @@ import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
-from vpptwin.twin.model import CRAFT_JOINTS
+from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
+from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
@@ -61,7 +63,10 @@ class Target:
     theta: np.ndarray
 
 
-def find_positions(flight: Flight, spec: TwinSpec) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+Positions = dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+def find_positions(flight: Flight, spec: TwinSpec) -> Positions:
     """Joint positions that the log holds.
 
     Returns:
@@ -70,12 +75,13 @@ def find_positions(flight: Flight, spec: TwinSpec) -> dict[int, tuple[np.ndarray
     Raises:
         InputError: if the log holds no position of our craft, or of any of the joints that the twin's signals name.
     """
-    model = spec.model
-    if spec.vehicle is not None:
-        flight.require("/mocap/pose")
-        pose = flight.streams["/mocap/pose"]
-        return {model.joint(j).qposadr[0]: (pose.time, pose[c]) for j, c in zip(CRAFT_JOINTS, ("x", "z", "theta"))}
-    topics = spec.signals.joints if spec.signals is not None else {}
+    return read_positions(spec.robot, flight)
+
+
+@singledispatch
+def read_positions(robot: Robot, flight: Flight) -> Positions:
+    """Joint positions of a robot of this class."""
+    model, topics = robot.model, robot.signals.joints
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for joint, topic in topics.items():
         stream = flight.joints.get(topic, {}).get(joint)
@@ -90,6 +96,14 @@ def find_positions(flight: Flight, spec: TwinSpec) -> dict[int, tuple[np.ndarray
             "correct `signals` of the twin or use a topic map",
         )
     return found
+
+
+@read_positions.register(PlanarDrone)
+def read_pose(robot: PlanarDrone, flight: Flight) -> Positions:
+    """Those of our craft."""
+    flight.require("/mocap/pose")
+    pose, joint = flight.streams["/mocap/pose"], robot.model.joint
+    return {joint(j).qposadr[0]: (pose.time, pose[c]) for j, c in zip(CRAFT_JOINTS, ("x", "z", "theta"))}
 
 
 def choose_frames(start: float, end: float, most: int) -> np.ndarray:
@@ -140,19 +154,19 @@ def turn_rotors(time: np.ndarray, speed: np.ndarray, pitch: np.ndarray, at: np.n
 def sample_flight(
     flight: Flight,
     model: mujoco.MjModel,
-    vehicle: Vehicle | None,
+    rotorcraft: Vehicle | None,
     positions: Mapping[int, tuple[np.ndarray, np.ndarray]],
     at: np.ndarray,
 ) -> Motion:
-    """The log at the frame times at (T,) [s]; joints that it lacks stay where the model has them."""
+    """The log at the frame times at (T,) [s], with rotors if any; joints that it lacks stay where they start."""
     qpos = np.tile(model.qpos0, (len(at), 1))
     for address, (time, position) in positions.items():
         qpos[:, address] = np.interp(at, time, position)
-    rotors = None if vehicle is None else sample_rotors(flight, vehicle, at)
+    rotors = None if rotorcraft is None else sample_rotors(flight, rotorcraft, at)
     return Motion(qpos, np.ones(len(at), dtype=bool), rotors)
 
 
-def sample_prediction(prediction: Prediction, vehicle: Vehicle | None, at: np.ndarray) -> Motion:
+def sample_prediction(prediction: Prediction, rotorcraft: Vehicle | None, at: np.ndarray) -> Motion:
     """The twin at the frame times; hidden where the prediction has no finite sample nearby."""
     known = np.isfinite(prediction.qpos).all(axis=1)
     if not known.any():
@@ -161,9 +175,9 @@ def sample_prediction(prediction: Prediction, vehicle: Vehicle | None, at: np.nd
     after = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
     nearest = np.minimum(np.abs(at - time[after - 1]), np.abs(at - time[np.minimum(after, len(time) - 1)]))
     rotors = None
-    if vehicle is not None:
+    if rotorcraft is not None:
         pitch = hold(time, prediction.blade_pitch[known], at)
-        rotors = turn_rotors(time, prediction.rotor_speed[known], pitch, at, vehicle)
+        rotors = turn_rotors(time, prediction.rotor_speed[known], pitch, at, rotorcraft)
     return Motion(interpolate(time, qpos, at), nearest <= LONGEST_GAP, rotors)
 
 

@@ -19,7 +19,7 @@ from vpptwin.viz import palette
 from vpptwin.viz.camera import View, frame_view
 from vpptwin.viz.motion import TRAIL_DURATION
 from vpptwin.viz.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
-from vpptwin.viz.scene import GRID_STEP, ROOT, find_corners, find_craft, name_body
+from vpptwin.viz.scene import GRID_STEP, ROOT, find_corners, name_body
 from vpptwin.viz.show import Show
 from vpptwin.viz.stage import view_flight
 
@@ -96,11 +96,11 @@ def describe_show(show: Show, title: str, caption: str) -> PageText:
     twin_node: tuple[str, ...] = ()
     if show.twin is not None:
         legend.append(LegendEntry(palette.TWIN, "translucent", caption))
-    if show.vehicle is not None:
+    if show.followed >= 0:
         views["craft"] = (0.0, 0.0, View(np.zeros(3), FOLLOWED_HALF_HEIGHT).distance)
-        craft = name_body(show.model, find_craft(show.model))
-        log_node = (*split_path(ROOT), "log", craft)
-        twin_node = (*split_path(ROOT), "twin", craft) if show.twin is not None else ()
+        body = name_body(show.model, show.followed)
+        log_node = (*split_path(ROOT), "log", body)
+        twin_node = (*split_path(ROOT), "twin", body) if show.twin is not None else ()
         legend.append(LegendEntry(palette.TRAIL, "line", f"the log's last {TRAIL_DURATION:g} s"))
     if show.target is not None:
         legend.append(LegendEntry(palette.TARGET, "translucent", "target"))

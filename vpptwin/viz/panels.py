@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import singledispatch
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from scipy.signal import savgol_filter
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
+from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.vehicle import Rotor
 from vpptwin.viz.figure import INK
 from vpptwin.viz.motion import interpolate
 from vpptwin.viz.palette import ORANGE, PURPLE, SKY, TARGET, TWIN
@@ -95,7 +98,7 @@ def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
     Raises:
         InputError: if the log holds nothing to draw.
     """
-    panels = tell_rig(flight, prediction, spec) if spec.vehicle is None else tell_craft(flight, prediction, spec)
+    panels = tell_robot(spec.robot, flight, prediction)
     if not panels:
         present = ", ".join([*flight.streams, *flight.joints]) or "none"
         raise InputError(
@@ -116,7 +119,31 @@ def find_triggers(flight: Flight) -> np.ndarray:
     return times[begun]
 
 
-def tell_craft(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
+@singledispatch
+def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> list[Panel]:
+    """Position and velocity of each joint of a rig, and the inputs of its actuators, as far as recorded."""
+    panels = []
+    for joint, topic in robot.signals.joints.items():
+        stream, model = flight.joints.get(topic, {}).get(joint), robot.model.joint(joint)
+        turns = robot.rotary[model.dofadr[0]]
+        if stream is None:
+            continue
+        for column, unit, kind, place in (
+            ("position", "rad" if turns else "m", "qpos", model.qposadr[0]),
+            ("velocity", "rad/s" if turns else "m/s", "qvel", model.dofadr[0]),
+        ):
+            if column in stream.values:
+                lines = [measured(stream.time, stream[column]), *twin_line(prediction, kind, int(place))]
+                panels.append(Panel(f"{joint} {column} [{unit}]", lines))
+    for actuator, topic in robot.signals.actuators.items():
+        stream = flight.joints.get(topic, {}).get(actuator)
+        if stream is not None and "effort" in stream.values:
+            panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream["effort"])]))
+    return panels
+
+
+@tell_robot.register(PlanarDrone)
+def tell_craft(robot: PlanarDrone, flight: Flight, prediction: Prediction | None) -> list[Panel]:
     """Position, velocity, angle, rate, thrust and rotor speed of our craft, as far as they were recorded."""
     pose, target = flight.streams.get("/mocap/pose"), flight.streams.get("/setpoint/pose")
     panels = []
@@ -138,7 +165,7 @@ def tell_craft(flight: Flight, prediction: Prediction | None, spec: TwinSpec) ->
         if command is not None:
             lines.append(Line("commanded", command.time, command["rate"], PURPLE, ":", steps=True))
         panels.append(Panel("q [rad/s]", [*lines, *twin_line(prediction, "qvel", 2)]))
-    return panels + tell_rotors(flight, spec)
+    return panels + tell_rotors(flight, robot.vehicle.rotor)
 
 
 def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
@@ -151,11 +178,10 @@ def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
     return Line("setpoint", time, values, TARGET, ":", steps=True)
 
 
-def tell_rotors(flight: Flight, spec: TwinSpec) -> list[Panel]:
+def tell_rotors(flight: Flight, rotor: Rotor) -> list[Panel]:
     """Thrust of each rotor by the twin's map, and their speeds."""
     command, state = flight.streams.get("/rotor/command"), flight.streams.get("/rotor/state")
-    assert spec.vehicle is not None
-    rotor, panels = spec.vehicle.rotor, []
+    panels = []
     looks = ORANGE, SKY
     if command is not None:
         speed = np.full((len(command), 2), rotor.speed)
@@ -170,30 +196,6 @@ def tell_rotors(flight: Flight, spec: TwinSpec) -> list[Panel]:
     if state is not None:
         lines = [Line(f"rotor {i + 1}", state.time, state["speed"][:, i], c) for i, c in enumerate(looks)]
         panels.append(Panel("rotor speed [rad/s]", lines))
-    return panels
-
-
-def tell_rig(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> list[Panel]:
-    """Position and velocity of each joint of another rig, and the inputs of its actuators, as far as recorded."""
-    panels = []
-    topics = spec.signals.joints if spec.signals is not None else {}
-    for joint, topic in topics.items():
-        stream, model = flight.joints.get(topic, {}).get(joint), spec.model.joint(joint)
-        turns = spec.model.jnt_type[model.id] == mujoco.mjtJoint.mjJNT_HINGE
-        if stream is None:
-            continue
-        for column, unit, kind, place in (
-            ("position", "rad" if turns else "m", "qpos", model.qposadr[0]),
-            ("velocity", "rad/s" if turns else "m/s", "qvel", model.dofadr[0]),
-        ):
-            if column in stream.values:
-                lines = [measured(stream.time, stream[column]), *twin_line(prediction, kind, int(place))]
-                panels.append(Panel(f"{joint} {column} [{unit}]", lines))
-    inputs = spec.signals.actuators if spec.signals is not None else {}
-    for actuator, topic in inputs.items():
-        stream = flight.joints.get(topic, {}).get(actuator)
-        if stream is not None and "effort" in stream.values:
-            panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream["effort"])]))
     return panels
 
 

@@ -35,7 +35,8 @@ class Show:
 
     Attributes:
         model: the rig.
-        vehicle: numbers of our craft, None for other rigs.
+        rotorcraft: numbers of the rotors that are drawn; None where there are none.
+        followed: index of the body that the view and a trail follow; -1 for none.
         frames: (T,) frame times [s of the log].
         log: the log's motion at the frames.
         twin: the prediction's motion at the frames.
@@ -43,7 +44,8 @@ class Show:
     """
 
     model: mujoco.MjModel
-    vehicle: Vehicle | None
+    rotorcraft: Vehicle | None
+    followed: int
     frames: np.ndarray
     log: Motion
     twin: Motion | None
@@ -66,20 +68,21 @@ def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) 
     Raises:
         InputError: if the log lacks the positions of the rig, or is too short to play.
     """
-    model, vehicle = copy.deepcopy(spec.model), spec.vehicle
+    model, rotorcraft = copy.deepcopy(spec.model), spec.robot.rotorcraft
     positions = find_positions(flight, spec)
     start = min(float(time[0]) for time, _ in positions.values())
     end = max(float(time[-1]) for time, _ in positions.values())
     if end <= start:
         raise InputError(f"{flight.path}: a single position", "at least two to play", "record a longer log")
-    if vehicle is not None:
-        fit_craft(model, vehicle)
+    if rotorcraft is not None:
+        fit_craft(model, rotorcraft)
     frames = choose_frames(start, end, most=count_frames(model, 1 if prediction is None else 2))
     return Show(
         model,
-        vehicle,
+        rotorcraft,
+        mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, spec.robot.followed),
         frames,
-        sample_flight(flight, model, vehicle, positions, frames),
-        None if prediction is None else sample_prediction(prediction, vehicle, frames),
-        None if vehicle is None else read_target(flight, start, end),
+        sample_flight(flight, model, rotorcraft, positions, frames),
+        None if prediction is None else sample_prediction(prediction, rotorcraft, frames),
+        read_target(flight, start, end),
     )

@@ -44,10 +44,10 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
     view = view_flight(show)
     if show.twin is not None:
         tracks += draw_twin(vis, show, show.twin)
-    if show.vehicle is not None:
+    if show.followed >= 0:
         draw_trail(vis, show)
-        if show.target is not None:
-            tracks += draw_target(vis, show, show.vehicle, show.target)
+    if show.target is not None and show.rotorcraft is not None:
+        tracks += draw_target(vis, show, show.rotorcraft, show.target)
     aim_at(vis, view)
     return tracks
 
@@ -60,10 +60,10 @@ def aim_at(vis: Visualizer, view: View) -> None:
 
 
 def view_flight(show: Show, **options: float) -> View:
-    """The view that holds our craft's path, or every moving body of another rig; options are those of `frame_view`."""
+    """The view that holds the path of what is followed, or all that moves; options are those of `frame_view`."""
     position, _ = pose_bodies(show.model, show.log.qpos)
-    if show.vehicle is not None:
-        return frame_view(position[:, find_craft(show.model)], **options)
+    if show.followed >= 0:
+        return frame_view(position[:, show.followed], **options)
     return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3), **options)
 
 
@@ -72,13 +72,13 @@ def draw_log(vis: Visualizer, show: Show) -> list[Track]:
     node = f"{ROOT}/log"
     draw_bodies(vis[node], show.model)
     tracks = track_bodies(node, show.model, show.time, show.log)
-    if show.vehicle is not None:
+    if show.rotorcraft is not None:
         craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
-        draw_rotors(vis[craft], show.model, show.vehicle)
+        draw_rotors(vis[craft], show.model, show.rotorcraft)
         if show.log.rotors is not None:
             draw_arrows(vis[craft])
             tracks += track_rotors(craft, show.time, show.log.rotors)
-            tracks += track_arrows(craft, show.time, show.log.rotors, show.vehicle)
+            tracks += track_arrows(craft, show.time, show.log.rotors, show.rotorcraft)
     return tracks
 
 
@@ -87,9 +87,9 @@ def draw_twin(vis: Visualizer, show: Show, motion: Motion) -> list[Track]:
     node = f"{ROOT}/twin"
     draw_bodies(vis[node], show.model, TWIN_PAINT)
     tracks = track_bodies(node, show.model, show.time, motion)
-    if show.vehicle is not None:
+    if show.rotorcraft is not None:
         craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
-        draw_rotors(vis[craft], show.model, show.vehicle, TWIN_PAINT)
+        draw_rotors(vis[craft], show.model, show.rotorcraft, TWIN_PAINT)
         if motion.rotors is not None:
             tracks += track_rotors(craft, show.time, join_phase(motion, show.log))
     return tracks
@@ -133,8 +133,8 @@ def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -
 
 
 def draw_trail(vis: Visualizer, show: Show) -> None:
-    """Draw the path of the log's craft as a ribbon; a page shows its last seconds only, which tracks cannot do."""
+    """Draw the path of what is followed as a ribbon; a page shows its last seconds only, which tracks cannot do."""
     position, _ = pose_bodies(show.model, show.log.qpos)
-    path = position[:, find_craft(show.model)] + [0.0, TRAIL_DEPTH, 0.0]
+    path = position[:, show.followed] + [0.0, TRAIL_DEPTH, 0.0]
     material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.45, depthWrite=False)
     vis[f"{ROOT}/trail"].set_object(make_ribbon(path, TRAIL_WIDTH), material)

@@ -67,7 +67,7 @@ def write_video(
         found = f"{flight.path}: {show.time[-1]:.0f} s"
         raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html")
     view = view_flight(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
-    painter = Painter(show.model, show.vehicle, view, size)
+    painter = Painter(show.model, show.rotorcraft, view, size)
     times = np.arange(0.0, show.time[-1], 1.0 / RATE)
     bar = tqdm(paint_show(painter, show, times), total=len(times), leave=False, disable=None, desc="video")
     frames = [Image.fromarray(frame) for frame in bar]
@@ -111,7 +111,7 @@ def paint_show(painter: Painter, show: Show, times: np.ndarray) -> Iterator[np.n
             spin=None if show.log.rotors is None else pick(show.log.rotors, row),
             twin=twin,
             target=asked,
-            trail=past[:, :2] if show.vehicle is not None else None,
+            trail=past[:, :2] if show.followed >= 0 else None,
             text=[f"{time + show.frames[0]:5.2f} s"],
         )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import CARTS, FRICTION, record
-from vpptwin.diagnosis.evidence.flights import list_starts, window_length
+from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, plot_wrench
@@ -24,7 +24,7 @@ def held_out(tmp_path_factory: pytest.TempPathFactory) -> HeldOut:
     log, twin = record(CARTS, FRICTION, tmp_path_factory.mktemp("cart"), seed=5)
     spec = load_twin(twin)
     measurements = [read_measurements(spec, read_flight(log))]
-    return open_held_out(spec, measurements, list_starts(measurements, window_length(spec)), None)
+    return open_held_out(spec, measurements, list_starts(measurements, spec.robot.window), None)
 
 
 @pytest.fixture(scope="module")

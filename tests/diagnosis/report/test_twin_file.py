@@ -61,7 +61,7 @@ def test_other_rigs_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, r
     monkeypatch.chdir("/")
     again = load_twin(tmp_path / "a/b/twin.yaml")
     assert again.effects == {"slide.viscous": {"damping": 1.5}, "motor.delay": {"delay": 0.004}}
-    assert again.signals == spec.signals
+    assert again.robot.signals == spec.robot.signals
     assert again.model_file.resolve() == (tmp_path / "rig.xml").resolve()
 
 

@@ -11,7 +11,6 @@ from tests.diagnosis.rigs import CARTS, MASS, write_rig
 from vpptwin.diagnosis.evidence.bench import Bench, Variation
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.search.likelihood import (
-    GENERIC_GUST,
     START_POSE,
     START_VELOCITY,
     Likelihood,
@@ -22,12 +21,13 @@ from vpptwin.diagnosis.search.likelihood import (
     whiten_with,
 )
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin import robot
 from vpptwin.twin.spec import load_twin
 
 WINDOW, SEGMENTS, BINS, COUNT = 0.4, 4, 40, 8
 POSITION_STD, VELOCITY_STD = 1e-3, 1e-2
 SPEED = 0.3
-GUST = GENERIC_GUST * MASS * 10.0
+GUST = robot.GUST * MASS * 10.0
 """N: the share of a typical force, which accelerates the cart by 10 m/s²."""
 
 

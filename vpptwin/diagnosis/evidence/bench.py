@@ -31,7 +31,7 @@ class Variation:
 
     Attributes:
         values: (effect id, parameter) → value.
-        pose: added to the starting pose, (nv,).
+        pose: by which the starting pose is moved along its tangent, (nv,).
         velocity: added to the starting velocity, (nv,).
         push: (segment, degree of freedom, N or N m) of a force pulse; None for none.
     """
@@ -151,9 +151,9 @@ class Bench:
     def simulate(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> Motion:
         """What happens in every variation, arrays (V, K, steps + 1, ...); arguments as for `predict`."""
         count, number = len(variations), len(self.windows)
-        shape = (count * number, self.windows.steps + 1, self.spec.model.nv)
-        pose, velocity = np.empty(shape), np.empty(shape)
-        speed = np.empty((*shape[:2], 2)) if self.windows.throttle is not None else None
+        model, times = self.spec.model, (count * number, self.windows.steps + 1)
+        pose, velocity = np.empty((*times, model.nq)), np.empty((*times, model.nv))
+        speed = np.empty((*times, 2)) if self.windows.throttle is not None else None
         active = frozenset(effect for v in variations for effect, _ in v.values)
         windows = self.windows_seen(sensors_of or {})
         for begin in range(0, count * number, ROWS):
@@ -166,8 +166,8 @@ class Bench:
                 self._progress(len(rows) * self.windows.steps)
         full = (count, number)
         return Motion(
-            pose.reshape(*full, *shape[1:]),
-            velocity.reshape(*full, *shape[1:]),
+            pose.reshape(*full, *pose.shape[1:]),
+            velocity.reshape(*full, *velocity.shape[1:]),
             None if speed is None else speed.reshape(*full, *speed.shape[1:]),
         )
 
@@ -198,7 +198,6 @@ class Bench:
     def observe_channel(self, channel: Channel, motion: Motion, constants: Constants) -> np.ndarray:
         """A channel as a simulation shows it, (K, B); arrays of `motion` (K, steps + 1, ...)."""
         if channel.kind in (SPEED, CURRENT):
-            assert self.spec.vehicle is not None
             assert motion.rotor_speed is not None
             return predict_motor(channel, self.windows, motion.rotor_speed, constants, self.spec.vehicle.motor)
         pose, velocity, start = motion.pose, motion.velocity, self.windows.start
@@ -253,5 +252,5 @@ class Bench:
                     segment, dof, size = variation.push
                     pushes[i, segment, dof] = size
             disturbance = pushes[which]
-        shifted = taken.shift(pose[which], velocity[which])
+        shifted = taken.shift(self.spec.model, pose[which], velocity[which])
         return fly_windows(twin, shifted, disturbance)

@@ -16,9 +16,6 @@ from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
 
-WINDOW_DRONE, WINDOW = 0.3, 1.0
-"""Length of a fitted window [s]: long enough for an effect to show, short enough for the response to stay linear. The
-drone falls over within a second; other rigs, measured less well, need longer."""
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
 """How far ahead predictions are judged [s]."""
 SEGMENT = 0.1
@@ -44,11 +41,6 @@ class Split:
     fitted: list[np.ndarray]
     held_out: list[np.ndarray]
     whole: bool
-
-
-def window_length(spec: TwinSpec) -> float:
-    """Length of a fitted window of this rig [s]."""
-    return WINDOW if spec.vehicle is None else WINDOW_DRONE
 
 
 def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.ndarray]:
@@ -128,8 +120,8 @@ def build_bench(
         if len(times):
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
-            seen = observe_windows(cut, flight, 0.0 if causal and length > window_length(spec) else LEAD)
-            if spec.vehicle is not None and motors:
+            seen = observe_windows(cut, flight, 0.0 if causal and length > spec.robot.window else LEAD)
+            if motors:
                 seen += observe_motor(cut, flight, spec.vehicle.motor)
             channels.append(seen)
     names = [[c.name for c in part] for part in channels]

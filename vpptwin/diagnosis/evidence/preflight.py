@@ -45,7 +45,7 @@ class Preflight:
         saturated: actuator → share of time at its limits.
         moving: joint → share of time in which it moves.
         reversals: joint → how often its motion turned round.
-        inverted: share of time upside down; None on other rigs.
+        inverted: share of time upside down; None for rigs of which that can't be said.
         ranges: quantity → least and greatest value, in SI units.
         units: joint → unit of its position.
     """
@@ -113,7 +113,7 @@ def inspect_flight(spec: TwinSpec, measurements: Measurements) -> Preflight:
         fast = np.abs(speeds[series.name]) > MOVING * np.sqrt(2.0) * series.std / SPAN
         directions = np.sign(speeds[series.name][fast])
         moving[series.name], reversals[series.name] = float(fast.mean()), int(np.count_nonzero(np.diff(directions)))
-    lag, clocks = measurements.lag, measurements.clocks
+    lag, clocks, attitude = measurements.lag, measurements.clocks, spec.robot.attitude
     known = "/mocap/pose" in clocks and "/imu/data" in clocks
     return Preflight(
         name=measurements.name,
@@ -126,7 +126,7 @@ def inspect_flight(spec: TwinSpec, measurements: Measurements) -> Preflight:
         saturated=measure_saturation(spec, measurements),
         moving=moving,
         reversals=reversals,
-        inverted=float(np.mean(np.cos(measurements.positions[2].value) < 0.0)) if spec.vehicle is not None else None,
+        inverted=None if attitude is None else float(np.mean(np.cos(measurements.positions[attitude].value) < 0.0)),
         ranges=describe_range([measurements]),
         units={series.name: series.unit for series in measurements.positions.values()},
     )
@@ -192,13 +192,5 @@ def check_stream(time: np.ndarray) -> StreamCheck:
 def measure_saturation(spec: TwinSpec, measurements: Measurements) -> dict[str, float]:
     """Share of samples in which each actuator's command is at its limits; actuators without limits are left out."""
     value = measurements.command.value
-    if spec.vehicle is not None:
-        limits = {f"blade pitch {i + 1}": (i, spec.vehicle.rotor.pitch_max) for i in range(value.shape[1])}
-    else:
-        model = spec.model
-        limits = {
-            model.actuator(i).name: (i, float(np.abs(model.actuator_ctrlrange[i]).max()))
-            for i in range(model.nu)
-            if model.actuator_ctrllimited[i]
-        }
-    return {name: float(np.mean(np.abs(value[:, i]) > AT_LIMIT * limit)) for name, (i, limit) in limits.items()}
+    limits = spec.robot.limits.items()
+    return {name: float(np.mean(np.abs(value[:, i]) > AT_LIMIT * limit)) for name, (i, limit) in limits}

@@ -16,7 +16,6 @@ from vpptwin.diagnosis.evidence.flights import (
     long_starts,
     split_flights,
     thin_out,
-    window_length,
 )
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
@@ -140,7 +139,7 @@ def prepare(
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
-    window = window_length(spec)
+    window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()
     if len(flights) > 1:
@@ -184,7 +183,7 @@ def open_held_out(
     progress: Callable[[int], None] | None,
 ) -> HeldOut:
     """Benches of the held-out windows."""
-    window = window_length(spec)
+    window = spec.robot.window
     short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), window, True, progress)
     long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress)
     return HeldOut(short, long)

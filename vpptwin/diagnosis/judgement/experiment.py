@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench, window_length
+from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
 from vpptwin.diagnosis.judgement.verdict import Experiment
 from vpptwin.diagnosis.search.separation import Hypothesis, separate
 from vpptwin.diagnosis.search.suspects import Unknown
@@ -70,7 +70,7 @@ def propose_experiment(
         if not candidates:
             return None
         bench = observe_candidates(spec, candidates)
-        times = np.array([c.manoeuvre.duration / window_length(spec) for c in candidates])
+        times = np.array([c.manoeuvre.duration / spec.robot.window for c in candidates])
         sigma = separate(bench, hypotheses, unknowns, times)
     told = [i for i in range(len(sigma)) if sigma[i].max() >= LEAST]
     if not told:
@@ -92,7 +92,7 @@ def explain_absence(spec: TwinSpec, hypotheses: Sequence[Hypothesis]) -> str:
 
     That `propose_experiment` gives None nevertheless means that no safe manoeuvre of the library tells them apart.
     """
-    if spec.vehicle is None:
+    if spec.robot.rotorcraft is None:
         return "the library's manoeuvres are for the drone, and this rig is another"
     if len(hypotheses) < 2:
         return "there is nothing to tell apart"
@@ -109,7 +109,6 @@ def compose_command(manoeuvre: Manoeuvre, spec: TwinSpec) -> str:
 
 def fly_library(spec: TwinSpec, hypotheses: Sequence[Hypothesis]) -> list[Candidate]:
     """Fly every manoeuvre under every hypothesis, side by side; keep those that are safe under all of them."""
-    assert spec.vehicle is not None
     library, references = list_references(spec.vehicle)
     count = len(references)
     active = sorted({effect for hypothesis in hypotheses for effect in hypothesis.effects})
@@ -141,7 +140,7 @@ def list_references(vehicle: Vehicle) -> tuple[list[Manoeuvre], list[Reference]]
 def observe_candidates(spec: TwinSpec, candidates: Sequence[Candidate]) -> Bench:
     """Windows of every candidate's flight; `windows.flight` tells whose."""
     measurements = [read_measurements(spec, candidate.flight) for candidate in candidates]
-    length = window_length(spec)
+    length = spec.robot.window
     starts = [np.arange(m.start + SETTLE, m.end - length, length) for m in measurements]
     starts = [every[GOLDEN * np.arange(len(every)) % 1.0 < SHARE] for every in starts]
     return build_bench(spec, measurements, starts, length, causal=False)

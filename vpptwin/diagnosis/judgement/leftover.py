@@ -101,7 +101,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
         Part(held_out.short, held_out.response({}), held_out.residual({})),
     ]
-    if search.bench.spec.vehicle is None:
+    if not search.bench.spec.robot.disturbance.known:
         return judge_structure(parts[1], before[1], fit.likeliest)
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     names = np.unique(flights)

@@ -155,7 +155,7 @@ def trusts_errors(search: Search) -> bool:
 
     How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
     """
-    return search.bench.spec.vehicle is None
+    return not search.bench.spec.robot.disturbance.known
 
 
 def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:

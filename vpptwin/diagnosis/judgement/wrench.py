@@ -11,7 +11,6 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.likelihood import Response, gust_std, whiten_with
 from vpptwin.effects import Effect
-from vpptwin.twin.model import HINGE
 
 WIDE = 30.0
 """The pulses may be this many times stronger than gusts: strong enough to show any effect, bounded where unseen."""
@@ -54,7 +53,7 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench.spec) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
     joint = model.joint(int(model.dof_jntid[dof]))
-    rotary = int(joint.type[0]) == HINGE
+    rotary = bool(bench.spec.robot.rotary[dof])
     quantity, x_label = quantity_of_segments(bench, effect, dof, joint.name, rotary)
     kind, unit = ("torque", "N m") if rotary else ("force", "N")
     return WrenchPlot(
@@ -75,16 +74,8 @@ def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rot
         unit = "rad" if rotary else "m"
         label = f"{joint} {effect.follows} [{unit}{'/s' if effect.follows == 'velocity' else ''}]"
     else:
-        actuators = [bench.spec.model.actuator(i).name for i in range(bench.spec.model.nu)]
-        actuator = actuators.index(effect.target) if effect.target in actuators else None
-        command = windows.command.mean(axis=2) if actuator is None else windows.command[:, :, actuator]
-        if dof == 2 and actuator is None:
-            command = windows.command[:, :, -1] - windows.command[:, :, 0]
-        name = "difference of blade pitch commands" if dof == 2 and actuator is None else "mean blade pitch command"
-        label = f"{name} [rad]" if bench.spec.vehicle is not None else f"command of {effect.target}"
-        if actuator is None and bench.spec.vehicle is None:
-            label = "mean command"
-        track = command
+        shares, label = bench.spec.robot.weigh_commands(effect, dof)
+        track = command = windows.command @ shares
         if effect.follows == "command change":
             track, label = np.gradient(command, windows.dt, axis=1), f"rate of {label.replace(']', '/s]')}"
     parts = np.array_split(track, bench.segments, axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from mcap.reader import make_reader
 from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.write import FlightWriter
+from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
 
 TWINS = ("before", "after")
@@ -81,7 +84,7 @@ def write_prediction(
     tracks = [thin_track(track) for track in prediction.tracks]
     topics: list[Topic] = []
     for i, twin in enumerate(TWINS[: len(tracks[0].predicted)]):
-        topics += list_drone(twin, tracks, i) if spec.signals is None else list_joints(twin, spec, tracks, i)
+        topics += list_topics(spec.robot, twin, tracks, i)
         topics += [list_residual(twin, track, i) for track in tracks]
     which = np.concatenate([np.full(len(topic.time), i) for i, topic in enumerate(topics)])
     rows = np.concatenate([np.arange(len(topic.time)) for topic in topics])
@@ -112,7 +115,22 @@ def thin_track(track: Track) -> Track:
     return replace(track, time=track.time[known], measured=track.measured[known], predicted=track.predicted[:, known])
 
 
-def list_drone(twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
+@singledispatch
+def list_topics(robot: Robot, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
+    """Joints of a rig as one twin gives them, those that were logged at the same instants in one message."""
+    topics: dict[tuple[str, bytes], Topic] = {}
+    for joint, source in robot.signals.joints.items():
+        dof = int(robot.model.joint(joint).dofadr[0])
+        own = [track for track in tracks if track.dof == dof]
+        columns = {track.kind: track.predicted[i] for track in own}
+        key = source + "/".join(columns), own[0].time.tobytes()
+        topic = topics.setdefault(key, Topic(f"/twin/{twin}{source}", own[0].time, joints={}))
+        topics[key] = replace(topic, joints={**(topic.joints or {}), joint: columns})
+    return list(topics.values())
+
+
+@list_topics.register(PlanarDrone)
+def list_drone(robot: PlanarDrone, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
     """Pose and gyro of our drone as one twin gives them."""
     poses = [track for track in tracks if track.kind == "position"]
     values = {POSE_COLUMNS[track.name]: track.predicted[i] for track in poses}
@@ -121,20 +139,6 @@ def list_drone(twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
         if track.kind == "velocity":
             topics.append(Topic(f"/twin/{twin}/imu/data", track.time, {"rate": track.predicted[i]}))
     return topics
-
-
-def list_joints(twin: str, spec: TwinSpec, tracks: Sequence[Track], i: int) -> list[Topic]:
-    """Joints of another rig as one twin gives them, those that were logged at the same instants in one message."""
-    assert spec.signals is not None
-    topics: dict[tuple[str, bytes], Topic] = {}
-    for joint, source in spec.signals.joints.items():
-        dof = int(spec.model.joint(joint).dofadr[0])
-        own = [track for track in tracks if track.dof == dof]
-        columns = {track.kind: track.predicted[i] for track in own}
-        key = source + "/".join(columns), own[0].time.tobytes()
-        topic = topics.setdefault(key, Topic(f"/twin/{twin}{source}", own[0].time, joints={}))
-        topics[key] = replace(topic, joints={**(topic.joints or {}), joint: columns})
-    return list(topics.values())
 
 
 def list_residual(twin: str, track: Track, i: int) -> Topic:

@@ -65,8 +65,8 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
         content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
     if spec.controller != "map":
         content["controller"] = spec.controller
-    if spec.signals is not None:
-        content["signals"] = spec.signals.model_dump()
+    if spec.robot.signals.joints:
+        content["signals"] = spec.robot.signals.model_dump()
     return content
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Variation
-from vpptwin.diagnosis.evidence.flights import build_bench, list_starts, window_length
+from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
 from vpptwin.diagnosis.search.suspects import Unknown, list_trials
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec
@@ -27,7 +27,7 @@ def measure_information(
     progress: Callable[[int], None] | None,
 ) -> np.ndarray:
     """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
-    window = window_length(spec)
+    window = spec.robot.window
     starts = list_starts(measurements, window)
     sample = [s[np.linspace(0, len(s) - 1, min(SAMPLE, len(s))).astype(int)] for s in starts]
     bench = build_bench(spec, measurements, sample, window, False, progress)

@@ -15,19 +15,12 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
-from vpptwin.twin.model import describe_joints
 from vpptwin.twin.spec import TwinSpec
 
 START_POSE = {False: 0.02, True: 0.1}
 """Prior on the starting pose [m], rotary [rad]: wide, the window itself pins it down."""
 START_VELOCITY = {False: 0.3, True: 1.0}
 """Prior on the starting velocity [m/s], rotary [rad/s]."""
-GUST = 0.01
-"""Force that nobody modelled, as a share of the drone's weight."""
-GENERIC_GUST = 0.001
-"""The same on other rigs, as a share of the force that moves a joint about: indoors, without rotors."""
-GUST_TIME = 0.3
-"""Time over which gusts stay alike [s]."""
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
 LEAST_GUST, MOST_GUST = 0.2, 50.0
@@ -119,21 +112,12 @@ def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
 
 def gust_std(spec: TwinSpec) -> np.ndarray:
     """Standard deviation of an unmodelled force pulse per degree of freedom, (nv,) N, N m."""
-    if spec.vehicle is not None:
-        weight = spec.vehicle.airframe.mass * spec.vehicle.gravity
-        return GUST * weight * np.array([1.0, 1.0, spec.vehicle.airframe.half_length])
-    std = np.full(spec.model.nv, 0.0)
-    for name, _, scale in describe_joints(spec.model):
-        std[spec.model.joint(name).dofadr[0]] = GENERIC_GUST * scale
-    return std
+    return spec.robot.disturbance.std
 
 
 def rotary_dofs(spec: TwinSpec) -> np.ndarray:
     """Which degrees of freedom are angles, (nv,) bool."""
-    rotary = np.zeros(spec.model.nv, dtype=bool)
-    for name, is_rotary, _ in describe_joints(spec.model):
-        rotary[spec.model.joint(name).dofadr[0]] = is_rotary
-    return rotary
+    return spec.robot.rotary
 
 
 def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
@@ -141,8 +125,8 @@ def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
 
     Wind outlasts a segment; what disturbs a rig without rotors is taken as independent from segment to segment.
     """
-    apart = np.abs(time[..., :, None] - time[..., None, :])
-    return (apart == 0.0).astype(float) if bench.spec.vehicle is None else np.exp(-apart / GUST_TIME)
+    apart, memory = np.abs(time[..., :, None] - time[..., None, :]), bench.spec.robot.disturbance.memory
+    return np.exp(-apart / memory) if memory > 0.0 else (apart == 0.0).astype(float)
 
 
 def middles_of_segments(bench: Bench) -> np.ndarray:
@@ -153,12 +137,12 @@ def middles_of_segments(bench: Bench) -> np.ndarray:
 
 def list_stretches(bench: Bench) -> list[np.ndarray]:
     """Windows of one flight that follow each other, in the order of time."""
-    windows = bench.windows
-    if bench.spec.vehicle is None:
+    windows, memory = bench.windows, bench.spec.robot.disturbance.memory
+    if memory == 0.0:
         return [np.array([k]) for k in range(len(windows))]
     order = np.lexsort((windows.start, windows.flight))
     breaks = np.diff(windows.flight[order]) != 0
-    breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * GUST_TIME
+    breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * memory
     whole = np.split(order, np.flatnonzero(breaks) + 1)
     return [piece for part in whole for piece in np.array_split(part, -(-len(part) // MOST_COUPLED))]
 
@@ -190,7 +174,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         residual: (K, M).
         scale: variance of the whitened residual.
     """
-    if bench.spec.vehicle is None:
+    if not bench.spec.robot.disturbance.known:
         return np.ones(bench.spec.model.nv)
     along = response.along(residual)
     alike = likeness_of_gusts(bench, middles_of_segments(bench))

@@ -1,0 +1,80 @@
+"""What a rig says of itself: commands that a force follows, disturbances, and who may be asked for a vehicle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from vpptwin.effects import find_effect
+from vpptwin.errors import InputError
+from vpptwin.twin import load_twin
+from vpptwin.twin.robot import Robot, Signals
+
+ARM = mujoco.MjModel.from_xml_string("""
+<mujoco><worldbody>
+  <body><joint name="j1" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/>
+    <body pos="0.3 0 0"><joint name="j2" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/>
+      <body pos="0.3 0 0"><joint name="j3" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body></body>
+</worldbody>
+<actuator><motor name="m1" joint="j1"/><motor name="m3" joint="j3"/></actuator></mujoco>
+""")
+
+
+@pytest.fixture
+def arm() -> Robot:
+    """Three hinges, of which two have a motor."""
+    return Robot("arm", ARM, Signals(joints=dict.fromkeys(("j1", "j2", "j3"), "/joint_states")))
+
+
+@pytest.mark.parametrize(
+    ("effect", "dof", "shares", "label"),
+    [
+        ("m1.gain", 2, [1.0, 0.0], "command of m1"),
+        ("j3.inertia", 2, [0.0, 1.0], "command of m3"),
+        ("j2.inertia", 1, [0.5, 0.5], "mean command"),
+    ],
+)
+def test_command_that_a_force_follows(arm: Robot, effect: str, dof: int, shares: list[float], label: str) -> None:
+    """Of the accused actuator, else of the joint's own, else of all; the third joint of an arm is no drone's pitch."""
+    found = arm.weigh_commands(find_effect(arm.list_effects(), effect), dof)
+    np.testing.assert_array_equal(found[0], shares)
+    assert found[1] == label
+
+
+def test_commands_of_the_drone() -> None:
+    """Both rotors lift, their difference turns."""
+    robot = load_twin().robot
+    mass = find_effect(robot.list_effects(), "airframe.mass")
+    np.testing.assert_array_equal(robot.weigh_commands(mass, 1)[0], [0.5, 0.5])
+    np.testing.assert_array_equal(robot.weigh_commands(mass, 2)[0], [-1.0, 1.0])
+
+
+def test_disturbances(arm: Robot) -> None:
+    """Gusts of a hundredth of the drone's weight outlast a pulse; elsewhere they are assumed, on every joint."""
+    drone = load_twin().robot
+    weight = drone.vehicle.airframe.mass * drone.vehicle.gravity
+    np.testing.assert_allclose(drone.disturbance.std[:2], 0.01 * weight)
+    assert drone.disturbance.known
+    assert drone.disturbance.memory > 0.0
+    assert (arm.disturbance.std > 0.0).all()
+    assert arm.disturbance.memory == 0.0
+    assert not arm.disturbance.known
+
+
+def test_only_the_drone_has_a_vehicle(arm: Robot) -> None:
+    """Whoever needs one is told what was found, what was expected and what to do."""
+    with pytest.raises(InputError, match=r"arm is not the drone; .*names a vehicle"):
+        _ = arm.vehicle
+    with pytest.raises(KeyError):
+        arm.nominal("servo.time_constant")
+    assert load_twin().robot.nominal("servo.time_constant") == 0.02
+
+
+def test_nobody_asks_for_a_rigs_kind() -> None:
+    """Of a rig its features are asked, and only the reader of twin files knows that a vehicle makes a drone."""
+    package = Path(__file__).resolve().parents[2] / "vpptwin"
+    asking = {str(f.relative_to(package)) for f in package.rglob("*.py") if "vehicle is " in f.read_text()}
+    assert asking == {"twin/spec.py"}

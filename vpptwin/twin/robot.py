@@ -1,0 +1,212 @@
+"""What a rig is: its model, joints, commands and signals, what disturbs it, and which effects it may have.
+
+`Robot` is any rig with an MJCF and logged joints; `vpptwin.twin.drone.PlanarDrone` is ours. What differs between
+them is asked of this object. Where a later package has to do something else for one of them (read its topics, draw
+it), it registers that for the class (`functools.singledispatch`): nobody asks what kind of rig it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from vpptwin.effects import Effect, Site, effects_for_rig
+from vpptwin.errors import InputError
+from vpptwin.twin.model import check_signals, compile_model, describe_joints
+from vpptwin.vehicle import Vehicle
+
+GUST = 0.001
+"""Force that nobody modelled, as a share of the force that moves a joint about: indoors, without rotors."""
+
+
+class Signals(BaseModel):
+    """Topics that carry a rig's joints and control inputs, by MJCF name.
+
+    Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
+    question.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    joints: dict[str, str]
+    actuators: dict[str, str] = {}
+    driven: dict[str, str] = {}
+
+
+NO_SIGNALS = Signals(joints={})
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Forces that no effect explains: gusts on the drone, whatever there may be elsewhere.
+
+    Attributes:
+        std: of a force pulse on every degree of freedom, (nv,) N, N m.
+        memory: time over which pulses stay alike [s]; 0 for pulses that have nothing in common.
+        known: how flights without any effect look is known, so that the strength may be fitted to each flight and
+            evidence be trusted. Elsewhere it is an assumption, and errors on held-out flights have the last word.
+    """
+
+    std: np.ndarray
+    memory: float = 0.0
+    known: bool = False
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Any rig, from its MJCF and the topics of its joints and actuators.
+
+    Attributes:
+        name: of its twin, for messages.
+        model: the compiled MJCF.
+        signals: topics of joints and actuators.
+        window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
+        controllers: ways in which its firmware may drive the actuators.
+        step: name of its inner step in `vpptwin.twin.step`.
+        adapt: what is written into the MJCF's specification before it is compiled.
+        rotorcraft: numbers of the rotors that it flies by; None where there are none.
+        attitude: degree of freedom by which it may be upside down; None where that means nothing.
+        followed: name of the body that cameras and trails follow, "" for none.
+        pictures: folder, as the docs' pages see it, of pictures of its effects; "" for none.
+    """
+
+    name: str
+    model: mujoco.MjModel = field(repr=False)
+    signals: Signals = NO_SIGNALS
+    window: ClassVar[float] = 1.0
+    controllers: ClassVar[tuple[str, ...]] = ("map",)
+    step: ClassVar[str] = "step_rig"
+    rotorcraft: ClassVar[Vehicle | None] = None
+    attitude: ClassVar[int | None] = None
+    followed: ClassVar[str] = ""
+    pictures: ClassVar[str] = ""
+
+    @staticmethod
+    def load(name: str, path: Path, signals: Signals | None) -> Robot:
+        """Read a rig.
+
+        Raises:
+            InputError: if the MJCF is none that a twin can step, or the signals don't fit it.
+        """
+        model = compile_model(path)
+        given = signals or NO_SIGNALS
+        check_signals(name, model, signals is None, given.joints, given.driven, given.actuators)
+        return Robot(name, model, given)
+
+    @property
+    def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:
+        """Nothing is written into somebody's MJCF."""
+        return lambda spec, path: None
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """Nominal numbers of the drone.
+
+        Raises:
+            InputError: on any other rig.
+        """
+        if self.rotorcraft is None:
+            found, action = f"twin {self.name} is not the drone", "name `nominal` or such a twin"
+            raise InputError(found, "a twin that names a vehicle", action)
+        return self.rotorcraft
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Joints that follow their log."""
+        return tuple(self.signals.driven)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What its inner step believes of it, (1,) records or numbers."""
+        return np.zeros(1)
+
+    @property
+    def servo_lag(self) -> float:
+        """Nominal time constant of its actuators [s]."""
+        return 0.0
+
+    @property
+    def rotor_speed(self) -> float:
+        """At which rotors are governed [rad/s]; 0 where there are none."""
+        return 0.0
+
+    @property
+    def start_pose(self) -> np.ndarray:
+        """Where it starts unless somebody says, (nq,) m, rad."""
+        return np.array(self.model.qpos0)
+
+    @cached_property
+    def rotary(self) -> np.ndarray:
+        """Which degrees of freedom are angles, (nv,) bool."""
+        rotary = np.zeros(self.model.nv, dtype=bool)
+        for name, is_rotary, _ in describe_joints(self.model):
+            rotary[self.model.joint(name).dofadr[0]] = is_rotary
+        return rotary
+
+    @cached_property
+    def disturbance(self) -> Disturbance:
+        """What pushes it besides its effects: an assumption."""
+        std = np.zeros(self.model.nv)
+        for name, _, typical in describe_joints(self.model):
+            std[self.model.joint(name).dofadr[0]] = GUST * typical
+        return Disturbance(std)
+
+    @property
+    def limits(self) -> dict[str, tuple[int, float]]:
+        """Name of an actuator with a limited command → its index and the limit."""
+        model = self.model
+        limited = [i for i in range(model.nu) if model.actuator_ctrllimited[i]]
+        return {model.actuator(i).name: (i, float(np.abs(model.actuator_ctrlrange[i]).max())) for i in limited}
+
+    @property
+    def body(self) -> int:
+        """Index of the body that effects without a target act on; -1 where none is."""
+        return -1
+
+    @property
+    def carriage(self) -> int:
+        """Index of the body that carries a guide, on whose load sliders jam; -1 without one."""
+        return -1
+
+    def list_effects(self) -> tuple[Effect, ...]:
+        """Every effect that it can have, off values bound to its nominal numbers."""
+        joints = [joint for joint in describe_joints(self.model) if joint[0] not in self.signals.driven]
+        return effects_for_rig(joints, filter(None, (self.model.actuator(i).name for i in range(self.model.nu))))
+
+    def nominal(self, key: str) -> float:
+        """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""
+        raise KeyError(key)
+
+    def locate(self, effect: Effect) -> Site:
+        """Indices of the place in the model where an effect acts."""
+        model = self.model
+        joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
+        actuators = {model.actuator(i).name: i for i in range(model.nu)}
+        bodies = {model.body(i).name: i for i in range(model.nbody)}
+        return Site(
+            dof=joints.get(effect.target, -1),
+            actuator=actuators.get(effect.target, -1),
+            body=bodies.get(effect.target, self.body),
+        )
+
+    def weigh_commands(self, effect: Effect, dof: int) -> tuple[np.ndarray, str]:
+        """The command that a force on degree of freedom `dof` follows: shares of the actuators' (nu,), and its name.
+
+        That of the actuator which the effect acts on, or else of those which act on the joint, or else of all.
+        """
+        model = self.model
+        names = [model.actuator(i).name for i in range(model.nu)]
+        joint = mujoco.mjtTrn.mjTRN_JOINT
+        acting = [i for i, name in enumerate(names) if name == effect.target] or [
+            i for i in range(model.nu) if model.actuator_trntype[i] == joint
+            and model.actuator_trnid[i, 0] == model.dof_jntid[dof]
+        ]  # fmt: skip
+        shares = np.zeros(model.nu)
+        shares[acting or slice(None)] = 1.0 / max(len(acting) or model.nu, 1)
+        return shares, f"command of {names[acting[0]]}" if len(acting) == 1 else "mean command"
