@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +135,7 @@ def test_manoeuvres_that_a_rival_makes_dangerous_are_not_proposed() -> None:
 
 def test_no_experiment_is_explained() -> None:
     """Another rig has no library; a lone hypothesis has no rival."""
-    other = replace(SPEC, vehicle=None)
+    other = SPEC.with_robot(rotorcraft=None)
     assert "the drone" in explain_absence(other, [BIAS, TILT])
     assert propose_experiment(other, [BIAS, TILT], UNKNOWNS) is None
     assert "nothing to tell apart" in explain_absence(SPEC, [BIAS])

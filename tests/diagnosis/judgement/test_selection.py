@@ -32,6 +32,7 @@ from vpptwin.diagnosis.search.search import BAR, Fit, Step
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
+from vpptwin.twin.robot import Disturbance
 
 PLACE = Place("a", "on a", tolerance=0.02)
 UNKNOWNS = tuple(
@@ -97,13 +98,14 @@ class Judges:
         return np.full((WINDOWS, 1), len(values) * np.sqrt(self.power / WINDOWS))
 
 
-def search_of(vehicle: object) -> Any:  # noqa: ANN401
-    """What the rules read of a search, for the drone or (None) another rig."""
-    bench = SimpleNamespace(spec=SimpleNamespace(vehicle=vehicle))
+def search_of(known: bool) -> Any:  # noqa: ANN401
+    """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
+    robot = SimpleNamespace(disturbance=Disturbance(np.ones(1), known=known))
+    bench = SimpleNamespace(spec=SimpleNamespace(robot=robot))
     return SimpleNamespace(unknowns=UNKNOWNS, scale=1.0, sticks=lambda effects: False, bench=bench)
 
 
-SEARCH, OTHER_RIG = search_of("drone"), search_of(None)
+SEARCH, OTHER_RIG = search_of(True), search_of(False)
 
 
 def judge(

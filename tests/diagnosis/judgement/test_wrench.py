@@ -56,9 +56,9 @@ def test_with_the_right_friction_little_force_is_missing(plot: WrenchPlot) -> No
 
 @pytest.mark.parametrize(
     ("effect", "label"),
-    [("slide.inertia", "mean command"), ("motor.gain", "command of motor")],
+    [("slide.inertia", "command of motor"), ("motor.gain", "command of motor")],
     ids=["joint", "actuator"],
 )
 def test_every_cause_has_something_to_plot_against(held_out: HeldOut, effect: str, label: str) -> None:
-    """An effect on a joint that follows the command has no actuator of its own: all of them are taken together."""
+    """An effect on a joint that follows the command is shown against that of the joint's own actuator."""
     assert plot_wrench(held_out, {}, find_effect(held_out.short.spec.catalogue, effect)).x_label == label

@@ -11,7 +11,6 @@ from tests.diagnosis.fakes import Starts
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.likelihood import (
     FORGOTTEN,
-    GUST_TIME,
     LEAST_GUST,
     MOST_COUPLED,
     MOST_GUST,
@@ -22,6 +21,8 @@ from vpptwin.diagnosis.search.likelihood import (
     middles_of_segments,
     tune_gust,
 )
+from vpptwin.twin.drone import GUST_TIME
+from vpptwin.twin.robot import Disturbance
 
 SEGMENTS, NV, VALUES = 3, 2, 12
 LENGTH = 0.3
@@ -34,7 +35,8 @@ def lay_bench(start: np.ndarray, flight: np.ndarray | None = None, outdoors: boo
     """Windows of 0.3 s on a rig of two degrees of freedom, with gusts as on the drone or as indoors."""
     flights = np.zeros(len(start), dtype=int) if flight is None else flight
     windows = Starts(start=start, flight=flights, steps=300, dt=LENGTH / 300)
-    spec = SimpleNamespace(vehicle="a drone" if outdoors else None, model=SimpleNamespace(nv=NV))
+    wind = Disturbance(np.ones(NV), GUST_TIME if outdoors else 0.0, outdoors)
+    spec = SimpleNamespace(robot=SimpleNamespace(disturbance=wind), model=SimpleNamespace(nv=NV))
     return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS)  # type: ignore[return-value]
 
 
