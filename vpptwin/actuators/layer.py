@@ -20,6 +20,8 @@ Record = Any
 """One row of a structured array: fields by name, written in place."""
 NO_LIMIT = 1e9
 """Stands for no limit of an actuator's rate or output."""
+SUPPLY = ("battery.sag",)
+"""Constants of the battery, which telemetry of motors shows as it shows sensors."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
            "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
 """Constants of actuators and sensors that are not zero by themselves."""

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from vpptwin.actuators.layer import SUPPLY
 from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.effects import Stage
@@ -145,7 +146,7 @@ class Bench:
     @cached_property
     def _observed(self) -> frozenset[str]:
         """Ids of the effects that change how motion shows in the channels."""
-        shown = {*PERFECT, "battery.sag"}
+        shown = {*PERFECT, *SUPPLY}
         return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= shown)
 
     def simulate(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> Motion:

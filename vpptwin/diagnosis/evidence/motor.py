@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vpptwin.actuators.layer import SUPPLY, supply
 from vpptwin.actuators.motor import compute_current
 from vpptwin.diagnosis.evidence.channels import MISSING, Channel
 from vpptwin.estimation.measurements import Measurements, Series
@@ -94,8 +95,8 @@ def predict_motor(
         track = rotor_speed[..., channel.axis]
     else:
         middle = windows.start[:, None] + windows.dt * (np.arange(windows.steps) + 0.5)
-        sagged = np.maximum(1.0 - constants["battery.sag"][:, None] * middle, 0.0)
-        voltage = motor.battery * sagged * windows.throttle[..., channel.axis]
+        left = supply({name: constants[name][:, None] for name in SUPPLY}, middle)
+        voltage = motor.battery * left * windows.throttle[..., channel.axis]
         measured = windows.rotor_speed[..., channel.axis]
         speed = 0.5 * (measured + np.concatenate([measured[:, 1:], measured[:, -1:]], axis=1))  # after each step
         after = compute_current(motor, voltage, speed)
