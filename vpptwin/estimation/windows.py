@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -64,22 +64,13 @@ class Windows:
 
     def take(self, ids: np.ndarray) -> Windows:
         """Some of the windows; repeats are allowed."""
-        speed, throttle, spin = (
-            None if array is None else array[ids] for array in (self.rotor_speed, self.throttle, self.spin)
-        )
-        return replace(
-            self,
-            flight=self.flight[ids],
-            start=self.start[ids],
-            warm=self.warm[ids],
-            command=self.command[ids],
-            rotor_speed=speed,
-            pose=self.pose[ids],
-            velocity=self.velocity[ids],
-            driven=self.driven and Driven(self.driven.dofs, self.driven.pose[ids], self.driven.velocity[ids]),
-            throttle=throttle,
-            spin=spin,
-        )
+        driven = self.driven and Driven(self.driven.dofs, self.driven.pose[ids], self.driven.velocity[ids])
+        return replace(self, driven=driven, **{name: rows[ids] for name, rows in self.known_rows().items()})
+
+    def known_rows(self) -> dict[str, Any]:
+        """The arrays with a row a window, by name, but those that are not known and the tracks of driven joints."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
 
     def shift(self, model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray) -> Windows:
         """The same windows with their starting states moved along tangent vectors, (K, nv) each."""
@@ -176,25 +167,10 @@ def join_windows(parts: list[Windows]) -> Windows:
     if tracks:
         pose, velocity = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("pose", "velocity"))
         driven = Driven(tracks[0].dofs, pose, velocity)
-    return replace(
-        parts[0],
-        flight=np.concatenate([p.flight for p in parts]),
-        start=np.concatenate([p.start for p in parts]),
-        warm=np.concatenate([p.warm for p in parts]),
-        command=np.concatenate([p.command for p in parts]),
-        rotor_speed=join_known([p.rotor_speed for p in parts]),
-        pose=np.concatenate([p.pose for p in parts]),
-        velocity=np.concatenate([p.velocity for p in parts]),
-        driven=driven,
-        throttle=join_known([p.throttle for p in parts]),
-        spin=join_known([p.spin for p in parts]),
-    )
-
-
-def join_known(arrays: list[np.ndarray | None]) -> np.ndarray | None:
-    """All rows of several arrays, or None where one of them is not known."""
-    known = [array for array in arrays if array is not None]
-    return np.concatenate(known) if len(known) == len(arrays) else None
+    rows = [part.known_rows() for part in parts]
+    known: dict[str, Any] = dict.fromkeys(rows[0])  # None where one part does not know it
+    known |= {name: np.concatenate([r[name] for r in rows]) for name in known if all(name in r for r in rows)}
+    return replace(parts[0], driven=driven, **known)
 
 
 class Motion(NamedTuple):

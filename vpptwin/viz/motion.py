@@ -14,7 +14,6 @@ from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
 from vpptwin.twin.robot import Robot
-from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -66,7 +65,8 @@ class Target:
 Positions = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
-def find_positions(flight: Flight, spec: TwinSpec) -> Positions:
+@singledispatch
+def find_positions(robot: Robot, flight: Flight) -> Positions:
     """Joint positions that the log holds.
 
     Returns:
@@ -75,12 +75,6 @@ def find_positions(flight: Flight, spec: TwinSpec) -> Positions:
     Raises:
         InputError: if the log holds no position of our craft, or of any of the joints that the twin's signals name.
     """
-    return read_positions(spec.robot, flight)
-
-
-@singledispatch
-def read_positions(robot: Robot, flight: Flight) -> Positions:
-    """Joint positions of a robot of this class."""
     model, topics = robot.model, robot.signals.joints
     found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for joint, topic in topics.items():
@@ -98,7 +92,7 @@ def read_positions(robot: Robot, flight: Flight) -> Positions:
     return found
 
 
-@read_positions.register(PlanarDrone)
+@find_positions.register(PlanarDrone)
 def read_pose(robot: PlanarDrone, flight: Flight) -> Positions:
     """Those of our craft."""
     flight.require("/mocap/pose")

@@ -69,7 +69,7 @@ def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) 
         InputError: if the log lacks the positions of the rig, or is too short to play.
     """
     model, rotorcraft = copy.deepcopy(spec.model), spec.robot.rotorcraft
-    positions = find_positions(flight, spec)
+    positions = find_positions(spec.robot, flight)
     start = min(float(time[0]) for time, _ in positions.values())
     end = max(float(time[-1]) for time, _ in positions.values())
     if end <= start:
