@@ -18,9 +18,10 @@ COGGING = Effect(
     summary="cogging of the belt on the horizontal rail",
     equation="-force sin(2π (x - place)/0.30 m)",
     parameters=(
-        #         name    unit off  low  high prior                         typical size, what a good rig may show
-        Parameter("force", "N", 0.0, 0.0, 2.0, Prior("halfnormal", 0.0, 0.2), 0.1, 0.012),
-        Parameter("place", "m", 0.0, -0.15, 0.15, Prior("uniform", -0.15, 0.15), 0.02, 0.15),
+        Parameter(name="force", unit="N", off=0.0, low=0.0, high=2.0, prior=Prior("halfnormal", 0.0, 0.2), size=0.1,
+                  tolerance=0.012, source="assumption: some 0.2 N, as felt by hand"),
+        Parameter(name="place", unit="m", off=0.0, low=-0.15, high=0.15, prior=Prior("uniform", -0.15, 0.15), size=0.02,
+                  tolerance=0.15, source="half a tooth either way, by the ruler"),
     ),
     stage=Stage.FORCE,
     apply=apply_cogging,
@@ -28,4 +29,4 @@ COGGING = Effect(
     look_alikes=("rail_x.spring", "rail_x.tight_spot"),
     target="rail_x",
     follows="position",
-)
+)  # fmt: skip

@@ -186,6 +186,14 @@ def test_parameter_numbers_make_sense(effect: Effect, parameter: Parameter) -> N
 
 
 @pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
+def test_parameter_numbers_have_a_source(effect: Effect, parameter: Parameter) -> None:
+    """Where the numbers come from is told in a few words: what kind of source first, and of an assumption why."""
+    assert re.match(r"(datasheet|paper|SPEC|vehicle\.yaml|assumption: \w)", parameter.source)
+    assert len(parameter.source) <= 60
+    assert bool(parameter.nominal) == parameter.source.startswith("vehicle.yaml")
+
+
+@pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
 def test_tolerance_is_below_what_is_looked_for(effect: Effect, parameter: Parameter) -> None:
     """A build tolerance is a fraction of the size; of what merely shapes an effect, any value passes unremarked."""
     if parameter.name in SHAPES:
@@ -231,3 +239,5 @@ def test_printed_tables_have_a_row_for_every_parameter(capsys: pytest.CaptureFix
     assert {len(row) for row in (header, rule, *rows)} == {len(header)}
     lag = next(row for row in rows if row[0].strip() == "servo.lag")
     assert [cell.strip() for cell in lag[2:5]] == ["s", "0.02", "0.001 to 0.2"]
+    sources = [row[header.index(" source ")].strip() for row in rows]
+    assert sources == [p.source for effect in CATALOGUE for p in effect.parameters]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -34,9 +36,19 @@ def test_priors_are_what_they_are_called(prior: Prior, mean: float, deviation: f
         assert drawn.max() <= prior.b
 
 
+def test_positional_numbers_are_refused() -> None:
+    """Eight numbers in a row say nothing of which is which: a parameter takes keywords only."""
+    prior = Prior("normal", 0.0, 1.0)
+    with pytest.raises(TypeError, match="positional"):
+        Parameter("force", "N", 0.0, -0.1, 0.1, prior, 0.05)  # type: ignore[misc]
+    with pytest.raises(TypeError, match="positional"):
+        Parameter("force", unit="N", off=0.0, low=-0.1, high=0.1, prior=prior, size=0.05)  # type: ignore[misc]
+
+
 def test_draws_are_clipped_to_the_bounds() -> None:
     """A prior wider than the bounds yields values on them, none beyond."""
-    parameter = Parameter("force", "N", 0.0, -0.1, 0.1, Prior("normal", 0.0, 1.0), 0.05)
+    prior = Prior("normal", 0.0, 1.0)
+    parameter = Parameter(name="force", unit="N", off=0.0, low=-0.1, high=0.1, prior=prior, size=0.05)
     drawn = parameter.draw(np.random.default_rng(0), 100)
     assert (drawn.min(), drawn.max()) == (-0.1, 0.1)
 
@@ -44,7 +56,10 @@ def test_draws_are_clipped_to_the_bounds() -> None:
 @pytest.mark.parametrize(("prior", "moved"), [("normal", (0.03, 0.003)), ("uniform", (0.03, 0.013))])
 def test_off_from_a_vehicle_moves_the_prior(prior: str, moved: tuple[float, float]) -> None:
     """With another nominal value the off value and the prior shift by the same amount, the prior's width stays."""
-    parameter = Parameter("time_constant", "s", 0.02, 0.001, 0.2, Prior(prior, 0.02, 0.003), 0.004)  # type: ignore[arg-type]
+    parameter = replace(
+        find_effect(CATALOGUE, "servo.lag").parameters[0],
+        prior=Prior(prior, 0.02, 0.003),  # type: ignore[arg-type]
+    )
     bound = parameter.with_off(0.03)
     assert (bound.off, bound.prior.a) == (0.03, pytest.approx(moved[0]))
     assert bound.prior.b == pytest.approx(moved[1])

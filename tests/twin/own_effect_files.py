@@ -15,7 +15,7 @@ signals: {joints: {slide: /joint_states}, driven: {lift: /joint_states}, actuato
 HEAD = """import numpy as np
 from vpptwin.effects import Effect, Parameter, Prior, Stage
 
-FORCE = Parameter("force", "N", 0.0, 0.0, 2.0, Prior("halfnormal", 0.0, 0.2), 0.1)
+FORCE = Parameter(name="force", unit="N", off=0.0, low=0.0, high=2.0, prior=Prior("halfnormal", 0.0, 0.2), size=0.1)
 """
 FUNCTION = """
 def pull(motion, /, force):

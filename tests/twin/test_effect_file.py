@@ -70,7 +70,8 @@ def test_off_values_come_from_the_vehicle(tmp_path: Path) -> None:
     """A parameter with `nominal` is off at the vehicle's number."""
     text = """import numpy as np
 from vpptwin.effects import Effect, Parameter, Prior, Stage
-LAG = Parameter("lag", "s", 0.05, 0.0, 0.2, Prior("normal", 0.05, 0.01), 0.01, nominal="servo.time_constant")
+LAG = Parameter(name="lag", unit="s", off=0.05, low=0.0, high=0.2, prior=Prior("normal", 0.05, 0.01), size=0.01,
+                nominal="servo.time_constant")
 
 def apply(constants, site, /, *, lag):
     constants["actuator.time_constant"][:, 0] = lag
@@ -129,8 +130,9 @@ def constant(body: str, writes: str) -> str:
         pytest.param(wrong("Stage.FORCE", '"force"'), "stage 'force'; expected one of", id="stage"),
         pytest.param(wrong("(FORCE,)", "()"), "no parameters", id="no parameters"),
         pytest.param(wrong("(FORCE,)", "(FORCE, FORCE)"), "each name once", id="same names"),
-        pytest.param(wrong("0.0, 0.0, 2.0", "0.0, 0.5, 2.0"), "low 0.5, off 0, high 2", id="bounds"),
-        pytest.param(wrong("0.2), 0.1", "0.2), 0.0"), "parameter force: size 0", id="size"),
+        pytest.param(wrong("name=", ""), r"own\.py:4: TypeError: .* positional", id="positional"),
+        pytest.param(wrong("low=0.0", "low=0.5"), "low 0.5, off 0, high 2", id="bounds"),
+        pytest.param(wrong("size=0.1", "size=0.0"), "parameter force: size 0", id="size"),
         pytest.param(
             wrong('target="slide"', 'target="rail_x"'), "'rail_x'; expected a joint of the rig: slide", id="joint"
         ),
@@ -215,6 +217,6 @@ def test_a_repaired_file_is_read_anew(rig: Path, tmp_path: Path) -> None:
         load_twin(rig, [file])
     write_effects(tmp_path)
     assert list_ids(rig, file)[-1] == "slide.wave"
-    write_effects(tmp_path, WAVE.replace("2.0, Prior", "3.0, Prior"))
+    write_effects(tmp_path, WAVE.replace("high=2.0", "high=3.0"))
     assert load_twin(rig, [file]).catalogue[-1].parameter("force").high == np.float64(3.0)
     assert FUNCTION in file.read_text()

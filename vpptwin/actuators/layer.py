@@ -15,11 +15,12 @@ from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.motor import compute_current, step_speed
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
+from vpptwin.effects import UNLIMITED
 
 Record = Any
 """One row of a structured array: fields by name, written in place."""
-NO_LIMIT = 1e9
-"""Stands for no limit of an actuator's rate or output."""
+NO_LIMIT = 1e3 * UNLIMITED
+"""Stands for no limit of an actuator's rate or output: far above those of effects, even where these are off."""
 SUPPLY = ("battery.sag",)
 """Constants of the battery, which telemetry of motors shows as it shows sensors."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,

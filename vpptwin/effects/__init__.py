@@ -6,13 +6,14 @@ the makers of hidden test data. This package imports nothing else of vpptwin.
 
 from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage
 from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT, effects_for_rig, find_effect
-from vpptwin.effects.parameter import SIGMAS_90, Parameter, Prior
+from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
     "CATALOGUE",
     "GENERIC_ACTUATOR",
     "GENERIC_JOINT",
     "SIGMAS_90",
+    "UNLIMITED",
     "Constants",
     "Craft",
     "Effect",

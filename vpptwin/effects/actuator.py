@@ -5,14 +5,14 @@ Control inputs are in MuJoCo's `ctrl`, whatever unit that has; sizes suppose tha
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vpptwin.effects.base import Constants, Effect, Site, Stage
-from vpptwin.effects.parameter import Parameter, Prior
+from vpptwin.effects.parameter import UNLIMITED, Parameter, Prior
 
 ACTUATOR_SHOWS = ("/joint_states",)
-UNLIMITED = 1e6
-"""Off value of a limit: no actuator gets there [ctrl], [ctrl/s]."""
 
 
 def apply_gain(constants: Constants, site: Site, /, gain: np.ndarray) -> None:
@@ -47,59 +47,67 @@ def apply_saturation(constants: Constants, site: Site, /, limit: np.ndarray) -> 
     bound[:] = np.minimum(bound, limit)
 
 
-def gain(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """The actuator is stronger or weaker than believed."""
-    parameter = Parameter("gain", "", 1.0, 0.1, 3.0, Prior("normal", 1.0, 0.1), 0.05, 0.01)
-    return Effect(
-        f"{actuator}.gain", f"a wrong gain {where}", "u × gain", (parameter,), Stage.CONSTANT, apply_gain,
-        ACTUATOR_SHOWS, look_alikes, ("actuator.gain",), actuator, follows="command",
+def attach(effect: Effect, actuator: str) -> Effect:
+    """An effect below, which any actuator may have, as that of one actuator; so are its look-alikes."""
+    return replace(
+        effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of actuator {actuator}", target=actuator,
+        look_alikes=tuple(f"{actuator}.{kind}" for kind in effect.look_alikes),
     )  # fmt: skip
 
 
-def delay(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """The actuator obeys late."""
-    parameter = Parameter("delay", "s", 0.0, 0.0, 0.1, Prior("halfnormal", 0.0, 0.01), 0.004, 0.001)
-    return Effect(
-        f"{actuator}.delay", f"a delay {where}", "u(t - delay)", (parameter,), Stage.CONSTANT, apply_delay,
-        ACTUATOR_SHOWS, look_alikes, ("actuator.delay",), actuator, follows="command change",
-    )  # fmt: skip
-
-
-def lag(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """The actuator obeys with a first-order lag."""
-    parameter = Parameter("time_constant", "s", 0.0, 0.0, 0.2, Prior("halfnormal", 0.0, 0.02), 0.005, 0.001)
-    return Effect(
-        f"{actuator}.lag", f"a first-order lag {where}", "1/(time_constant s + 1)", (parameter,), Stage.CONSTANT,
-        apply_lag, ACTUATOR_SHOWS, look_alikes, ("actuator.time_constant",), actuator, follows="command change",
-    )  # fmt: skip
-
-
-def rate_limit(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """The actuator changes at a limited rate; typical are 10 ctrl/s."""
-    size, tolerance = UNLIMITED - 10.0, 0.001 * UNLIMITED
-    prior = Prior("uniform", 5.0, 50.0)
-    parameter = Parameter("rate", "ctrl/s", UNLIMITED, 0.1, UNLIMITED, prior, size, tolerance)
-    return Effect(
-        f"{actuator}.rate_limit", f"a limited rate {where}", "|u̇| ≤ rate", (parameter,), Stage.CONSTANT,
-        apply_rate_limit, ACTUATOR_SHOWS, look_alikes, ("actuator.rate_limit",), actuator, follows="command change",
-    )  # fmt: skip
-
-
-def backlash(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """There is play behind the actuator."""
-    parameter = Parameter("gap", "ctrl", 0.0, 0.0, 10.0, Prior("halfnormal", 0.0, 0.02), 0.05, 0.005)
-    return Effect(
-        f"{actuator}.backlash", f"play {where}", "u within ±gap/2", (parameter,), Stage.CONSTANT, apply_backlash,
-        ACTUATOR_SHOWS, look_alikes, ("actuator.gap",), actuator, follows="command change",
-    )  # fmt: skip
-
-
-def saturation(actuator: str, where: str, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """The actuator gives no more than it can; secants go to half a ctrl."""
-    size, tolerance = UNLIMITED - 0.5, 0.001 * UNLIMITED
-    prior = Prior("uniform", 0.7, 1.5)
-    parameter = Parameter("limit", "ctrl", UNLIMITED, 0.05, UNLIMITED, prior, size, tolerance)
-    return Effect(
-        f"{actuator}.saturation", f"saturation {where}", "|u| ≤ limit", (parameter,), Stage.CONSTANT,
-        apply_saturation, ACTUATOR_SHOWS, look_alikes, ("actuator.limit",), actuator, follows="command",
-    )  # fmt: skip
+GAIN = Effect(
+    id="gain", summary="a wrong gain", equation="u × gain",
+    parameters=(
+        Parameter(name="gain", unit="", off=1.0, low=0.1, high=3.0, prior=Prior("normal", 1.0, 0.1), size=0.05,
+                  tolerance=0.01, source="assumption: an uncalibrated drive is within 10 %"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_gain, shows=ACTUATOR_SHOWS, look_alikes=("saturation",),
+    writes=("actuator.gain",), follows="command",
+)  # fmt: skip
+DELAY = Effect(
+    id="delay", summary="a delay", equation="u(t - delay)",
+    parameters=(
+        Parameter(name="delay", unit="s", off=0.0, low=0.0, high=0.1, prior=Prior("halfnormal", 0.0, 0.01), size=0.004,
+                  tolerance=0.001, source="assumption: a bus and a control period, some 10 ms"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_delay, shows=ACTUATOR_SHOWS, look_alikes=("lag", "backlash"),
+    writes=("actuator.delay",), follows="command change",
+)  # fmt: skip
+LAG = Effect(
+    id="lag", summary="a first-order lag", equation="1/(time_constant s + 1)",
+    parameters=(
+        Parameter(name="time_constant", unit="s", off=0.0, low=0.0, high=0.2, prior=Prior("halfnormal", 0.0, 0.02),
+                  size=0.005, tolerance=0.001, source="assumption: small drives, some 20 ms"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_lag, shows=ACTUATOR_SHOWS, look_alikes=("delay", "rate_limit"),
+    writes=("actuator.time_constant",), follows="command change",
+)  # fmt: skip
+BACKLASH = Effect(
+    id="backlash", summary="play", equation="u within ±gap/2",
+    parameters=(
+        Parameter(name="gap", unit="ctrl", off=0.0, low=0.0, high=10.0, prior=Prior("halfnormal", 0.0, 0.02), size=0.05,
+                  tolerance=0.005, source="assumption: some 2 % of inputs of the order of one"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_backlash, shows=ACTUATOR_SHOWS, look_alikes=("delay",),
+    writes=("actuator.gap",), follows="command change",
+)  # fmt: skip
+RATE_LIMIT = Effect(
+    id="rate_limit", summary="a limited rate", equation="|u̇| ≤ rate",
+    parameters=(
+        Parameter(name="rate", unit="ctrl/s", off=UNLIMITED, low=0.1, high=UNLIMITED, prior=Prior("uniform", 5.0, 50.0),
+                  size=UNLIMITED - 10.0, tolerance=0.001 * UNLIMITED,
+                  source="assumption: typically 10/s for inputs of order one"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_rate_limit, shows=ACTUATOR_SHOWS, look_alikes=("lag",),
+    writes=("actuator.rate_limit",), follows="command change",
+)  # fmt: skip
+SATURATION = Effect(
+    id="saturation", summary="saturation", equation="|u| ≤ limit",
+    parameters=(
+        Parameter(name="limit", unit="ctrl", off=UNLIMITED, low=0.05, high=UNLIMITED, prior=Prior("uniform", 0.7, 1.5),
+                  size=UNLIMITED - 0.5, tolerance=0.001 * UNLIMITED,  # secants go to half a ctrl
+                  source="assumption: about the largest input, of order one"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_saturation, shows=ACTUATOR_SHOWS, look_alikes=("gain",),
+    writes=("actuator.limit",), follows="command",
+)  # fmt: skip

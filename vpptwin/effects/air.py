@@ -20,27 +20,22 @@ def apply_ground_effect(thrust: float, rotor: Rotor, /, gain: float, height: flo
 
 
 DRAG = Effect(
-    id="air.drag",
-    summary="aerodynamic drag on the craft",
-    equation="-k_d |v| v",
-    parameters=(Parameter("k_d", "N s^2/m^2", 0.0, 0.0, 1.0, Prior("halfnormal", 0.0, 0.08), 0.05, 0.006),),
-    stage=Stage.FORCE,
-    apply=apply_drag,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_x.viscous", "rail_z.viscous", "rotor.in_plane"),
-    dissipative=True,
-)
-GROUND_EFFECT = Effect(
-    id="air.ground_effect",
-    summary="more thrust near the floor",
-    equation="T × (1 + gain exp(-z/height))",
+    id="air.drag", summary="aerodynamic drag on the craft", equation="-k_d |v| v",
     parameters=(
-        Parameter("gain", "", 0.0, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1), 0.1, 0.02),
-        Parameter("height", "m", 0.3, 0.05, 2.0, Prior("normal", 0.3, 0.05), 0.1, 2.0),
+        Parameter(name="k_d", unit="N s^2/m^2", off=0.0, low=0.0, high=1.0, prior=Prior("halfnormal", 0.0, 0.08),
+                  size=0.05, tolerance=0.006, source="assumption: the paper fits k_d and prints no value"),
     ),
-    stage=Stage.THRUST,
-    apply=apply_ground_effect,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain",),
-    follows="position",
-)
+    stage=Stage.FORCE, apply=apply_drag, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_x.viscous", "rail_z.viscous", "rotor.in_plane"), dissipative=True,
+)  # fmt: skip
+GROUND_EFFECT = Effect(
+    id="air.ground_effect", summary="more thrust near the floor", equation="T × (1 + gain exp(-z/height))",
+    parameters=(
+        Parameter(name="gain", unit="", off=0.0, low=0.0, high=2.0, prior=Prior("halfnormal", 0.0, 0.1), size=0.1,
+                  tolerance=0.02, source="assumption: some 10 % more at the floor"),
+        Parameter(name="height", unit="m", off=0.3, low=0.05, high=2.0, prior=Prior("normal", 0.3, 0.05), size=0.1,
+                  tolerance=2.0, source="assumption: fades within some 0.3 m"),
+    ),
+    stage=Stage.THRUST, apply=apply_ground_effect, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rotor.thrust_gain",), follows="position",
+)  # fmt: skip

@@ -32,49 +32,39 @@ def apply_com_height(constants: Constants, site: Site, /, offset: np.ndarray) ->
 
 
 MASS = Effect(
-    id="airframe.mass",
-    summary="a wrong mass of the craft",
-    equation="m + mass",
-    parameters=(Parameter("mass", "kg", 0.0, -0.09, 0.15, Prior("normal", 0.0, 0.02), 0.02, 0.0018),),
-    stage=Stage.CONSTANT,
-    apply=apply_mass,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain", "rail_z.bias", "servo.trim"),
-    writes=("body_mass",),
-    follows="command",
-)
+    id="airframe.mass", summary="a wrong mass of the craft", equation="m + mass",
+    parameters=(
+        Parameter(name="mass", unit="kg", off=0.0, low=-0.09, high=0.15, prior=Prior("normal", 0.0, 0.02), size=0.02,
+                  tolerance=0.0018, source="assumption: 0.450 kg (vehicle.yaml) within 20 g"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_mass, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rotor.thrust_gain", "rail_z.bias", "servo.trim"), writes=("body_mass",), follows="command",
+)  # fmt: skip
 INERTIA = Effect(
-    id="airframe.inertia",
-    summary="a wrong moment of inertia of the craft",
-    equation="I + inertia",
-    parameters=(Parameter("inertia", "kg m^2", 0.0, -0.003, 0.006, Prior("normal", 0.0, 0.0004), 0.0004, 0.00008),),
-    stage=Stage.CONSTANT,
-    apply=apply_inertia,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("rotor.thrust_gain", "gyro.scale", "servo.lag"),
-    writes=("body_inertia",),
-    follows="command",
-)
+    id="airframe.inertia", summary="a wrong moment of inertia of the craft", equation="I + inertia",
+    parameters=(
+        Parameter(name="inertia", unit="kg m^2", off=0.0, low=-0.003, high=0.006, prior=Prior("normal", 0.0, 0.0004),
+                  size=0.0004, tolerance=0.00008, source="assumption: 0.0060 kg m^2 (vehicle.yaml) within 7 %"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_inertia, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("rotor.thrust_gain", "gyro.scale", "servo.lag"), writes=("body_inertia",), follows="command",
+)  # fmt: skip
 COM = Effect(
-    id="airframe.com",
-    summary="a centre of mass beside the hinge",
-    equation="c_arm = offset, I + m offset²",
-    parameters=(Parameter("offset", "m", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.005, 0.0005),),
-    stage=Stage.CONSTANT,
-    apply=apply_com,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("rotor.asymmetry", "servo.trim", "pitch.bias"),
-    writes=("body_ipos",),
-    follows="position",
-)
+    id="airframe.com", summary="a centre of mass beside the hinge", equation="c_arm = offset, I + m offset²",
+    parameters=(
+        Parameter(name="offset", unit="m", off=0.0, low=-0.05, high=0.05, prior=Prior("normal", 0.0, 0.003), size=0.005,
+                  tolerance=0.0005, source="assumption: balanced by hand to 3 mm"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_com, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("rotor.asymmetry", "servo.trim", "pitch.bias"), writes=("body_ipos",), follows="position",
+)  # fmt: skip
 COM_HEIGHT = Effect(
-    id="airframe.com_height",
-    summary="a centre of mass above or below the hinge",
+    id="airframe.com_height", summary="a centre of mass above or below the hinge",
     equation="c_up = offset, I + m offset²",
-    parameters=(Parameter("offset", "m", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.005, 0.0005),),
-    stage=Stage.CONSTANT,
-    apply=apply_com_height,
-    shows=("/imu/data", "/mocap/pose"),
-    writes=("body_ipos",),
+    parameters=(
+        Parameter(name="offset", unit="m", off=0.0, low=-0.05, high=0.05, prior=Prior("normal", 0.0, 0.003), size=0.005,
+                  tolerance=0.0005, source="assumption: built to 3 mm of the drawing"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_com_height, shows=("/imu/data", "/mocap/pose"), writes=("body_ipos",),
     follows="position",
-)
+)  # fmt: skip

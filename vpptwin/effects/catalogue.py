@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 
 from vpptwin.effects import actuator, air, airframe, friction, joint, motor, rail, rotor, sensing, servo, timing
 from vpptwin.effects.base import Effect
-from vpptwin.effects.joint import Place
+from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
 
-RAIL = Place("rail_x", "on the horizontal rail")
-GUIDE = Place("rail_z", "on the vertical guide")
-PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1)
-PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03)
-PIVOT_TORQUE = Place("pitch", "in the pivot", rotary=True, scale=0.25)
+RAIL = Place("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
+GUIDE = Place("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
+PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1, reason="0.5 N at a rotor")
+PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03, reason="0.36 N m at 12 rad/s")
+PIVOT_TORQUE = Place("pitch", "in the pivot", rotary=True, scale=0.25, reason="1.25 N at a rotor")
 
 CATALOGUE: tuple[Effect, ...] = (
     friction.coulomb(RAIL, ("rail_x.viscous", "rail_x.stiction", "rail_x.jamming", "rail_x.tight_spot")),
@@ -79,15 +79,15 @@ GENERIC_TOLERANCE = 0.001
 GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
 
-GENERIC_ACTUATOR: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
-    (actuator.gain, ("saturation",)),
-    (actuator.delay, ("lag", "backlash")),
-    (actuator.lag, ("delay", "rate_limit")),
-    (actuator.backlash, ("delay",)),
-    (actuator.rate_limit, ("lag",)),
-    (actuator.saturation, ("gain",)),
+GENERIC_ACTUATOR: tuple[Effect, ...] = (
+    actuator.GAIN,
+    actuator.DELAY,
+    actuator.LAG,
+    actuator.BACKLASH,
+    actuator.RATE_LIMIT,
+    actuator.SATURATION,
 )
-"""Factories that give actuator a of any rig the effects a.gain, a.delay and so on, with their look-alikes there."""
+"""What becomes a.gain, a.delay and so on of actuator a of any rig."""
 
 
 def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str]) -> tuple[Effect, ...]:
@@ -99,12 +99,11 @@ def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterab
     """
     effects: list[Effect] = []
     for name, rotary, scale in joints:
-        place = Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE)
+        reason = f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2"
+        place = Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}")
         for make, alike in GENERIC_JOINT:
             effects.append(make(place, tuple(f"{name}.{kind}" for kind in alike)))
-    for name in actuators:
-        for make, alike in GENERIC_ACTUATOR:
-            effects.append(make(name, f"of actuator {name}", tuple(f"{name}.{kind}" for kind in alike)))
+    effects += [actuator.attach(effect, name) for name in actuators for effect in GENERIC_ACTUATOR]
     return tuple(effects)
 
 

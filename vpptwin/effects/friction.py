@@ -48,10 +48,11 @@ def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     unit, speed, typical = ("N m", "rad/s", 0.2) if place.rotary else ("N", "m/s", 0.05)
     force = place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
     force = replace(force, tolerance=BREAKAWAY * force.tolerance)
-    prior = Prior("normal", typical, 0.2 * typical)
     velocity = Parameter(
-        "velocity", speed, typical, 0.1 * typical, 10.0 * typical, prior, 0.4 * typical, 10.0 * typical
-    )
+        name="velocity", unit=speed, off=typical, low=0.1 * typical, high=10.0 * typical,
+        prior=Prior("normal", typical, 0.2 * typical), size=0.4 * typical, tolerance=10.0 * typical,
+        source="assumption: breakaway is over at a slow creep",
+    )  # fmt: skip
     return Effect(
         f"{place.joint}.stiction", f"breakaway friction {place.where}",
         "-(F_c + force exp(-(v/velocity)²)) sgn(v)", (force, velocity), Stage.FRICTION, apply_stiction, JOINT_SHOWS,
@@ -61,7 +62,10 @@ def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 
 def asymmetry(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Dry friction that depends on the direction. It follows the joint's other dry friction, which it scales."""
-    parameter = Parameter("fraction", "", 0.0, -0.9, 0.9, Prior("normal", 0.0, 0.05), 0.1, 0.02)
+    parameter = Parameter(
+        name="fraction", unit="", off=0.0, low=-0.9, high=0.9, prior=Prior("normal", 0.0, 0.05), size=0.1,
+        tolerance=0.02, source="assumption: wipers and seals, some 5 % to either side",
+    )  # fmt: skip
     return Effect(
         f"{place.joint}.asymmetry", f"dry friction {place.where} that depends on the direction",
         "F × (1 + fraction sgn(v))", (parameter,), Stage.FRICTION, apply_asymmetry, JOINT_SHOWS, look_alikes, (),

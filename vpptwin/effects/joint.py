@@ -15,7 +15,7 @@ TOLERANCE = 0.012
 SIZE = 0.1
 """Physical size for secants, as a share of the typical force."""
 SLIDE_ACCELERATION, HINGE_ACCELERATION = 10.0, 30.0
-"""What the typical force of a joint accelerates its inertia by [m/s^2], [rad/s^2]."""
+"""What the typical force of a joint accelerates what it carries by [m/s^2], [rad/s^2]: an order of magnitude."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Place:
         scale: a typical force there [N], or torque [N m]; damping and stiffness scale with it too.
         tolerance: what a well-built joint may show unremarked, as a share of `scale`.
         size: step for secants, as a share of `scale`.
+        reason: what makes that scale typical.
     """
 
     joint: str
@@ -37,12 +38,16 @@ class Place:
     scale: float = 1.0
     tolerance: float = TOLERANCE
     size: float = SIZE
+    reason: str = "a typical one"
 
     def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior) -> Parameter:
         """A parameter that is off at 0; bounds and prior are shares of `scale`."""
-        scaled = Prior(prior.kind, prior.a * self.scale, prior.b * self.scale)
-        bounds = (low * self.scale, high * self.scale)
-        return Parameter(name, unit, 0.0, *bounds, scaled, self.size * self.scale, self.tolerance * self.scale)
+        scale = self.scale
+        return Parameter(
+            name=name, unit=unit, off=0.0, low=low * scale, high=high * scale,
+            prior=Prior(prior.kind, prior.a * scale, prior.b * scale), size=self.size * scale,
+            tolerance=self.tolerance * scale, source=f"assumption: shares of {scale:.3g} {unit} ({self.reason})",
+        )  # fmt: skip
 
 
 def apply_viscous(constants: Constants, site: Site, /, damping: np.ndarray) -> None:
@@ -89,7 +94,10 @@ def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Elastic force on a joint."""
     unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
     stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
-    rest = Parameter("rest", length, 0.0, -reach, reach, Prior("normal", 0.0, 0.1 * reach), 0.1 * reach, reach)
+    rest = Parameter(
+        name="rest", unit=length, off=0.0, low=-reach, high=reach, prior=Prior("normal", 0.0, 0.1 * reach),
+        size=0.1 * reach, tolerance=reach, source="assumption: anywhere a joint gets to, mostly midway",
+    )  # fmt: skip
     return Effect(
         f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
         Stage.FORCE, apply_spring, JOINT_SHOWS, look_alikes, (), place.joint, follows="position",
@@ -100,8 +108,11 @@ def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Mass or moment of inertia that a joint moves besides what the model says."""
     kind, unit = ("moment of inertia", "kg m^2") if place.rotary else ("mass", "kg")
     carried = place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
-    low, high, size, tolerance = (share * carried for share in (-0.2, 2.0, 0.05, 0.005))
-    parameter = Parameter("inertia", unit, 0.0, low, high, Prior("normal", 0.0, 0.05 * carried), size, tolerance)
+    parameter = Parameter(
+        name="inertia", unit=unit, off=0.0, low=-0.2 * carried, high=2.0 * carried,
+        prior=Prior("normal", 0.0, 0.05 * carried), size=0.05 * carried, tolerance=0.005 * carried,
+        source="assumption: shares of what the joint carries, 5 % likely",
+    )  # fmt: skip
     return Effect(
         f"{place.joint}.inertia", f"a wrong {kind} {place.where}", "M + inertia", (parameter,), Stage.CONSTANT,
         apply_inertia, JOINT_SHOWS, look_alikes, ("dof_armature",), place.joint, follows="command",

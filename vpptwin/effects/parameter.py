@@ -9,6 +9,8 @@ import numpy as np
 
 SIGMAS_90 = 1.645
 """Standard deviations that hold 90 % to both sides."""
+UNLIMITED = 1e6
+"""Off value of a limit on inputs of the order of one: no actuator gets there."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,9 @@ class Prior:
         return f"{self.kind}({self.a:g}, {self.b:g})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of an effect.
+    """One number of an effect, written with keywords only.
 
     Attributes:
         name: the key in a twin YAML and in verdict.json.
@@ -56,6 +58,7 @@ class Parameter:
         size: step for secants and scale for optimizers: a physically typical size, not a numerical epsilon.
         tolerance: deviation from off that a well-built rig may show unremarked; below it nothing is named.
         nominal: dotted key of the vehicle file that holds the off value, "" when off is a constant.
+        source: where these numbers come from: a datasheet, the paper, a file, or an assumption and why; "" untold.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Parameter:
     size: float
     tolerance: float = 0.0
     nominal: str = ""
+    source: str = ""
 
     def with_off(self, off: float) -> Parameter:
         """The same parameter with a positive off value taken from a vehicle file.

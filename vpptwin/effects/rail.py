@@ -40,71 +40,53 @@ def apply_tilt(constants: Constants, site: Site, /, angle: np.ndarray) -> None:
 
 
 JAMMING_X = Effect(
-    id="rail_x.jamming",
-    summary="a carriage that jams on the horizontal rail under load",
+    id="rail_x.jamming", summary="a carriage that jams on the horizontal rail under load",
     equation="-mu |N (z - rail_height)|/bearing_spacing sgn(v)",
-    parameters=(Parameter("mu", "", 0.0, 0.0, 0.1, Prior("halfnormal", 0.0, 0.005), 0.005, 0.0005),),
-    stage=Stage.FRICTION,
-    apply=apply_jamming_x,
-    shows=JOINT_SHOWS,
-    look_alikes=("rail_x.coulomb",),
-    target="rail_x",
-    needs=RIG,
-    dissipative=True,
-)
+    parameters=(
+        Parameter(name="mu", unit="", off=0.0, low=0.0, high=0.1, prior=Prior("halfnormal", 0.0, 0.005), size=0.005,
+                  tolerance=0.0005, source="assumption: the paper tells of stuck sliders, no numbers"),
+    ),
+    stage=Stage.FRICTION, apply=apply_jamming_x, shows=JOINT_SHOWS, look_alikes=("rail_x.coulomb",), target="rail_x",
+    needs=RIG, dissipative=True,
+)  # fmt: skip
 JAMMING_Z = Effect(
-    id="rail_z.jamming",
-    summary="a slider that jams on the vertical guide under load",
-    equation="-mu |N| sgn(v)",
-    parameters=(Parameter("mu", "", 0.0, 0.0, 1.0, Prior("halfnormal", 0.0, 0.05), 0.05, 0.005),),
-    stage=Stage.FRICTION,
-    apply=apply_jamming_z,
-    shows=JOINT_SHOWS,
-    look_alikes=("rail_z.coulomb",),
-    target="rail_z",
-    needs=RIG,
-    dissipative=True,
-)
+    id="rail_z.jamming", summary="a slider that jams on the vertical guide under load", equation="-mu |N| sgn(v)",
+    parameters=(
+        Parameter(name="mu", unit="", off=0.0, low=0.0, high=1.0, prior=Prior("halfnormal", 0.0, 0.05), size=0.05,
+                  tolerance=0.005, source="assumption: the paper tells of stuck sliders, no numbers"),
+    ),
+    stage=Stage.FRICTION, apply=apply_jamming_z, shows=JOINT_SHOWS, look_alikes=("rail_z.coulomb",), target="rail_z",
+    needs=RIG, dissipative=True,
+)  # fmt: skip
 TIGHT_SPOT = Effect(
-    id="rail_x.tight_spot",
-    summary="a tight spot on the horizontal rail",
+    id="rail_x.tight_spot", summary="a tight spot on the horizontal rail",
     equation="-force exp(-((x - place)/width)²) sgn(v)",
     parameters=(
-        Parameter("force", "N", 0.0, 0.0, 5.0, Prior("halfnormal", 0.0, 0.1), 0.2, 0.02),
-        Parameter("place", "m", 0.0, -REACH, REACH, Prior("normal", 0.0, 0.5), 0.05, REACH),
-        Parameter("width", "m", 0.1, 0.02, 0.5, Prior("normal", 0.1, 0.02), 0.03, 0.5),
+        Parameter(name="force", unit="N", off=0.0, low=0.0, high=5.0, prior=Prior("halfnormal", 0.0, 0.1), size=0.2,
+                  tolerance=0.02, source="assumption: a knock in the rail, some 0.1 N"),
+        Parameter(name="place", unit="m", off=0.0, low=-REACH, high=REACH, prior=Prior("normal", 0.0, 0.5), size=0.05,
+                  tolerance=REACH, source="assumption: anywhere, most likely halfway along"),
+        Parameter(name="width", unit="m", off=0.1, low=0.02, high=0.5, prior=Prior("normal", 0.1, 0.02), size=0.03,
+                  tolerance=0.5, source="assumption: a slider's bearing spacing (vehicle.yaml)"),
     ),
-    stage=Stage.FRICTION,
-    apply=apply_tight_spot,
-    shows=JOINT_SHOWS,
-    look_alikes=("rail_x.coulomb",),
-    target="rail_x",
-    dissipative=True,
-    follows="position",
-)
+    stage=Stage.FRICTION, apply=apply_tight_spot, shows=JOINT_SHOWS, look_alikes=("rail_x.coulomb",), target="rail_x",
+    dissipative=True, follows="position",
+)  # fmt: skip
 TILT = Effect(
-    id="rail.tilt",
-    summary="a horizontal rail that is not level",
-    equation="-m_x g sin(angle)",
-    parameters=(Parameter("angle", "rad", 0.0, -0.3, 0.3, Prior("normal", 0.0, 0.01), 0.02, 0.002),),
-    stage=Stage.CONSTANT,
-    apply=apply_tilt,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_x.bias", "mocap.misalignment", "rail_x.asymmetry"),
-    writes=("opt.gravity",),
-    follows="position",
-)
+    id="rail.tilt", summary="a horizontal rail that is not level", equation="-m_x g sin(angle)",
+    parameters=(
+        Parameter(name="angle", unit="rad", off=0.0, low=-0.3, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.02,
+                  tolerance=0.002, source="assumption: levelled by hand to 0.6 degrees"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_tilt, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_x.bias", "mocap.misalignment", "rail_x.asymmetry"), writes=("opt.gravity",), follows="position",
+)  # fmt: skip
 CARRIAGE_MASS = Effect(
-    id="carriage.mass",
-    summary="a wrong mass of the carriage",
-    equation="m_carriage + mass",
-    parameters=(Parameter("mass", "kg", 0.0, -0.06, 0.3, Prior("normal", 0.0, 0.01), 0.03, 0.0015),),
-    stage=Stage.CONSTANT,
-    apply=apply_mass,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_x.spring",),
-    writes=("body_mass",),
-    target="carriage",
-    needs=("carriage",),
-    follows="command",
-)
+    id="carriage.mass", summary="a wrong mass of the carriage", equation="m_carriage + mass",
+    parameters=(
+        Parameter(name="mass", unit="kg", off=0.0, low=-0.06, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.03,
+                  tolerance=0.0015, source="assumption: 0.080 kg (vehicle.yaml) within 10 g"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_mass, shows=("/mocap/pose", "/imu/data"), look_alikes=("rail_x.spring",),
+    writes=("body_mass",), target="carriage", needs=("carriage",), follows="command",
+)  # fmt: skip

@@ -45,72 +45,59 @@ def apply_in_plane(craft: Craft, /, damping: float) -> tuple[float, float, float
 
 
 THRUST_GAIN = Effect(
-    id="rotor.thrust_gain",
-    summary="a wrong thrust constant of the rotors",
-    equation="T × gain",
-    parameters=(Parameter("gain", "", 1.0, 0.5, 1.5, Prior("normal", 1.0, 0.05), 0.04, 0.004),),
-    stage=Stage.THRUST,
-    apply=apply_thrust_gain,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=(
-        "airframe.mass", "rail_z.bias", "airframe.inertia", "gyro.scale", "servo.trim", "rotor.negative_thrust",
-        "rotor.stall", "air.ground_effect",
+    id="rotor.thrust_gain", summary="a wrong thrust constant of the rotors", equation="T × gain",
+    parameters=(
+        Parameter(name="gain", unit="", off=1.0, low=0.5, high=1.5, prior=Prior("normal", 1.0, 0.05), size=0.04,
+                  tolerance=0.004, source="assumption: k_t (vehicle.yaml) within 5 %"),
     ),
-    follows="command",
+    stage=Stage.THRUST, apply=apply_thrust_gain, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("airframe.mass", "rail_z.bias", "airframe.inertia", "gyro.scale", "servo.trim",
+                 "rotor.negative_thrust", "rotor.stall", "air.ground_effect"), follows="command",
 )  # fmt: skip
 ASYMMETRY = Effect(
-    id="rotor.asymmetry",
-    summary="rotors of unequal thrust",
-    equation="T_1 × (1 + fraction), T_2 × (1 - fraction)",
-    parameters=(Parameter("fraction", "", 0.0, -0.5, 0.5, Prior("normal", 0.0, 0.02), 0.02, 0.003),),
-    stage=Stage.THRUST,
-    apply=apply_asymmetry,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("pitch.bias", "airframe.com", "servo.trim"),
-    follows="command",
-)
+    id="rotor.asymmetry", summary="rotors of unequal thrust", equation="T_1 × (1 + fraction), T_2 × (1 - fraction)",
+    parameters=(
+        Parameter(name="fraction", unit="", off=0.0, low=-0.5, high=0.5, prior=Prior("normal", 0.0, 0.02), size=0.02,
+                  tolerance=0.003, source="assumption: rotors of one make differ by 2 %"),
+    ),
+    stage=Stage.THRUST, apply=apply_asymmetry, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("pitch.bias", "airframe.com", "servo.trim"), follows="command",
+)  # fmt: skip
 NEGATIVE_THRUST = Effect(
-    id="rotor.negative_thrust",
-    summary="less thrust at negative blade pitch",
-    equation="T × (1 - loss) where α < 0",
-    parameters=(Parameter("loss", "", 0.0, 0.0, 0.9, Prior("halfnormal", 0.0, 0.05), 0.05, 0.005),),
-    stage=Stage.THRUST,
-    apply=apply_negative_thrust,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain",),
-    follows="command",
-)
+    id="rotor.negative_thrust", summary="less thrust at negative blade pitch", equation="T × (1 - loss) where α < 0",
+    parameters=(
+        Parameter(name="loss", unit="", off=0.0, low=0.0, high=0.9, prior=Prior("halfnormal", 0.0, 0.05), size=0.05,
+                  tolerance=0.005, source="assumption: nearly symmetric blades, some 5 %"),
+    ),
+    stage=Stage.THRUST, apply=apply_negative_thrust, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rotor.thrust_gain",), follows="command",
+)  # fmt: skip
 STALL = Effect(
-    id="rotor.stall",
-    summary="blades that stall at large pitch",
-    equation="α beyond ±onset counts a quarter",
-    # No blade is pitched to the off value. Typical is 0.15 rad.
-    parameters=(Parameter("onset", "rad", 0.5, 0.05, 0.5, Prior("uniform", 0.15, 0.25), 0.36, 0.005),),
-    stage=Stage.THRUST,
-    apply=apply_stall,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain",),
+    id="rotor.stall", summary="blades that stall at large pitch", equation="α beyond ±onset counts a quarter",
+    parameters=(
+        Parameter(name="onset", unit="rad", off=0.5, low=0.05, high=0.5, prior=Prior("uniform", 0.15, 0.25), size=0.36,
+                  tolerance=0.005, source="assumption: typical 0.15 rad; no blade is pitched to 0.5"),
+    ),
+    stage=Stage.THRUST, apply=apply_stall, shows=("/mocap/pose", "/imu/data"), look_alikes=("rotor.thrust_gain",),
     follows="command",
-)
+)  # fmt: skip
 INFLOW = Effect(
-    id="rotor.inflow",
-    summary="thrust lost to the air that flows through the rotors",
-    equation="T - damping ω v_axis",
-    parameters=(Parameter("damping", "N s/(m rad)", 0.0, 0.0, 0.005, Prior("halfnormal", 0.0, 3e-4), 2e-4, 2e-5),),
-    stage=Stage.THRUST,
-    apply=apply_inflow,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_z.viscous", "pitch.viscous"),
-    dissipative=True,
-)
+    id="rotor.inflow", summary="thrust lost to the air that flows through the rotors", equation="T - damping ω v_axis",
+    parameters=(
+        Parameter(name="damping", unit="N s/(m rad)", off=0.0, low=0.0, high=0.005,
+                  prior=Prior("halfnormal", 0.0, 3e-4), size=2e-4, tolerance=2e-5,
+                  source="assumption: of the order of k_t/(speed × radius)"),
+    ),
+    stage=Stage.THRUST, apply=apply_inflow, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_z.viscous", "pitch.viscous"), dissipative=True,
+)  # fmt: skip
 IN_PLANE = Effect(
-    id="rotor.in_plane",
-    summary="drag of the rotors along the arm",
-    equation="-damping (ω_1 + ω_2) v_arm",
-    parameters=(Parameter("damping", "N s/(m rad)", 0.0, 0.0, 0.005, Prior("halfnormal", 0.0, 2e-4), 1e-4, 1e-5),),
-    stage=Stage.FORCE,
-    apply=apply_in_plane,
-    shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rail_x.viscous", "air.drag"),
-    dissipative=True,
-)
+    id="rotor.in_plane", summary="drag of the rotors along the arm", equation="-damping (ω_1 + ω_2) v_arm",
+    parameters=(
+        Parameter(name="damping", unit="N s/(m rad)", off=0.0, low=0.0, high=0.005,
+                  prior=Prior("halfnormal", 0.0, 2e-4), size=1e-4, tolerance=1e-5,
+                  source="assumption: somewhat less than rotor.inflow"),
+    ),
+    stage=Stage.FORCE, apply=apply_in_plane, shows=("/mocap/pose", "/imu/data"),
+    look_alikes=("rail_x.viscous", "air.drag"), dissipative=True,
+)  # fmt: skip

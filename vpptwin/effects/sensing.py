@@ -29,46 +29,36 @@ def apply_gyro_scale(constants: Constants, site: Site, /, scale: np.ndarray) -> 
 
 
 MOCAP_MISALIGNMENT = Effect(
-    id="mocap.misalignment",
-    summary="a motion capture body that is not aligned with the craft",
-    equation="θ + angle",
-    parameters=(Parameter("angle", "rad", 0.0, -0.3, 0.3, Prior("normal", 0.0, 0.01), 0.02, 0.002),),
-    stage=Stage.CONSTANT,
-    apply=apply_misalignment,
-    shows=("/mocap/pose",),
-    look_alikes=("rail_x.bias", "rail.tilt"),
-    writes=("mocap.angle",),
-    follows="position",
-)
+    id="mocap.misalignment", summary="a motion capture body that is not aligned with the craft", equation="θ + angle",
+    parameters=(
+        Parameter(name="angle", unit="rad", off=0.0, low=-0.3, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.02,
+                  tolerance=0.002, source="assumption: marker body set by hand to 0.6 degrees"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_misalignment, shows=("/mocap/pose",), look_alikes=("rail_x.bias", "rail.tilt"),
+    writes=("mocap.angle",), follows="position",
+)  # fmt: skip
 MOCAP_SCALE = Effect(
-    id="mocap.scale",
-    summary="a wrong length scale of the motion capture",
-    equation="(x, z) × scale",
-    parameters=(Parameter("scale", "", 1.0, 0.8, 1.2, Prior("normal", 1.0, 0.005), 0.02, 0.001),),
-    stage=Stage.CONSTANT,
-    apply=apply_mocap_scale,
-    shows=("/mocap/pose",),
-    writes=("mocap.scale",),
-    follows="position",
-)
+    id="mocap.scale", summary="a wrong length scale of the motion capture", equation="(x, z) × scale",
+    parameters=(
+        Parameter(name="scale", unit="", off=1.0, low=0.8, high=1.2, prior=Prior("normal", 1.0, 0.005), size=0.02,
+                  tolerance=0.001, source="assumption: calibrated to half a percent"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_mocap_scale, shows=("/mocap/pose",), writes=("mocap.scale",), follows="position",
+)  # fmt: skip
 GYRO_BIAS = Effect(
-    id="gyro.bias",
-    summary="a bias of the gyro",
-    equation="q + bias",
-    parameters=(Parameter("bias", "rad/s", 0.0, -0.5, 0.5, Prior("normal", 0.0, 0.02), 0.04, 0.004),),
-    stage=Stage.CONSTANT,
-    apply=apply_gyro_bias,
-    shows=("/imu/data",),
-    writes=("gyro.bias",),
-)
+    id="gyro.bias", summary="a bias of the gyro", equation="q + bias",
+    parameters=(
+        Parameter(name="bias", unit="rad/s", off=0.0, low=-0.5, high=0.5, prior=Prior("normal", 0.0, 0.02), size=0.04,
+                  tolerance=0.004, source="assumption: a MEMS gyro, some 1 degree/s"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_gyro_bias, shows=("/imu/data",), writes=("gyro.bias",),
+)  # fmt: skip
 GYRO_SCALE = Effect(
-    id="gyro.scale",
-    summary="a wrong scale of the gyro",
-    equation="q × scale",
-    parameters=(Parameter("scale", "", 1.0, 0.7, 1.3, Prior("normal", 1.0, 0.02), 0.04, 0.004),),
-    stage=Stage.CONSTANT,
-    apply=apply_gyro_scale,
-    shows=("/imu/data",),
-    look_alikes=("airframe.inertia", "rotor.thrust_gain"),
-    writes=("gyro.scale",),
-)
+    id="gyro.scale", summary="a wrong scale of the gyro", equation="q × scale",
+    parameters=(
+        Parameter(name="scale", unit="", off=1.0, low=0.7, high=1.3, prior=Prior("normal", 1.0, 0.02), size=0.04,
+                  tolerance=0.004, source="assumption: a MEMS gyro, scale within 2 %"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_gyro_scale, shows=("/imu/data",),
+    look_alikes=("airframe.inertia", "rotor.thrust_gain"), writes=("gyro.scale",),
+)  # fmt: skip

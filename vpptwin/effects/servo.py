@@ -30,58 +30,42 @@ def apply_trim(constants: Constants, site: Site, /, offset_1: np.ndarray, offset
 
 
 LAG = Effect(
-    id="servo.lag",
-    summary="a wrong time constant of the pitch servos",
-    equation="α̇ = (α_cmd - α)/time_constant",
+    id="servo.lag", summary="a wrong time constant of the pitch servos", equation="α̇ = (α_cmd - α)/time_constant",
     parameters=(
-        Parameter(
-            "time_constant", "s", 0.020, 0.001, 0.2, Prior("normal", 0.020, 0.003), 0.004, 0.0006, "servo.time_constant"
-        ),
+        Parameter(name="time_constant", unit="s", off=0.020, low=0.001, high=0.2, prior=Prior("normal", 0.020, 0.003),
+                  size=0.004, tolerance=0.0006, nominal="servo.time_constant",
+                  source="vehicle.yaml; spread (15 %, built to 3 %): assumption"),
     ),
-    stage=Stage.CONSTANT,
-    apply=apply_lag,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("command.delay", "servo.rate_limit", "airframe.inertia"),
-    writes=("actuator.time_constant",),
+    stage=Stage.CONSTANT, apply=apply_lag, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("command.delay", "servo.rate_limit", "airframe.inertia"), writes=("actuator.time_constant",),
     follows="command change",
-)
+)  # fmt: skip
 RATE_LIMIT = Effect(
-    id="servo.rate_limit",
-    summary="pitch servos of limited rate",
-    equation="|α̇| ≤ rate",
-    # No servo reaches the off value. Typical are 2 to 10 rad/s.
-    parameters=(Parameter("rate", "rad/s", 1000.0, 0.5, 1000.0, Prior("uniform", 4.0, 20.0), 998.0, 1.0),),
-    stage=Stage.CONSTANT,
-    apply=apply_rate_limit,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("servo.lag",),
-    writes=("actuator.rate_limit",),
-    follows="command change",
-)
+    id="servo.rate_limit", summary="pitch servos of limited rate", equation="|α̇| ≤ rate",
+    parameters=(
+        Parameter(name="rate", unit="rad/s", off=1000.0, low=0.5, high=1000.0, prior=Prior("uniform", 4.0, 20.0),
+                  size=998.0, tolerance=1.0, source="assumption: hobby servos, typically 2 to 10 rad/s"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_rate_limit, shows=("/imu/data", "/mocap/pose"), look_alikes=("servo.lag",),
+    writes=("actuator.rate_limit",), follows="command change",
+)  # fmt: skip
 BACKLASH = Effect(
-    id="servo.backlash",
-    summary="play between servo horns and blades",
-    equation="α within ±gap/2 of the horn",
-    parameters=(Parameter("gap", "rad", 0.0, 0.0, 0.1, Prior("halfnormal", 0.0, 0.003), 0.005, 0.0005),),
-    stage=Stage.CONSTANT,
-    apply=apply_backlash,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("command.delay",),
-    writes=("actuator.gap",),
-    follows="command change",
-)
+    id="servo.backlash", summary="play between servo horns and blades", equation="α within ±gap/2 of the horn",
+    parameters=(
+        Parameter(name="gap", unit="rad", off=0.0, low=0.0, high=0.1, prior=Prior("halfnormal", 0.0, 0.003), size=0.005,
+                  tolerance=0.0005, source="assumption: the paper tells of gaps, no numbers"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_backlash, shows=("/imu/data", "/mocap/pose"), look_alikes=("command.delay",),
+    writes=("actuator.gap",), follows="command change",
+)  # fmt: skip
 TRIM = Effect(
-    id="servo.trim",
-    summary="blades that are not trimmed",
-    equation="α_1 + offset_1, α_2 + offset_2",
+    id="servo.trim", summary="blades that are not trimmed", equation="α_1 + offset_1, α_2 + offset_2",
     parameters=tuple(
-        Parameter(name, "rad", 0.0, -0.05, 0.05, Prior("normal", 0.0, 0.003), 0.004, 0.0004)
+        Parameter(name=name, unit="rad", off=0.0, low=-0.05, high=0.05, prior=Prior("normal", 0.0, 0.003), size=0.004,
+                  tolerance=0.0004, source="assumption: trimmed by hand to 0.2 degrees")
         for name in ("offset_1", "offset_2")
     ),
-    stage=Stage.CONSTANT,
-    apply=apply_trim,
-    shows=("/imu/data", "/mocap/pose"),
+    stage=Stage.CONSTANT, apply=apply_trim, shows=("/imu/data", "/mocap/pose"),
     look_alikes=("rotor.asymmetry", "airframe.com", "pitch.bias", "airframe.mass", "rotor.thrust_gain"),
-    writes=("actuator.trim",),
-    follows="command",
-)
+    writes=("actuator.trim",), follows="command",
+)  # fmt: skip

@@ -9,7 +9,7 @@ from vpptwin.effects.parameter import Parameter
 
 COLUMNS = ("id", "parameter", "unit", "off", "bounds", "meaning")
 """What the terminal shows."""
-MORE_COLUMNS = ("tolerance", "prior", "equation", "acts on", "shown by", "look-alikes")
+MORE_COLUMNS = ("tolerance", "prior", "source", "equation", "acts on", "shown by", "look-alikes")
 FINGERPRINT = "fingerprint"
 """What the docs show besides."""
 ACTS_ON = {
@@ -28,8 +28,9 @@ parameter that merely shapes an effect (`velocity`, `rest`, `place`, `width`, `h
 before it is off; its `off` is a typical value, and its tolerance lets any value pass.
 
 A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the deviation that a well-built rig may
-show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. Look-alikes are hard to tell
-apart: that takes the right manoeuvre.
+show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. `source` tells where these
+numbers come from: nobody has measured this rig, so nearly all are [assumptions](assumed.md), those of `vehicle.yaml`
+too. Look-alikes are hard to tell apart: that takes the right manoeuvre.
 
 A fingerprint shows what an effect does to a flight with steps along x and z, flips and inverted hover: left how the
 motion, or what a sensor says of it, departs from that of a twin without the effect within 50 ms under the same
@@ -51,6 +52,7 @@ def describe_parameter(effect: Effect, parameter: Parameter) -> dict[str, str]:
         "meaning": effect.summary,
         "tolerance": f"{parameter.tolerance:g}",
         "prior": str(parameter.prior),
+        "source": parameter.source or "-",
         "equation": f"`{effect.equation}`",
         "acts on": ", ".join(f"`{name}`" for name in effect.writes) or ACTS_ON[effect.stage],
         "shown by": ", ".join(effect.shows),

@@ -24,36 +24,29 @@ def apply_drift(constants: Constants, site: Site, /, drift: np.ndarray) -> None:
 
 
 COMMAND_DELAY = Effect(
-    id="command.delay",
-    summary="a delay from command to servo",
-    equation="α_cmd(t - delay)",
-    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.05, Prior("halfnormal", 0.0, 0.005), 0.003, 0.0005),),
-    stage=Stage.CONSTANT,
-    apply=apply_command_delay,
-    shows=("/imu/data", "/mocap/pose"),
-    look_alikes=("servo.lag", "servo.backlash"),
-    writes=("actuator.delay",),
-    follows="command change",
-)
+    id="command.delay", summary="a delay from command to servo", equation="α_cmd(t - delay)",
+    parameters=(
+        Parameter(name="delay", unit="s", off=0.0, low=0.0, high=0.05, prior=Prior("halfnormal", 0.0, 0.005),
+                  size=0.003, tolerance=0.0005, source="assumption: most within a policy step of 10 ms"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_command_delay, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("servo.lag", "servo.backlash"), writes=("actuator.delay",), follows="command change",
+)  # fmt: skip
 MOCAP_DELAY = Effect(
-    id="mocap.delay",
-    summary="motion capture poses older than their stamps",
-    equation="pose(t - delay)",
-    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.05, Prior("halfnormal", 0.0, 0.005), 0.004, 0.0005),),
-    stage=Stage.CONSTANT,
-    apply=apply_mocap_delay,
-    shows=("/mocap/pose",),
-    look_alikes=("clock.drift",),
+    id="mocap.delay", summary="motion capture poses older than their stamps", equation="pose(t - delay)",
+    parameters=(
+        Parameter(name="delay", unit="s", off=0.0, low=0.0, high=0.05, prior=Prior("halfnormal", 0.0, 0.005),
+                  size=0.004, tolerance=0.0005, source="assumption: most within a period of 10 ms"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_mocap_delay, shows=("/mocap/pose",), look_alikes=("clock.drift",),
     writes=("mocap.delay",),
-)
+)  # fmt: skip
 CLOCK_DRIFT = Effect(
-    id="clock.drift",
-    summary="a motion capture clock that runs fast or slow",
-    equation="pose(t - drift t)",
-    parameters=(Parameter("drift", "s/s", 0.0, -0.01, 0.01, Prior("normal", 0.0, 2e-4), 1e-3, 2e-5),),
-    stage=Stage.CONSTANT,
-    apply=apply_drift,
-    shows=("/mocap/pose",),
-    look_alikes=("mocap.delay",),
+    id="clock.drift", summary="a motion capture clock that runs fast or slow", equation="pose(t - drift t)",
+    parameters=(
+        Parameter(name="drift", unit="s/s", off=0.0, low=-0.01, high=0.01, prior=Prior("normal", 0.0, 2e-4), size=1e-3,
+                  tolerance=2e-5, source="assumption: free-running clocks, 200 ppm apart"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_drift, shows=("/mocap/pose",), look_alikes=("mocap.delay",),
     writes=("clock.drift",),
-)
+)  # fmt: skip

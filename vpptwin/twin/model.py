@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Effect
+from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, installed
 from vpptwin.errors import InputError
 
@@ -135,7 +136,7 @@ def inertia_at_rest(model: mujoco.MjModel) -> np.ndarray:
 def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     """Name, whether rotary, and a typical force or torque of every named joint with one degree of freedom.
 
-    The typical force accelerates what the joint carries by 10 m/s² or 30 rad/s²: an order of magnitude for bounds and
+    The typical force accelerates what the joint carries by SLIDE_ACCELERATION or HINGE_ACCELERATION: for bounds and
     first steps of a fit, nothing finer.
     """
     inertia = inertia_at_rest(model)
@@ -146,7 +147,8 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
             continue
         rotary = kind == HINGE
         dof = model.jnt_dofadr[i]
-        described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * (30.0 if rotary else 10.0)))
+        typical = HINGE_ACCELERATION if rotary else SLIDE_ACCELERATION
+        described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * typical))
     return described
 
 

@@ -24,7 +24,7 @@ from vpptwin.twin.spec import load_twin
 
 RATE = Unknown(RATE_LIMIT, RATE_LIMIT.parameters[0], 1000.0)
 """Off at 1000 rad/s; real servos have 4 to 20."""
-LEVEL = Parameter("level", "rad", 10.0, 0.05, 10.0, Prior("uniform", 0.1, 0.3), 9.0)
+LEVEL = Parameter(name="level", unit="rad", off=10.0, low=0.05, high=10.0, prior=Prior("uniform", 0.1, 0.3), size=9.0)
 CLIP = Unknown(replace(RATE_LIMIT, id="servo.clip", parameters=(LEVEL,), follows="command"), LEVEL, 10.0)
 PLACE = Place("rail", "on a rail")
 
@@ -59,7 +59,7 @@ def test_limits_are_told_from_other_parameters() -> None:
 def test_ranges_by_hand() -> None:
     """A limit's prior from 4 to 20: 16. A normal prior's three widths, three typical sizes or all there is."""
     assert RATE.width == 16.0
-    parameter = Parameter("p", "", 0.0, -4.0, 4.0, Prior("normal", 0.0, 1.0), 0.1)
+    parameter = Parameter(name="p", unit="", off=0.0, low=-4.0, high=4.0, prior=Prior("normal", 0.0, 1.0), size=0.1)
     effect = bias(PLACE)
     for changed, width in (
         (parameter, 3.0),
@@ -91,7 +91,7 @@ def test_secants_of_limits_are_shares_of_them() -> None:
 
 def test_secants_stop_at_a_bound_where_neither_way_has_room() -> None:
     """Between 0 and 1 with a size of 3: from 0.2 up to 1, from 0.8 down to 0."""
-    parameter = Parameter("p", "", 0.0, 0.0, 1.0, Prior("normal", 0.0, 0.1), 3.0)
+    parameter = Parameter(name="p", unit="", off=0.0, low=0.0, high=1.0, prior=Prior("normal", 0.0, 0.1), size=3.0)
     unknown = Unknown(bias(PLACE), parameter, 0.0)
     assert unknown.step_from(0.2) == pytest.approx(0.8)
     assert unknown.step_from(0.8) == pytest.approx(-0.8)
@@ -128,7 +128,8 @@ def test_places_are_tried_over_the_likely_part_of_their_prior(alone: bool) -> No
 
 def test_speeds_and_widths_are_tried_at_either_side_of_their_typical_size() -> None:
     """What cannot be zero: 0.6, 1 and 1.6 times its value, inside the bounds; beside another shape its value alone."""
-    speed = Parameter("speed", "m/s", 0.5, 0.1, 0.7, Prior("normal", 0.5, 0.1), 0.2)
+    prior = Prior("normal", 0.5, 0.1)
+    speed = Parameter(name="speed", unit="m/s", off=0.5, low=0.1, high=0.7, prior=prior, size=0.2)
     shape = Unknown(spring(PLACE), speed, 0.5)
     np.testing.assert_allclose(grid_of_shape(shape, True), [0.3, 0.5])
     np.testing.assert_allclose(grid_of_shape(shape, False), [0.5])

@@ -10,13 +10,14 @@ from math import floor, log10
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Experiment, Rival, Verdict
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
+from vpptwin.effects import UNLIMITED
 
 MILLI = {"m": "mm", "s": "ms", "rad": "mrad", "kg": "g", "N m": "mN m"}
 """Units that are written with a thousandth where the number is below 0.1."""
 SHOWN_HORIZON = 2
 """Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
-UNLIMITED = 1e5
-"""Off value of limits: a twin with that much has none."""
+REACHABLE = 0.1 * UNLIMITED
+"""Limits below this are some; a twin with more has none."""
 OPEN = 30.0
 """Ratio of bounds from which the upper one says nothing: of a limit that these flights never ran into."""
 SIZE_FITS = re.compile(
@@ -100,7 +101,7 @@ def describe_cause(cause: Cause) -> str:
         what = f"{cause.summary}, {join_words([f'{name} {size}'] + [f'{n} {format_value(e)}' for n, e in shape])}"
     else:
         what = f"{cause.summary}, {size}"
-    if 0.0 < abs(strength.nominal) < UNLIMITED:
+    if 0.0 < abs(strength.nominal) < REACHABLE:
         what += f", where the twin has {format_plain(strength.nominal, strength)},"
     else:
         what += "," if wrong else ", which the twin lacks,"
