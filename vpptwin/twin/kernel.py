@@ -15,7 +15,8 @@ from platformdirs import user_cache_path
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
-from vpptwin.engine.callback import MARK, WORDS, as_function
+from vpptwin.engine.callback import FUNCTION, MARK, WORDS
+from vpptwin.engine.check import check_step
 from vpptwin.engine.compile import c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
@@ -132,6 +133,7 @@ def compile_kernel(
     source = pipeline.source + write_entry(model, pipeline, drone)
     key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
     if key not in _KERNELS:
+        check_step()
         _KERNELS[key] = _compile(source, key, pipeline, dtypes)
     return _KERNELS[key]
 
@@ -203,7 +205,7 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr)
     function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
-    return Kernel(pipeline, as_function(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
+    return Kernel(pipeline, FUNCTION(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
 
 
 def delay_depth(effects: Iterable[Effect], dt: float) -> int:
