@@ -184,19 +184,11 @@ def update(
     memory: np.ndarray, speed: float, predicted: float, row: tuple[float, float, float, float], noise: float,
     doubt: float, dt: float,
 ) -> None:  # fmt: skip
-    """Carry the covariance on and correct the estimates by a measured speed.
+    """Carry the covariance on, and correct the estimates by a measured speed [rad/s] where another was predicted.
 
-    F P Fᵀ + Q with an F that has one row of its own, and the update of a single number, H = (1, 0, 0, 0), written out
-    for the ten numbers of the triangle: a flight computer does the same, without matrices.
-
-    Args:
-        memory: of the rotor.
-        speed: measured [rad/s].
-        predicted: what it should be [rad/s].
-        row: derivative of the prediction by speed, offset, half play and drag.
-        noise: of the prediction [rad/s].
-        doubt: about it while the blade moves [rad/s].
-        dt: inner step [s].
+    F P Fᵀ + Q with an F that has one `row` of its own, the derivative of the prediction by each estimate, and the
+    update by a single number, H = (1, 0, 0, 0), written out for the ten numbers of the triangle: the exported C does
+    the same, without matrices. `noise` and `doubt` are what the prediction may be off by [rad/s], noise and lag.
     """
     a, b, c, d = row
     p = memory[COVARIANCE : COVARIANCE + 10]

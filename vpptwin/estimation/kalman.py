@@ -83,22 +83,14 @@ class FilterNoise:
 
 
 class Crafts(NamedTuple):
-    """What evolves of N filters; all arrays are written in place.
+    """What evolves of N filters, written in place."""
 
-    Attributes:
-        imu: the kept samples, a ring, (N, DEPTH, 3).
-        base: time of the fused state in samples, (N,); NaN before the first pose.
-        mean, covariance: the fused state, (N, 8), (N, 8, 8).
-        now: the state at the present, (N, 8).
-        left_out: poses in a row that were, (N,).
-    """
-
-    imu: np.ndarray
-    base: np.ndarray
+    imu: np.ndarray  # ring of kept samples, (N, DEPTH, 3)
+    base: np.ndarray  # time of the fused state, in samples; NaN before the first pose
     mean: np.ndarray
     covariance: np.ndarray
-    now: np.ndarray
-    left_out: np.ndarray
+    now: np.ndarray  # the state at the present
+    left_out: np.ndarray  # poses in a row that were
 
 
 class World(NamedTuple):
@@ -126,7 +118,7 @@ class KalmanFilter:
         self.dt, self._noise = dt, noise.as_array()
         self.samples = 0
         self._imu = np.zeros((count, DEPTH, 3))
-        self._base = np.full(count, np.nan)  # time of the fused state, in samples; NaN before the first pose
+        self._base = np.full(count, np.nan)
         self._mean, self._now = np.zeros((count, SIZE)), np.zeros((count, SIZE))
         self._covariance = np.zeros((count, SIZE, SIZE))
         self._left_out = np.zeros(count, np.int64)

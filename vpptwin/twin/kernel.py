@@ -34,6 +34,8 @@ CONTEXT = np.dtype(
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
 READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
 
+# As text, since sizes and offsets of a model are numbers in it: loops over joints unroll, numba keeps a file per model.
+# MuJoCo calls it in the middle of a step: passive forces and bias are there, actuators' and constraints' are to come.
 ENTRY = """
 def control(m, d):
     model = carray(m, ({model_words},), np.int64)
@@ -193,6 +195,7 @@ def write_view(model: mujoco.MjModel) -> str:
 def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
     file = _store(source, key)
 
+    # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
     def compiled(function: Function, inline: bool = False) -> Function:
         return njit(function, error_model="numpy", forceinline=inline)
 
