@@ -18,7 +18,7 @@ TORCH_INDEX ?=
 SELECT ?= not slow
 PYTEST_ARGS ?=
 
-.PHONY: help install demo test check docs format lock clean distclean
+.PHONY: help install demo test newest check docs format lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -46,6 +46,9 @@ demo: $(STAMP) ## diagnose the flights that ship with the project, write a repor
 # One thread per worker: two workers already fill two cores, and torch's own threads would fight them.
 test: $(STAMP) ## all tests but the long sweeps (make test SELECT= runs those too)
 	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "$(SELECT)" $(PYTEST_ARGS)
+
+newest: $(STAMP) ## tests of the engine with the newest MuJoCo of the index, if that is not the pinned one
+	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python .ci/newest.py
 
 check: $(STAMP) ## lint, format, types
 	$(BIN)/ruff check .

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -78,116 +78,115 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="vpptwin", description="The simulation twin that tells you what it gets wrong.")
     parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-
-    effects = commands.add_parser("effects", help="list the catalogue of effects")
-    effects.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
-    add_effects(effects)
-    effects.add_argument("--markdown", action="store_true", help="as a Markdown table")
-    effects.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
-    effects.set_defaults(run=run_effects)
-
-    diagnose = commands.add_parser("diagnose", help="find what a twin gets wrong, from flight logs")
-    add_logs(diagnose)
-    diagnose.add_argument("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
-    diagnose.add_argument(
-        "--json", type=Path, help="write the verdict here as well; - prints it instead of the summary"
-    )
-    diagnose.set_defaults(run=run_diagnose)
-
-    compare = commands.add_parser("compare", help="measure a twin's prediction error on flight logs")
-    add_logs(compare)
-    compare.add_argument("--json", type=Path, help="write the figures here as well; - prints them instead")
-    compare.set_defaults(run=run_compare)
-
-    play = commands.add_parser("play", help="watch a log in meshcat, the twin beside it")
-    play.add_argument(
-        "log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording"
-    )
-    add_beside(play)
-    play.add_argument("--html", type=Path, help="write one self-contained page instead of opening a server")
-    play.add_argument("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
-    play.add_argument(
-        "--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it"
-    )
-    play.set_defaults(run=run_play)
-
-    plot = commands.add_parser("plot", help="draw a log over time, the twin beside it, or training curves")
-    plot.add_argument(
-        "source", type=Path, nargs="+", metavar="SOURCE", help="a log (or its split files), or folders of training runs"
-    )
-    add_beside(plot)
-    plot.add_argument("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
-    plot.add_argument("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
-    plot.set_defaults(run=run_plot)
-
-    layouts = commands.add_parser("layouts", help="write layouts of Foxglove and PlotJuggler for our logs")
-    layouts.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
-    layouts.set_defaults(run=run_layouts)
-
-    add_fly(commands.add_parser("fly", help="fly a manoeuvre or a policy in a twin and write its log"))
-
-    identify = commands.add_parser("identify", help="fit an actuator to thrust-stand runs, or a twin to flights")
-    identify.add_argument(
-        "logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights"
-    )
-    identify.add_argument("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
-    identify.add_argument("--twin", default="nominal", help="of flights: `nominal` (default) or a twin YAML")
-    add_effects(identify)
-    identify.add_argument(
-        "--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin"
-    )
-    identify.add_argument("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
-    add_topic_map(identify)
-    identify.set_defaults(run=run_identify)
-
-    train = commands.add_parser("train", help="train a policy with PPO", add_help=False)
-    train.set_defaults(run=lambda options: run_train([]))
-
-    export = commands.add_parser("export", help="write a policy and the cascade below it as C99 source, or as ONNX")
-    export.add_argument("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
-    export.add_argument("--format", choices=["c", "onnx"], required=True)
-    export.add_argument("--twin", help="whose vehicle the cascade is for (default: that of training)")
-    export.add_argument("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
-    export.set_defaults(run=run_export)
-
-    evaluate = commands.add_parser("evaluate", help="measure a trained policy")
-    evaluate.add_argument("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
-    evaluate.add_argument("--task", help="what to fly (default: the task of training)")
-    evaluate.add_argument("--tracks", type=int, default=1000, help="flights (default 1000)")
-    evaluate.add_argument("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
-    evaluate.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
-    evaluate.add_argument("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
-    evaluate.add_argument(
-        "--randomize", default="paper", metavar="NAMES",
-        help="effects drawn from their priors, separated by commas, or paper (default), all, none",
-    )  # fmt: skip
-    evaluate.add_argument("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
-    evaluate.add_argument(
-        "--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)"
-    )
-    add_effects(evaluate)
-    evaluate.add_argument("--json", type=Path)
-    evaluate.set_defaults(run=run_evaluate)
+    for name, (summary, run, describe) in COMMANDS.items():
+        command = commands.add_parser(name, help=summary, add_help=name != "train")
+        describe(command)
+        command.set_defaults(run=run)
     return parser
 
 
-def add_fly(fly: argparse.ArgumentParser) -> None:
+def describe_effects(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin effects`."""
+    parser.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
+    add_effects(parser)
+    parser.add_argument("--markdown", action="store_true", help="as a Markdown table")
+    parser.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
+
+
+def describe_diagnose(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin diagnose`."""
+    add_logs(parser)
+    add = parser.add_argument
+    add("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
+    add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
+
+
+def describe_compare(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin compare`."""
+    add_logs(parser)
+    parser.add_argument("--json", type=Path, help="write the figures here as well; - prints them instead")
+
+
+def describe_play(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin play`."""
+    add = parser.add_argument
+    add("log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording")
+    add_beside(parser)
+    add("--html", type=Path, help="write one self-contained page instead of opening a server")
+    add("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
+    add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
+
+
+def describe_plot(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin plot`."""
+    sources = "a log (or its split files), or folders of training runs"
+    parser.add_argument("source", type=Path, nargs="+", metavar="SOURCE", help=sources)
+    add_beside(parser)
+    add = parser.add_argument
+    add("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
+    add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
+
+
+def describe_layouts(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin layouts`."""
+    parser.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
+
+
+def describe_fly(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin fly`."""
-    fly.add_argument("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
-    fly.add_argument("--policy", type=Path, metavar="FILE", help="instead, an exported controller, .so or .onnx")
-    fly.add_argument("--task", help="whose targets the policy flies (default: that of its training)")
-    fly.add_argument("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
-    fly.add_argument("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
-    fly.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
-    fly.add_argument("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
-    fly.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
-    add_effects(fly)
-    fly.add_argument("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
-    fly.add_argument("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
-    fly.add_argument("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
-    fly.add_argument("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
-    fly.add_argument("--out", type=Path, help="log to write, MCAP")
-    fly.set_defaults(run=run_fly)
+    add = parser.add_argument
+    add("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
+    add("--policy", type=Path, metavar="FILE", help="instead, an exported controller, .so or .onnx")
+    add("--task", help="whose targets the policy flies (default: that of its training)")
+    add("--pilot", choices=["scripted", "policy"], help="by default the one that the rest implies")
+    add("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
+    add("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
+    add("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add_effects(parser)
+    add("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
+    add("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
+    add("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
+    add("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
+    add("--out", type=Path, help="log to write, MCAP")
+
+
+def describe_identify(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin identify`."""
+    add = parser.add_argument
+    add("logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights")
+    add("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
+    add("--twin", default="nominal", help="of flights: `nominal` (default) or a twin YAML")
+    add_effects(parser)
+    add("--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin")
+    add("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
+    add_topic_map(parser)
+
+
+def describe_export(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin export`."""
+    add = parser.add_argument
+    add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
+    add("--format", choices=["c", "onnx"], required=True)
+    add("--twin", help="whose vehicle the cascade is for (default: that of training)")
+    add("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
+
+
+def describe_evaluate(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin evaluate`."""
+    add = parser.add_argument
+    add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
+    add("--task", help="what to fly (default: the task of training)")
+    add("--tracks", type=int, default=1000, help="flights (default 1000)")
+    add("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
+    add("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
+    randomized = "effects drawn from their priors, separated by commas, or paper (default), all, none"
+    add("--randomize", default="paper", metavar="NAMES", help=randomized)
+    add("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
+    add("--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)")
+    add_effects(parser)
+    add("--json", type=Path)
 
 
 def add_logs(parser: argparse.ArgumentParser) -> None:
@@ -218,6 +217,22 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
 def add_topic_map(parser: argparse.ArgumentParser) -> None:
     """The argument that renames topics and fields of other people's bags."""
     parser.add_argument("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
+
+
+COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentParser], None]]] = {
+    "effects": ("list the catalogue of effects", run_effects, describe_effects),
+    "diagnose": ("find what a twin gets wrong, from flight logs", run_diagnose, describe_diagnose),
+    "compare": ("measure a twin's prediction error on flight logs", run_compare, describe_compare),
+    "play": ("watch a log in meshcat, the twin beside it", run_play, describe_play),
+    "plot": ("draw a log over time, the twin beside it, or training curves", run_plot, describe_plot),
+    "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", run_layouts, describe_layouts),
+    "fly": ("fly a manoeuvre or a policy in a twin and write its log", run_fly, describe_fly),
+    "identify": ("fit an actuator to thrust-stand runs, or a twin to flights", run_identify, describe_identify),
+    "train": ("train a policy with PPO", lambda options: run_train([]), lambda parser: None),
+    "export": ("write a policy and the cascade below it as C99 source, or as ONNX", run_export, describe_export),
+    "evaluate": ("measure a trained policy", run_evaluate, describe_evaluate),
+}
+"""The commands by name: in a line, what runs them, what adds their arguments. Hydra takes those of `train`."""
 
 
 if __name__ == "__main__":

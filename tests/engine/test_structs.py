@@ -129,3 +129,11 @@ def test_unknown_field_is_an_error() -> None:
     """A field that MuJoCo does not have is no offset."""
     with pytest.raises(AttributeError):
         model_offset("no_such_field")
+
+
+@pytest.mark.usefixtures("fresh")
+def test_a_field_that_is_gone_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A MuJoCo without one of the arrays that the step reads is refused in the same line."""
+    monkeypatch.setitem(DATA_ARRAYS, "inertia", ("qM", np.float64, "nC"))
+    with pytest.raises(ImportError, match=r"lays out mjData\.qM otherwise"):
+        check_layout()

@@ -138,35 +138,60 @@ def learn(
         dt: inner step [s].
     """
     find_fault(memory, speed, current, throttle)
-    before = memory[HORN]
-    horn, mean = step_lag(before, memory[COMMAND], vehicle.servo.time_constant, dt)
-    memory[HORN] = horn
-    half, moved = memory[HALF_GAP], horn - before
-    blade = take_up_play(memory[BLADE], mean, 2.0 * half)
-    if blade != memory[BLADE]:
-        memory[SIDE] = 1.0 if blade > memory[BLADE] else -1.0
-    memory[BLADE] = blade
+    moved = follow_linkage(vehicle, memory, dt)
     known_speed = memory[SPEED] > 0.0
     if memory[FAULT] != SOUND or not known_speed:
         memory[SPEED] = 0.0 if memory[FAULT] == NO_SPEED else speed
         return
     rotor, motor, drag = vehicle.rotor, vehicle.motor, memory[DRAG]
-    pitch = blade + memory[TRIM]
+    pitch = memory[BLADE] + memory[TRIM]
     known = compute_drag_torque(rotor, memory[SPEED], pitch)
     step = dt / rotor.inertia
+    # I ω̇ = (i - i_0)/k_Q - c M(ω, α), as in `estimate_pitch`: the next speed is the one thing that is predicted.
     torque = (current - motor.no_load_current) / motor.k_q - drag * known
+    # Slope and half the curvature of the map's torque over pitch, its |α| rounded off.
     size = np.sqrt(pitch * pitch + ROUND * ROUND)
     slope = 2.0 * rotor.k_d2 * speed * speed * pitch + rotor.k_d3 * speed * pitch / size
     bend = rotor.k_d2 * speed * speed + 0.5 * rotor.k_d3 * speed * ROUND * ROUND / (size * size * size)
-    # derivative of the next speed by each estimate
+    # Derivative of the next speed by each estimate: the first row of F, the others being those of the identity.
     a = 1.0 - step * drag * 2.0 * rotor.k_d1 * speed
     b = -step * drag * slope
     c = -b * memory[SIDE]
     d = -step * known
     doubt = b * moved / dt * LAG_DOUBT
+    # What the straight line leaves out, by the spread of pitch and drag: second-order terms, as noise.
     p = memory[COVARIANCE : COVARIANCE + 10]
     bent = drag * bend * (p[4] + p[7]) + np.abs(slope) * np.sqrt(p[4] * p[9])
     noise = step * (TORQUE_NOISE + LASTING * bent)
+    update(memory, speed, memory[SPEED] + step * torque, (a, b, c, d), noise, doubt, dt)
+
+
+@register_jitable
+def follow_linkage(vehicle: VehicleNumbers, memory: np.ndarray, dt: float) -> float:
+    """Move the believed servo and blade on to the end of a step; how far the servo's horn went [rad]."""
+    before = memory[HORN]
+    horn, mean = step_lag(before, memory[COMMAND], vehicle.servo.time_constant, dt)
+    memory[HORN] = horn
+    blade = take_up_play(memory[BLADE], mean, 2.0 * memory[HALF_GAP])
+    if blade != memory[BLADE]:
+        memory[SIDE] = 1.0 if blade > memory[BLADE] else -1.0
+    memory[BLADE] = blade
+    return horn - before
+
+
+@register_jitable
+def update(
+    memory: np.ndarray, speed: float, predicted: float, row: tuple[float, float, float, float], noise: float,
+    doubt: float, dt: float,
+) -> None:  # fmt: skip
+    """Carry the covariance on, and correct the estimates by a measured speed [rad/s] where another was predicted.
+
+    F P Fᵀ + Q with an F that has one `row` of its own, the derivative of the prediction by each estimate, and the
+    update by a single number, H = (1, 0, 0, 0), written out for the ten numbers of the triangle: the exported C does
+    the same, without matrices. `noise` and `doubt` are what the prediction may be off by [rad/s], noise and lag.
+    """
+    a, b, c, d = row
+    p = memory[COVARIANCE : COVARIANCE + 10]
     u0 = a * p[0] + b * p[1] + c * p[2] + d * p[3]
     u1 = a * p[1] + b * p[4] + c * p[5] + d * p[6]
     u2 = a * p[2] + b * p[5] + c * p[7] + d * p[8]
@@ -174,12 +199,12 @@ def learn(
     v0 = a * u0 + b * u1 + c * u2 + d * u3 + noise * noise + doubt * doubt
     variance = v0 + SPEED_NOISE * SPEED_NOISE
     most = SURPRISE * np.sqrt(variance)
-    surprise = min(max(speed - (memory[SPEED] + step * torque), -most), most)
+    surprise = min(max(speed - predicted, -most), most)
     k0, k1, k2, k3 = v0 / variance, u1 / variance, u2 / variance, u3 / variance
-    memory[SPEED] = memory[SPEED] + step * torque + k0 * surprise
+    memory[SPEED] = predicted + k0 * surprise
     memory[TRIM] = min(max(memory[TRIM] + k1 * surprise, -TRIM_MAX), TRIM_MAX)
-    memory[HALF_GAP] = min(max(half + k2 * surprise, 0.0), HALF_GAP_MAX)
-    memory[DRAG] = min(max(drag + k3 * surprise, DRAG_MIN), DRAG_MAX)
+    memory[HALF_GAP] = min(max(memory[HALF_GAP] + k2 * surprise, 0.0), HALF_GAP_MAX)
+    memory[DRAG] = min(max(memory[DRAG] + k3 * surprise, DRAG_MIN), DRAG_MAX)
     p[0] = v0 * (1.0 - k0)
     p[1], p[2], p[3] = u1 * (1.0 - k0), u2 * (1.0 - k0), u3 * (1.0 - k0)
     p[4] += DRIFT[1] * DRIFT[1] * dt - k1 * u1

@@ -22,6 +22,9 @@ MARK = int.from_bytes(b"vpptwin!", "little")
 WORDS = 3
 """Size of `userdata`."""
 
+FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+"""A control callback, void(const mjModel*, mjData*), in the form that MuJoCo's bindings take."""
+
 _LOCK = threading.RLock()
 
 
@@ -77,8 +80,3 @@ def mark_rows(userdata: np.ndarray, context: np.ndarray) -> None:
     words = np.empty((len(userdata), WORDS), np.int64)
     words[:, 0], words[:, 1], words[:, 2] = MARK, context.ctypes.data, np.arange(len(userdata))
     userdata[:] = words.view(np.float64)
-
-
-def as_function(address: int) -> object:
-    """The C function at an address, void(const mjModel*, mjData*), in the form that MuJoCo's bindings take."""
-    return ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(address)

@@ -8,6 +8,9 @@ from functools import cache
 import mujoco
 from mujoco.introspect import ast_nodes, enums, structs
 
+from vpptwin.engine.callback import installed
+from vpptwin.engine.view import DATA_ARRAYS, MODEL_ARRAYS
+
 SCALARS: dict[str, type] = {
     "mjtNum": ctypes.c_double,
     "mjtSize": ctypes.c_int64,
@@ -22,10 +25,20 @@ SCALARS: dict[str, type] = {
     "uint64_t": ctypes.c_uint64,
     "unsigned int": ctypes.c_uint,
 }
+RANGE, TESTED = "mujoco>=4.0,<5", "4.0.0"
+"""Releases that may be installed, as pyproject.toml says, and the one of constraints.txt."""
 PROBE = """
-<mujoco><size nuserdata="1"/><worldbody><body><joint name="j" type="slide"/><geom size="1"/></body></worldbody>
-<actuator><motor joint="j"/></actuator></mujoco>
+<mujoco><size nuserdata="3"/><option timestep="0.003" gravity="0.3 0 -9.7"/><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0 0 0.15" gravcomp="0.4"><joint name="x" type="slide" axis="1 0 0" damping="2" stiffness="5"/>
+<joint name="z" type="slide" axis="0 0 1" damping="1" actuatorgravcomp="true"/><geom size="0.16" mass="0.7"/>
+<body pos="0.3 0 0.4"><joint name="turn" axis="0 1 0" damping="0.3" armature="0.02" actuatorfrcrange="-0.5 0.3"/>
+<geom type="capsule" fromto="0 0 0 0.2 0 0.1" size="0.02" mass="0.2"/></body></body></worldbody>
+<tendon><fixed name="both"><joint joint="x" coef="0.7"/><joint joint="turn" coef="-0.2"/></fixed></tendon>
+<actuator><motor joint="x" gear="2" ctrlrange="-1 1"/><motor joint="z" forcerange="-1.5 1.5"/>
+<position joint="turn" kp="20" kv="0.5"/><general tendon="both" gaintype="affine" gainprm="2 0.3 -0.4"/></actuator>
+</mujoco>
 """
+"""A model in contact that has something in every array of a `View`; one limit of each kind, where a test reaches it."""
 
 
 def translate_type(declared: object) -> type:
@@ -49,7 +62,12 @@ def translate_type(declared: object) -> type:
 
 def make_struct(name: str, fields: object) -> type[ctypes.Structure]:
     """A ctypes structure with declared fields."""
-    listed = [(f.name, translate_type(f.type)) for f in fields]  # type: ignore[attr-defined]
+    listed = []
+    for field in fields:  # type: ignore[attr-defined]
+        try:
+            listed.append((field.name, translate_type(field.type)))
+        except KeyError as unknown:
+            raise unsupported(f"declares {name}.{field.name} of a type that is not known, {unknown}") from None
     return type(name or "anonymous", (ctypes.Structure,), {"_fields_": listed})
 
 
@@ -59,26 +77,34 @@ def mirror_struct(name: str) -> type[ctypes.Structure]:
     return make_struct(name, structs.STRUCTS[name].fields)
 
 
+def unsupported(found: str) -> ImportError:
+    """The error for a MuJoCo other than we know it: what it does, what was expected and what to do."""
+    return ImportError(
+        f"mujoco {mujoco.__version__} {found}; expected a release of {RANGE} that vpptwin was tested with: "
+        f"pip install mujoco=={TESTED}"
+    )
+
+
+def make_probe() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The small model that checks are made with."""
+    with installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
+        model = mujoco.MjModel.from_xml_string(PROBE)
+    return model, mujoco.MjData(model)
+
+
 @cache
 def check_layout() -> None:
-    """Compare where fields should be with where they are in a small model.
+    """Compare where the arrays of a `View` should be with where they are in a small model.
 
     Raises:
         ImportError: if the installed MuJoCo does not keep its fields where it declares them.
     """
-    model = mujoco.MjModel.from_xml_string(PROBE)
-    data = mujoco.MjData(model)
-    for struct, thing, names in (
-        ("mjModel", model, ("qpos0", "body_mass", "dof_damping", "M_colind", "actuator_gainprm")),
-        ("mjData", data, ("qpos", "qvel", "ctrl", "userdata", "qfrc_passive", "qfrc_constraint", "M")),
-    ):
+    model, data = make_probe()
+    for struct, thing, table in (("mjModel", model, MODEL_ARRAYS), ("mjData", data, DATA_ARRAYS)):
         mirror = mirror_struct(struct).from_address(thing._address)
-        for name in names:
-            if getattr(mirror, name) != getattr(thing, name).ctypes.data:
-                raise ImportError(
-                    f"mujoco {mujoco.__version__} lays out {struct}.{name} otherwise than it declares; "
-                    "expected a release that vpptwin was tested with: pip install 'mujoco>=4.0,<4.1'"
-                )
+        for name in [field for field, *_ in table.values()] + ["userdata"] * (thing is data):
+            if not hasattr(thing, name) or getattr(mirror, name, 0) != getattr(thing, name).ctypes.data:
+                raise unsupported(f"lays out {struct}.{name} otherwise than it declares")
 
 
 def field_offset(struct: str, path: str) -> int:

@@ -7,11 +7,16 @@ goes on. A pose that cannot be right by the filter's own measure is left out.
 
 Written here because no maintained library has it: filterpy's last release is of 2018, simdkalman is linear, and a
 smoother of a robotics package does not run inside a batch of simulations.
+
+The formulas are those of the planar case of J. Solà, Quaternion kinematics for the error-state Kalman filter (2017),
+error-state kinematics for IMU-driven systems, and, for the update and its consistency, of Y. Bar-Shalom, X. R. Li and
+T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -77,6 +82,25 @@ class FilterNoise:
         ])  # fmt: skip
 
 
+class Crafts(NamedTuple):
+    """What evolves of N filters, written in place."""
+
+    imu: np.ndarray  # ring of kept samples, (N, DEPTH, 3)
+    base: np.ndarray  # time of the fused state, in samples; NaN before the first pose
+    mean: np.ndarray
+    covariance: np.ndarray
+    now: np.ndarray  # the state at the present
+    left_out: np.ndarray  # poses in a row that were
+
+
+class World(NamedTuple):
+    """What does not: between IMU samples [s], gravity [m/s²], and `FilterNoise.as_array`."""
+
+    dt: float
+    gravity: float
+    noise: np.ndarray
+
+
 class KalmanFilter:
     """Filters of N crafts. All start at the first pose; `save` gives what `restore` takes.
 
@@ -91,13 +115,15 @@ class KalmanFilter:
     """
 
     def __init__(self, count: int, dt: float, gravity: float, noise: FilterNoise) -> None:
-        self.dt, self.gravity, self._noise = dt, gravity, noise.as_array()
+        self.dt, self._noise = dt, noise.as_array()
         self.samples = 0
         self._imu = np.zeros((count, DEPTH, 3))
-        self._base = np.full(count, np.nan)  # time of the fused state, in samples; NaN before the first pose
+        self._base = np.full(count, np.nan)
         self._mean, self._now = np.zeros((count, SIZE)), np.zeros((count, SIZE))
         self._covariance = np.zeros((count, SIZE, SIZE))
         self._left_out = np.zeros(count, np.int64)
+        self._crafts = Crafts(self._imu, self._base, self._mean, self._covariance, self._now, self._left_out)
+        self._world = World(float(dt), float(gravity), self._noise)
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray) -> None:
         """Take in one IMU sample.
@@ -109,8 +135,8 @@ class KalmanFilter:
         self._imu[:, self.samples % DEPTH, 0] = gyro
         self._imu[:, self.samples % DEPTH, 1:] = accel
         self.samples += 1
-        _carry(self._imu, self._base, self._mean, self._covariance, self._now, self.samples, self.dt, self.gravity,
-               self._noise)  # fmt: skip
+        # Flat: to open a tuple of arrays takes longer than to carry one craft on.
+        _carry(*self._crafts[:5], self.samples, *self._world)
 
     def correct(self, pose: np.ndarray, age: np.ndarray | float = 0.0, seen: np.ndarray | None = None) -> np.ndarray:
         """Take in poses of the motion capture.
@@ -128,8 +154,7 @@ class KalmanFilter:
         stamp = self.samples - np.broadcast_to(np.asarray(age, dtype=float), count) / self.dt
         wanted = np.ones(count, bool) if seen is None else seen
         surprise = np.full(count, np.nan)
-        _fuse(self._imu, self._base, self._mean, self._covariance, self._now, self._left_out, self.samples, self.dt,
-              self.gravity, self._noise, np.ascontiguousarray(pose, dtype=float), stamp, wanted, surprise)  # fmt: skip
+        _fuse(self._crafts, self._world, self.samples, np.ascontiguousarray(pose, dtype=float), stamp, wanted, surprise)
         return surprise
 
     @property
@@ -178,28 +203,31 @@ class KalmanFilter:
 
 
 @njit(cache=can_keep(), error_model="numpy")
-def _move(state: np.ndarray, sample: np.ndarray, dt: float, gravity: float) -> tuple[float, float, float, float]:
+def _move(state: np.ndarray, sample: np.ndarray, part: float, gravity: float) -> tuple[float, float, float, float]:
     """Carry a state (8,) on by an IMU sample (3,); acceleration in the world's axes and the angle's sine and cosine."""
     rate = sample[0] - state[GYRO_BIAS]
-    middle = state[ANGLE] + 0.5 * dt * rate
+    # A sample is a mean over its time: turned by the angle halfway it is right to second order while the craft flips.
+    middle = state[ANGLE] + 0.5 * part * rate
     sine, cosine = np.sin(middle), np.cos(middle)
     along, across = sample[1] - state[BIAS_X], sample[2] - state[BIAS_Z]
     a_x = cosine * along - sine * across
     a_z = sine * along + cosine * across - gravity
-    state[X] += dt * (state[V_X] + 0.5 * dt * a_x)
-    state[Z] += dt * (state[V_Z] + 0.5 * dt * a_z)
-    state[V_X] += dt * a_x
-    state[V_Z] += dt * a_z
-    state[ANGLE] += dt * rate
+    state[X] += part * (state[V_X] + 0.5 * part * a_x)
+    state[Z] += part * (state[V_Z] + 0.5 * part * a_z)
+    state[V_X] += part * a_x
+    state[V_Z] += part * a_z
+    state[ANGLE] += part * rate
     return a_x, a_z, sine, cosine
 
 
 @njit(cache=can_keep(), error_model="numpy")
 def _spread(
-    p: np.ndarray, a_x: float, a_z: float, sine: float, cosine: float, dt: float, gravity: float, noise: np.ndarray
+    p: np.ndarray, a_x: float, a_z: float, sine: float, cosine: float, part: float, gravity: float, noise: np.ndarray
 ) -> None:
     """Carry a covariance (8, 8) on: F P Fᵀ + Q, F being the identity but for five rows."""
+    # An error of angle turns the specific force R f: its derivative by θ is (-(R f)_z, (R f)_x), R f = a + (0, g).
     lean_x, lean_z = -(a_z + gravity), a_x
+    # One pass over rows and one over columns in place of two products of (8, 8).
     for turn in range(2):  # rows, then columns
         for j in range(SIZE):
             if turn == 0:
@@ -208,34 +236,27 @@ def _spread(
             else:
                 x, z, angle, v_x, v_z = p[j, X], p[j, Z], p[j, ANGLE], p[j, V_X], p[j, V_Z]
                 gyro, b_x, b_z = p[j, GYRO_BIAS], p[j, BIAS_X], p[j, BIAS_Z]
-            x, z = x + dt * v_x, z + dt * v_z
-            v_x += dt * (lean_x * angle - cosine * b_x + sine * b_z)
-            v_z += dt * (lean_z * angle - sine * b_x - cosine * b_z)
-            angle -= dt * gyro
+            x, z = x + part * v_x, z + part * v_z
+            v_x += part * (lean_x * angle - cosine * b_x + sine * b_z)
+            v_z += part * (lean_z * angle - sine * b_x - cosine * b_z)
+            angle -= part * gyro
             if turn == 0:
                 p[X, j], p[Z, j], p[ANGLE, j], p[V_X, j], p[V_Z, j] = x, z, angle, v_x, v_z
             else:
                 p[j, X], p[j, Z], p[j, ANGLE], p[j, V_X], p[j, V_Z] = x, z, angle, v_x, v_z
-    p[ANGLE, ANGLE] += (noise[0] * dt) ** 2
-    p[V_X, V_X] += (noise[1] * dt) ** 2
-    p[V_Z, V_Z] += (noise[1] * dt) ** 2
-    p[GYRO_BIAS, GYRO_BIAS] += noise[5] ** 2 * dt
-    p[BIAS_X, BIAS_X] += noise[6] ** 2 * dt
-    p[BIAS_Z, BIAS_Z] += noise[6] ** 2 * dt
+    # Q: noise of a sample holds for all its time, so its square grows with dt²; the biases walk, and theirs with dt.
+    p[ANGLE, ANGLE] += (noise[0] * part) ** 2
+    p[V_X, V_X] += (noise[1] * part) ** 2
+    p[V_Z, V_Z] += (noise[1] * part) ** 2
+    p[GYRO_BIAS, GYRO_BIAS] += noise[5] ** 2 * part
+    p[BIAS_X, BIAS_X] += noise[6] ** 2 * part
+    p[BIAS_Z, BIAS_Z] += noise[6] ** 2 * part
 
 
 @njit(cache=can_keep(), error_model="numpy")
-def _advance(
-    imu: np.ndarray,
-    state: np.ndarray,
-    p: np.ndarray,
-    begin: float,
-    end: float,
-    dt: float,
-    gravity: float,
-    noise: np.ndarray,
-) -> None:
+def _advance(imu: np.ndarray, state: np.ndarray, p: np.ndarray, begin: float, end: float, world: World) -> None:
     """Carry state and covariance of one craft from one time to another, both in samples, through the kept samples."""
+    dt, gravity, noise = world
     now = begin
     while now < end - 1e-9:
         index = int(np.floor(now + 1e-9))
@@ -243,7 +264,7 @@ def _advance(
         part = (stop - now) * dt
         a_x, a_z, sine, cosine = _move(state, imu[index % DEPTH], part, gravity)
         _spread(p, a_x, a_z, sine, cosine, part, gravity, noise)
-        # noise of a sample that is used in parts is the same one
+        # A sample used in parts has one and the same noise: part² + part (dt - part), and the parts add up to dt².
         if part < dt:
             p[ANGLE, ANGLE] += noise[0] ** 2 * part * (dt - part)
             p[V_X, V_X] += noise[1] ** 2 * part * (dt - part)
@@ -253,23 +274,16 @@ def _advance(
 
 @njit(cache=can_keep(), error_model="numpy")
 def _carry(
-    imu: np.ndarray,
-    base: np.ndarray,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    now: np.ndarray,
-    samples: int,
-    dt: float,
-    gravity: float,
-    noise: np.ndarray,
-) -> None:
+    imu: np.ndarray, base: np.ndarray, mean: np.ndarray, covariance: np.ndarray, now: np.ndarray, samples: int,
+    dt: float, gravity: float, noise: np.ndarray,
+) -> None:  # fmt: skip
     """The newest sample moves every state on; fused states that would fall out of the ring move too."""
     for n in range(len(base)):
         if np.isnan(base[n]):
             continue
         _move(now[n], imu[n, (samples - 1) % DEPTH], dt, gravity)
         if samples - base[n] >= DEPTH - 1:
-            _advance(imu[n], mean[n], covariance[n], base[n], base[n] + 1.0, dt, gravity, noise)
+            _advance(imu[n], mean[n], covariance[n], base[n], base[n] + 1.0, World(dt, gravity, noise))
             base[n] += 1.0
 
 
@@ -286,89 +300,87 @@ def _start(mean: np.ndarray, p: np.ndarray, pose: np.ndarray, noise: np.ndarray)
 
 @njit(cache=can_keep(), error_model="numpy")
 def _fuse(
-    imu: np.ndarray,
-    base: np.ndarray,
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    now: np.ndarray,
-    left_out: np.ndarray,
-    samples: int,
-    dt: float,
-    gravity: float,
-    noise: np.ndarray,
-    pose: np.ndarray,
-    stamp: np.ndarray,
-    wanted: np.ndarray,
+    crafts: Crafts, world: World, samples: int, pose: np.ndarray, stamp: np.ndarray, wanted: np.ndarray,
     surprise: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     """Fuse the poses of all crafts that have one, and carry the results to the present."""
-    for n in range(len(base)):
+    for n in range(len(wanted)):
         if not wanted[n] or not np.isfinite(pose[n]).all():
             continue
+        imu, mean, p, base = crafts.imu[n], crafts.mean[n], crafts.covariance[n], crafts.base[n]
         time = min(stamp[n], float(samples))
-        if np.isnan(base[n]):
+        if np.isnan(base):
             if samples - time >= DEPTH - 1:
                 continue
-            _start(mean[n], covariance[n], pose[n], noise)
-            base[n] = time
-        elif time <= base[n]:
+            _start(mean, p, pose[n], world.noise)
+        elif time <= base:
             continue
         else:
-            m, p = mean[n], covariance[n]
-            _advance(imu[n], m, p, base[n], time, dt, gravity, noise)
-            base[n] = time
-            index = int(np.floor(time - 1e-9)) % DEPTH
-            rate = imu[n, index, 0] - m[GYRO_BIAS]
-            miss = pose[n] - m[:3]
-            miss[ANGLE] -= 2.0 * np.pi * np.round(miss[ANGLE] / (2.0 * np.pi))
-            s = p[:3, :3].copy()
-            late = (m[V_X], m[V_Z], rate)
-            for i in range(3):
-                s[i, i] += (noise[3] if i == ANGLE else noise[2]) ** 2
-                for j in range(3):
-                    s[i, j] += late[i] * late[j] * noise[4] ** 2
-            inverse = np.linalg.inv(s)
-            found, far = 0.0, 0.0
-            for i in range(3):
-                s[i, i] += SLACK[i] ** 2
-                for j in range(3):
-                    found += miss[i] * inverse[i, j] * miss[j]
-            loose = np.linalg.inv(s)
-            for i in range(3):
-                for j in range(3):
-                    far += miss[i] * loose[i, j] * miss[j]
-            surprise[n] = found
-            if found > GATE:
-                inverse *= GATE / found
-            if far > GATE:
-                left_out[n] += 1
-                if left_out[n] > GIVE_UP:
-                    v_x, v_z = m[V_X], m[V_Z]
-                    _start(m, p, pose[n], noise)
-                    m[V_X], m[V_Z] = v_x, v_z
-                    left_out[n] = 0
-            else:
-                left_out[n] = 0
-                gain = np.zeros((SIZE, 3))
-                for i in range(SIZE):
-                    for j in range(3):
-                        for k in range(3):
-                            gain[i, j] += p[i, k] * inverse[k, j]
-                for i in range(SIZE):
-                    for j in range(3):
-                        m[i] += gain[i, j] * miss[j]
-                rows = p[:3].copy()
-                for i in range(SIZE):
-                    for j in range(SIZE):
-                        for k in range(3):
-                            p[i, j] -= gain[i, k] * rows[k, j]
-                for i in range(SIZE):
-                    for j in range(i):
-                        p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-        now[n] = mean[n]
-        reached = base[n]
+            # Fused as of its stamp: by the time a pose arrives the craft has moved on by more than its noise.
+            _advance(imu, mean, p, base, time, world)
+            rate = imu[int(np.floor(time - 1e-9)) % DEPTH, 0] - mean[GYRO_BIAS]
+            surprise[n], crafts.left_out[n] = _correct(mean, p, pose[n], rate, crafts.left_out[n], world.noise)
+        crafts.base[n] = time
+        # Nobody asks for the present's covariance: from the fused state on the state alone is carried.
+        now, reached = crafts.now[n], time
+        now[:] = mean
         while reached < samples - 1e-9:
             index = int(np.floor(reached + 1e-9))
             end = min(index + 1.0, float(samples))
-            _move(now[n], imu[n, index % DEPTH], (end - reached) * dt, gravity)
+            _move(now, imu[index % DEPTH], (end - reached) * world.dt, world.gravity)
             reached = end
+
+
+@njit(cache=can_keep(), error_model="numpy", forceinline=True)
+def _correct(
+    mean: np.ndarray, p: np.ndarray, pose: np.ndarray, rate: float, left_out: int, noise: np.ndarray
+) -> tuple[float, int]:
+    """Fuse a pose (3,) into a state of its time, or leave it out; its surprise, and how many in a row were left out."""
+    miss = pose - mean[:3]
+    miss[ANGLE] -= 2.0 * np.pi * np.round(miss[ANGLE] / (2.0 * np.pi))
+    s = p[:3, :3].copy()
+    late = (mean[V_X], mean[V_Z], rate)
+    for i in range(3):
+        s[i, i] += (noise[3] if i == ANGLE else noise[2]) ** 2
+        for j in range(3):  # a stamp off by δ shows the craft where it is δ later: all three are off together
+            s[i, j] += late[i] * late[j] * noise[4] ** 2
+    inverse = np.linalg.inv(s)
+    found = _weigh(miss, inverse)
+    for i in range(3):
+        s[i, i] += SLACK[i] ** 2
+    if _weigh(miss, np.linalg.inv(s)) > GATE:
+        if left_out < GIVE_UP:
+            return found, left_out + 1
+        v_x, v_z = mean[V_X], mean[V_Z]
+        _start(mean, p, pose, noise)
+        mean[V_X], mean[V_Z] = v_x, v_z
+        return found, 0
+    if found > GATE:  # the innovation's covariance magnified until it lies on the gate
+        inverse *= GATE / found
+    gain = np.zeros((SIZE, 3))  # P Hᵀ S⁻¹, H the first three rows of the identity
+    for i in range(SIZE):
+        for j in range(3):
+            for k in range(3):
+                gain[i, j] += p[i, k] * inverse[k, j]
+    for i in range(SIZE):
+        for j in range(3):
+            mean[i] += gain[i, j] * miss[j]
+    rows = p[:3].copy()
+    for i in range(SIZE):
+        for j in range(SIZE):
+            for k in range(3):
+                p[i, j] -= gain[i, k] * rows[k, j]
+    for i in range(SIZE):  # P - K H P is symmetric but for rounding, which would add up
+        for j in range(i):
+            p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
+    return found, 0
+
+
+@njit(cache=can_keep(), error_model="numpy", forceinline=True)
+def _weigh(miss: np.ndarray, inverse: np.ndarray) -> float:
+    """Normalized innovation squared, νᵀ S⁻¹ ν: of χ² with three degrees of freedom where the filter is consistent."""
+    found = 0.0
+    for i in range(3):
+        for j in range(3):
+            found += miss[i] * inverse[i, j] * miss[j]
+    return found

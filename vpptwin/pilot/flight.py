@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +13,7 @@ from vpptwin.twin import Twin
 from vpptwin.twin.health import find_diverged
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
 from vpptwin.twin.sensors import body_force, measure_rate, read_sensors, sensor_noise
+from vpptwin.twin.state import TwinState
 
 SETTLING = 1.0
 """Flown before the log starts [s], so that it starts in flight."""
@@ -95,6 +96,23 @@ def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:
     return Noise(fast, np.stack([rng.standard_normal((ticks, 3)) for rng in rngs]))
 
 
+def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> Tracks:
+    """Room for the tracks of flights that settle for so long [s] before the log starts, and the noise on them."""
+    control, n = twin.vehicle.control, twin.num_sims
+    period, every = 1.0 / control.policy_rate, max(round(1.0 / (twin.vehicle.sensors.imu.rate * twin.dt)), 1)
+    step = every * twin.dt
+    each, lead = round(period / step), round(settling / period)
+    ticks = pilot.ticks + lead
+    pose, velocity = np.empty((2, n, ticks * each, 3))
+    blade, throttle, speed = np.empty((3, n, ticks * each, 2))
+    command, target = np.empty((n, ticks, 2)), np.empty((n, ticks, 3))
+    noise, diverged = draw_noise(seed, n, ticks * each, ticks), np.full(n, np.inf)
+    return Tracks(
+        twin, step, period, (lead * each, lead), pose, velocity, blade, throttle, speed, command, target, noise,
+        diverged, np.empty(0),
+    )  # fmt: skip
+
+
 def fly(
     twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None, start: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Tracks:
@@ -110,58 +128,52 @@ def fly(
         gusts: that blow; None for still air.
         start: poses and velocities, (N, 3) m, m, rad and m/s, rad/s; None for rest at the first target.
     """
-    control, sensors = twin.vehicle.control, twin.vehicle.sensors
-    period, every = 1.0 / control.policy_rate, max(round(1.0 / (sensors.imu.rate * twin.dt)), 1)
-    step = every * twin.dt
-    each, lead = round(period / step), round(SETTLING / period) if start is None else 0
-    ticks, n = pilot.ticks + lead, twin.num_sims
-    samples = ticks * each
-    noise = draw_noise(seed, n, samples, ticks)
-    pose, velocity = np.empty((n, samples, 3)), np.empty((n, samples, 3))
-    blade, throttle, speed = (np.empty((n, samples, 2)) for _ in range(3))
-    command, target = np.empty((n, ticks, 2)), np.empty((n, ticks, 3))
-    diverged = np.full(n, np.inf)
-
+    tracks = make_tracks(twin, pilot, seed, SETTLING if start is None else 0.0)
+    (_, lead), period, n = tracks.lead, tracks.period, twin.num_sims
     begin, speeds = (pilot.target(0), None) if start is None else start
     state = twin.initial_state(begin, speeds, time=-lead * period)
+    ticks = tracks.target.shape[1]
     depth = history_depth(twin.effects.values(), period, ticks * period)
     past = start_sensors(state.qpos, state.qvel, depth, period)
-    estimate, memory = (
-        KalmanFilter(n, step, twin.vehicle.gravity, FilterNoise.of_vehicle(twin.vehicle)),
-        np.zeros((n, 2)),
-    )
+    estimate = KalmanFilter(n, tracks.step, twin.vehicle.gravity, FilterNoise.of_vehicle(twin.vehicle))
+    memory = np.zeros((n, 2))
     if start is not None:
         estimate.start(np.arange(n), *start)
     pose_std = sensor_noise(twin.vehicle)[0]
-    imu_std = np.array([sensors.imu.gyro_std, sensors.imu.accel_std, sensors.imu.accel_std])
-    frames = max(round(control.policy_rate / sensors.mocap.rate), 1)
+    frames = max(round(twin.vehicle.control.policy_rate / twin.vehicle.sensors.mocap.rate), 1)
     for tick in range(ticks):
-        now = tick * each
         here = twin.pose_at_time(state.qpos, state.qvel)
         if tick:
             record_poses(past, here, state.qvel)
         if tick % frames == 0:
             seen, _ = read_sensors(twin.constants, past, here, state.qvel, state.time, period)
-            estimate.correct(seen + noise.pose[:, tick] * pose_std)
-        target[:, tick] = pilot.target(tick - lead)
-        command[:, tick], memory = pilot.command(tick - lead, estimate.pose, estimate.velocity, memory)
+            estimate.correct(seen + tracks.noise.pose[:, tick] * pose_std)
+        tracks.target[:, tick] = pilot.target(tick - lead)
+        command, memory = pilot.command(tick - lead, estimate.pose, estimate.velocity, memory)
+        tracks.command[:, tick] = command
         if gusts is not None:
             gusts.blow(twin, tick)
-        for k in range(now, now + each):
-            pose[:, k], velocity[:, k] = twin.pose_at_time(state.qpos, state.qvel), state.qvel
-            speed[:, k] = state.rotor_speed
-            twin.advance_policy(state, command[:, tick], step)
-            after = twin.pose_at_time(state.qpos, state.qvel)
-            way = np.stack([pose[:, k], after], axis=1), np.stack([velocity[:, k], state.qvel], axis=1)
-            error = noise.fast[:, k, :3] * imu_std
-            gyro = measure_rate(twin.constants, (after[:, 2] - pose[:, k, 2]) / step) + error[:, 0]
-            estimate.predict(gyro, body_force(*way, step, twin.vehicle.gravity)[:, 0] + error[:, 1:])
-            layer = state.actuators
-            blade[:, k] = layer["history"][np.arange(n), layer["newest"]]
-            throttle[:, k] = state.throttle
-        broken = find_diverged(state) & np.isinf(diverged)
-        diverged[broken] = (tick + 1 - lead) * period
-    return Tracks(
-        twin, step, period, (lead * each, lead), pose, velocity, blade, throttle, speed, command, target, noise,
-        diverged, state.actuators,
-    )  # fmt: skip
+        fly_tick(tracks, tick, state, estimate)
+        broken = find_diverged(state) & np.isinf(tracks.diverged)
+        tracks.diverged[broken] = (tick + 1 - lead) * period
+    return replace(tracks, actuators=state.actuators)
+
+
+def fly_tick(tracks: Tracks, tick: int, state: TwinState, estimate: KalmanFilter) -> None:
+    """Carry `state` and the filter through a tick under its command, one IMU sample after the other; keep the track."""
+    twin, step, imu = tracks.twin, tracks.step, tracks.twin.vehicle.sensors.imu
+    imu_std = np.array([imu.gyro_std, imu.accel_std, imu.accel_std])
+    each = round(tracks.period / step)
+    for k in range(tick * each, (tick + 1) * each):
+        before = tracks.pose[:, k], tracks.velocity[:, k]
+        before[0][:], before[1][:] = twin.pose_at_time(state.qpos, state.qvel), state.qvel
+        tracks.speed[:, k] = state.rotor_speed
+        twin.advance_policy(state, tracks.command[:, tick], step)
+        after = twin.pose_at_time(state.qpos, state.qvel), state.qvel
+        way = [np.stack(ends, axis=1) for ends in zip(before, after)]
+        error = tracks.noise.fast[:, k, :3] * imu_std
+        gyro = measure_rate(twin.constants, (after[0][:, 2] - before[0][:, 2]) / step) + error[:, 0]
+        estimate.predict(gyro, body_force(way[0], way[1], step, twin.vehicle.gravity)[:, 0] + error[:, 1:])
+        layer = state.actuators
+        tracks.blade_pitch[:, k] = layer["history"][np.arange(twin.num_sims), layer["newest"]]
+        tracks.throttle[:, k] = state.throttle

@@ -64,6 +64,8 @@ def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, 
         backward: likewise against motion backward.
         dt: step [s].
     """
+    # v + dt (push + f) / m = 0 solved for f, within the levels: the implicit Euler step of set-valued friction, which
+    # sticks at rest and does not chatter (Acary, Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, 2008).
     return np.minimum(np.maximum(-inertia * velocity / dt - push, -forward), backward)
 
 
@@ -92,6 +94,9 @@ def rub(
         for i in range(n):
             friction[i] = hold_or_slide(push[i], dense[i, i], velocity[i], forward[i], backward[i], dt)
         return
+    # v⁺ = v + dt (M + dt D)⁻¹ (push + f): for each joint in turn the f that stops it, the others' held (Jourdan, Alart,
+    # Jean, A Gauss-Seidel like algorithm to solve frictional contact problems, 1998). That is descent, coordinate by
+    # coordinate, in a strictly convex quadratic within bounds: it converges, and to the one solution.
     invert_inertia(dense, inverse)
     largest = 0.0
     for i in range(n):

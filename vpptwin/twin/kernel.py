@@ -15,7 +15,8 @@ from platformdirs import user_cache_path
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
-from vpptwin.engine.callback import MARK, WORDS, as_function
+from vpptwin.engine.callback import FUNCTION, MARK, WORDS
+from vpptwin.engine.check import check_step
 from vpptwin.engine.compile import c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
@@ -38,6 +39,8 @@ CALLS = {
 """Inner steps of `vpptwin.twin.step` by name, as the callback calls them."""
 READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
 
+# As text, since sizes and offsets of a model are numbers in it: loops over joints unroll, numba keeps a file per model.
+# MuJoCo calls it in the middle of a step: passive forces and bias are there, actuators' and constraints' are to come.
 ENTRY = """
 def control(m, d):
     model = carray(m, ({model_words},), np.int64)
@@ -138,6 +141,7 @@ def compile_kernel(
     source = pipeline.source + write_entry(model, pipeline, step, carriage)
     key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
     if key not in _KERNELS:
+        check_step()
         _KERNELS[key] = _compile(source, key, pipeline, dtypes)
     return _KERNELS[key]
 
@@ -194,6 +198,7 @@ def write_view(model: mujoco.MjModel) -> str:
 def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
     file = _store(source, key)
 
+    # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
     def compiled(function: Function, inline: bool = False) -> Function:
         return njit(function, error_model="numpy", forceinline=inline)
 
@@ -206,7 +211,7 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr)
     function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
-    return Kernel(pipeline, as_function(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
+    return Kernel(pipeline, FUNCTION(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
 
 
 def delay_depth(effects: Iterable[Effect], dt: float) -> int:

@@ -66,6 +66,7 @@ def keep_plain(function: Function, inline: bool = False) -> Function:
 
 def bind_names(function: Function, names: dict[str, Any]) -> Function:
     """The function with other things behind some of its global names."""
+    # numba freezes globals as it compiles, so each catalogue needs functions of its own that find its chain there.
     assert isinstance(function, FunctionType)
     bound = FunctionType(function.__code__, function.__globals__ | names, function.__name__)
     bound.__module__ = function.__module__
@@ -89,6 +90,7 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeli
     def of(stage: Stage, target: str | None = None) -> list[Effect]:
         return [e for e in effects if e.stage is stage and (target is None or e.target == target)]
 
+    # Switches are looked up in the step, not written into it: all twins of a catalogue share what is compiled.
     lines = ["def shape_thrust(on, p, thrust, rotor):"]
     for effect in of(Stage.THRUST):
         lines += [f"    if on[{places[effect.id]}]:", f"        thrust = {call(effect, 'thrust', 'rotor')}"]
@@ -115,6 +117,7 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeli
         if not rubbing:
             continue
         lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
+        # Each sense of motion has a level, which passes through the joint's effects in their order: they add or scale.
         for effect in rubbing:
             lines += [f"    if on[{places[effect.id]}]:"]
             for level, sense in (("ahead", "1.0"), ("back", "-1.0")):

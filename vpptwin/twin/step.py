@@ -148,6 +148,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
         np.sin(view.qpos[PITCH]), np.cos(view.qpos[PITCH]), vehicle.airframe.half_length,
         layer.mean_speed[0], layer.mean_speed[1], view.time,
     )  # fmt: skip
+    # How fast the hinge moves along the thrust; a rotor has that and, by its side, what the rotation makes of the arm.
     climb = craft.v_z * craft.cosine - craft.v_x * craft.sine
     for i in range(2):
         side = 2.0 * i - 1.0
@@ -156,6 +157,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
         thrust = shape_thrust(rig.active, row.parameters, thrust, rotor)
         view.ctrl[i] = limit_control(constants, i, thrust)
 
+    # What the carriage hands on to its slider: its other forces less m a, of the last step, as this one's is not known.
     load = 0.0
     if rig.carriage >= 0:
         load = row.memory[0] - view.body_mass[rig.carriage] * view.qacc_warmstart[X]
