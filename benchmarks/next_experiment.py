@@ -64,9 +64,8 @@ def fly_and_fit(spec: TwinSpec, manoeuvre: Manoeuvre, case: tuple[Explanation, .
     length = spec.robot.window
     bench = build_bench(spec, [flight], [np.arange(flight.start + SETTLE, flight.end - length, length)], length, False)
     search = Search(bench, list_unknowns(spec))
-    known, likelihood = search.start.about, search.start.likelihood
-    cost = [search.own(search.fit(e.effects, e.values, known, likelihood)).cost for e in case]
-    return [float(np.sqrt(max(rival - cost[0], 0.0))) for rival in cost[1:]]
+    fits = [search.judge_alone(search.fit(e.effects, e.values, search.start.about)) for e in case]
+    return [float(np.sqrt(max(fits[0].evidence_against(rival), 0.0))) for rival in fits[1:]]
 
 
 def print_case(spec: TwinSpec, case: tuple[Explanation, ...], flown: bool) -> None:

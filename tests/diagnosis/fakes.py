@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.search.suspects import Linearisation
+from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.search.fits import Fit
+from vpptwin.diagnosis.search.frame import Frame, Linearisation
 
 
 class Starts(SimpleNamespace):
@@ -23,7 +24,19 @@ def lay_starts(start: list[float], flight: list[int] | None = None) -> Bench:
     return SimpleNamespace(windows=Starts(start=np.array(start), flight=flights))  # type: ignore[return-value]
 
 
-def linear(at: np.ndarray, columns: np.ndarray, residual: np.ndarray, tried: np.ndarray | None = None) -> Linearisation:
-    """A linear experiment, given whitened."""
+def linear(
+    at: np.ndarray, columns: np.ndarray, residual: np.ndarray, tried: np.ndarray | None = None, scale: float = 1.0
+) -> Linearisation:
+    """A linear experiment, given whitened, in a frame in which noise has variance `scale`."""
     tried = np.empty((0, len(residual))) if tried is None else tried
-    return Linearisation(at, columns[:, None], residual[None], tried[:, None], columns, residual, tried)
+    frame = Frame(np.ones(len(residual)), scale, np.zeros(len(residual)))
+    return Linearisation(frame, None, at, columns[:, None], residual[None], tried[:, None], columns, residual, tried)  # type: ignore[arg-type]
+
+
+FRAME = Frame(np.ones(1), 1.0, np.zeros(1))
+
+
+def guess(values: dict[Key, float], cost: float = 0.0, frame: Frame = FRAME) -> Fit:
+    """A fit of which values, cost and frame count, under gusts as assumed."""
+    about = SimpleNamespace(frame=frame, likelihood=SimpleNamespace(gust=np.ones(1)))
+    return Fit(frozenset(effect for effect, _ in values), values, {}, cost, about, {})  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from vpptwin.diagnosis.judgement.diagnose import estimate, prepare
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.judgement.selection import fit_together
 from vpptwin.diagnosis.judgement.verdict import Estimate
-from vpptwin.diagnosis.search.suspects import solve_hypothesis
+from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.identification.actuator import solve_linear
@@ -122,7 +122,7 @@ def fit_flights(
         stage("judging on held-out windows")
         before, after = material.held_out.score({}), material.held_out.score(fit.values)
     freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
-    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects, search.scale)
+    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
     own = [search.unknowns[i] for i in freed]
     logs = list(zip(flights, material.measurements))
     return FlightFit(

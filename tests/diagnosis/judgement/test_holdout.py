@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges
-from tests.diagnosis.fakes import lay_starts
+from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.judgement.holdout import (
     BLOCK,
@@ -22,7 +21,7 @@ from vpptwin.diagnosis.judgement.holdout import (
     resample,
     sum_blocks,
 )
-from vpptwin.diagnosis.search.search import Fit
+from vpptwin.diagnosis.search.frame import Frame
 
 TRUTH = {("slide.coulomb", "force"): FRICTION}
 DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}
@@ -156,16 +155,10 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> HeldOut:
     return open_judges(load_cart(tmp_path_factory.mktemp("cart")), measure_cart(drive_cart(FRICTION, 5), 7))
 
 
-def guess(values: dict[tuple[str, str], float]) -> Fit:
-    """A fit of which values and gusts count, the latter as assumed."""
-    likelihood = SimpleNamespace(gust=np.ones(1))
-    return Fit(frozenset(e for e, _ in values), values, {}, 0.0, None, likelihood, {})  # type: ignore[arg-type]
-
-
 def test_the_truth_surprises_least(rubbing: HeldOut) -> None:
     """The true friction predicts better than none and than twice as much, beyond doubt, and window by window mostly."""
-    truth = rubbing.surprise(guess(TRUTH), 1.0, True)
-    for other in (rubbing.surprise(guess({}), 1.0, False), rubbing.surprise(guess(DOUBLE), 1.0, True)):
+    truth = rubbing.surprise(guess(TRUTH), True)
+    for other in (rubbing.surprise(guess({}), False), rubbing.surprise(guess(DOUBLE), True)):
         gain, error = improvement(other, truth)
         assert gain > 3.0 * error
         assert (other > truth).mean() > 0.6
@@ -182,8 +175,9 @@ def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
     covariance += state @ np.swapaxes(state, 1, 2) + response.push @ np.swapaxes(response.push, 1, 2)
     square = np.einsum("km,km->k", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     logdet = np.linalg.slogdet(covariance)[1]
-    np.testing.assert_allclose(rubbing.surprise(guess({}), 1.0, False), square + logdet, rtol=1e-6)
-    np.testing.assert_allclose(rubbing.surprise(guess({}), 4.0, False), square / 4.0 + logdet, rtol=1e-6)
+    noisy = Frame(np.ones(1), 4.0, np.zeros(1))
+    np.testing.assert_allclose(rubbing.surprise(guess({}), False), square + logdet, rtol=1e-6)
+    np.testing.assert_allclose(rubbing.surprise(guess({}, frame=noisy), False), square / 4.0 + logdet, rtol=1e-6)
 
 
 def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
@@ -197,17 +191,17 @@ def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
         parts.append(square + likelihood.logdet)
     least = np.minimum(*parts)
     mean = least - 2.0 * np.log(0.5 * sum(np.exp(-0.5 * (part - least)) for part in parts))
-    np.testing.assert_allclose(rubbing.surprise(own, 1.0, True), mean)
+    np.testing.assert_allclose(rubbing.surprise(own, True), mean)
     assert np.all((mean > least) & (mean < least + 2.0 * np.log(2.0) + 1e-9))
 
 
 def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> None:
     """Two fits that differ in gusts alone are as good as each other; one that is better stays so."""
     calm, windy = guess({}), guess({})
-    windy.likelihood.gust = np.full(1, 5.0)  # type: ignore[misc]
-    assert rubbing.surprise(calm, 1.0, False).sum() != rubbing.surprise(windy, 1.0, False).sum()
-    assert rubbing.weigh((calm, False), (windy, False), 1.0)[0] == 0.0
-    gain, error = rubbing.weigh((windy, False), (guess(TRUTH), True), 1.0)
+    windy.likelihood.gust = np.full(1, 5.0)
+    assert rubbing.surprise(calm, False).sum() != rubbing.surprise(windy, False).sum()
+    assert rubbing.weigh((calm, False), (windy, False))[0] == 0.0
+    gain, error = rubbing.weigh((windy, False), (guess(TRUTH), True))
     assert gain > 3.0 * error
 
 
@@ -231,7 +225,7 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     assert square[4] > 5.0 * usual
     astray = HeldOut(rubbing.short, rubbing.long)
     astray.residual = lambda values: residual  # type: ignore[method-assign]
-    found = astray.surprise(guess({}), 1.0, False)
+    found = astray.surprise(guess({}), False)
     assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
     usually = np.flatnonzero(square <= usual)
     np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vpptwin.diagnosis.judgement.holdout import improvement
+from tests.diagnosis.fakes import FRAME, guess
+from vpptwin.diagnosis.judgement.holdout import HeldOut, improvement
 from vpptwin.diagnosis.judgement.selection import (
     BARS_TOGETHER,
     BETTER,
@@ -21,14 +22,16 @@ from vpptwin.diagnosis.judgement.selection import (
     TEMPER,
     TOLERANCES,
     Selection,
+    evidence_against_rival,
     find_better,
     is_cause,
-    lead,
     look_alike,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.verdict import Rival
-from vpptwin.diagnosis.search.search import BAR, Fit, Step
+from vpptwin.diagnosis.search.fits import Fit, find_cheapest
+from vpptwin.diagnosis.search.frame import Frame
+from vpptwin.diagnosis.search.search import BAR, Step
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
@@ -55,8 +58,7 @@ def fit(cost: float, **values: float) -> Fit:
     """A fit of strengths, e.g. a_viscous=0.3, with its cost."""
     keys = {u.effect.id: u.key for u in reversed(UNKNOWNS)}
     named = {name.replace("_", "."): value for name, value in values.items()}
-    likelihood = SimpleNamespace(gust=np.ones(1))
-    return Fit(frozenset(named), {keys[e]: v for e, v in named.items()}, {}, cost, None, likelihood, {})  # type: ignore[arg-type]
+    return guess({keys[effect]: value for effect, value in named.items()}, cost)
 
 
 class Judges:
@@ -75,9 +77,8 @@ class Judges:
         self.drop = scatter + gain / np.sqrt(WINDOWS)
         self.power, self.worse, self.favour = power, worse, favour
 
-    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool], scale: float) -> tuple[float, float]:
+    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise and its standard error."""
-        assert scale == SEARCH.scale
         surprise = [-len(fit.effects) * self.drop for fit, _ in (before, after)]
         return improvement(*surprise)
 
@@ -102,7 +103,7 @@ def search_of(known: bool) -> Any:  # noqa: ANN401
     """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
     robot = SimpleNamespace(disturbance=Disturbance(np.ones(1), known=known))
     bench = SimpleNamespace(spec=SimpleNamespace(robot=robot))
-    return SimpleNamespace(unknowns=UNKNOWNS, scale=1.0, sticks=lambda effects: False, bench=bench)
+    return SimpleNamespace(unknowns=UNKNOWNS, sticks=lambda effects: False, bench=bench)
 
 
 SEARCH, OTHER_RIG = search_of(True), search_of(False)
@@ -111,7 +112,7 @@ SEARCH, OTHER_RIG = search_of(True), search_of(False)
 def judge(
     judges: Judges,
     drop: float,
-    brought: dict[str, float] | None = None,
+    earlier_drops: dict[str, float] | None = None,
     search: Any = SEARCH,  # noqa: ANN401
     **values: float,
 ) -> bool:
@@ -119,7 +120,7 @@ def judge(
     tried = fit(50.0 - drop, **values)
     *beside, effect = (name.replace("_", ".") for name in values)
     before = fit(50.0, **{name: v for name, v in values.items() if name.replace("_", ".") in beside})
-    return is_cause(search, judges, Step(before, {effect: tried}), effect, brought or {})  # type: ignore[arg-type]
+    return is_cause(search, judges, Step(before, {effect: tried}), effect, earlier_drops or {})  # type: ignore[arg-type]
 
 
 SURE = Judges(10.0)
@@ -153,13 +154,13 @@ def test_errors_must_not_grow() -> None:
 def test_evidence_against_a_rival() -> None:
     """Cost, and what held-out windows say beyond a standard error; on other rigs errors have the last word."""
     cause, rival = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(130.0, a_viscous=1.0)
-    assert lead(SEARCH, Judges(3.0), cause, rival) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
-    assert lead(SEARCH, Judges(-3.0), cause, rival) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
-    assert lead(SEARCH, Judges(-0.5), cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+    assert evidence_against_rival(SEARCH, Judges(3.0), cause, rival) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
+    assert evidence_against_rival(SEARCH, Judges(-3.0), cause, rival) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
+    assert evidence_against_rival(SEARCH, Judges(-0.5), cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
     for favour, found in ((-3.0, -9.0), (-1.9, 30.0), (3.0, 30.0), (6.0, 36.0)):
         judges = Judges(0.0, favour=favour)
-        assert lead(OTHER_RIG, judges, cause, rival) == pytest.approx(found)  # type: ignore[arg-type]
-        assert lead(SEARCH, judges, cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+        assert evidence_against_rival(OTHER_RIG, judges, cause, rival) == pytest.approx(found)  # type: ignore[arg-type]
+        assert evidence_against_rival(SEARCH, judges, cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -203,13 +204,13 @@ def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: flo
 
 def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
     """Beside sliding friction that brought 1000, breakaway must clear the bar by 50; another joint's need not."""
-    brought, more = {"a.coulomb": 1000.0}, HINT * BAR + KINSHIP * 1000.0
+    drops, more = {"a.coulomb": 1000.0}, HINT * BAR + KINSHIP * 1000.0
     for drop, named in ((0.98 * more, False), (1.02 * more, True)):
-        assert judge(SURE, drop, brought, a_coulomb=1.0, a_stiction=0.5) is named
-    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, b_coulomb=0.5)
-    assert judge(SURE, 1.01 * BAR, brought, a_coulomb=1.0, a_bias=0.5)
+        assert judge(SURE, drop, drops, a_coulomb=1.0, a_stiction=0.5) is named
+    assert judge(SURE, 1.01 * BAR, drops, a_coulomb=1.0, b_coulomb=0.5)
+    assert judge(SURE, 1.01 * BAR, drops, a_coulomb=1.0, a_bias=0.5)
     # What was dropped since is no kin.
-    assert judge(SURE, 1.01 * BAR, brought, a_bias=1.0, a_stiction=0.5)
+    assert judge(SURE, 1.01 * BAR, drops, a_bias=1.0, a_stiction=0.5)
 
 
 def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> None:
@@ -223,8 +224,8 @@ def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> 
 
 def test_rivals_by_hand() -> None:
     """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
-    leads = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * RIVAL_SIGMA**2 * TEMPER}
-    first, second = weigh_rivals(leads)
+    evidence = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * RIVAL_SIGMA**2 * TEMPER}
+    first, second = weigh_rivals(evidence)
     less = np.exp(-2.0 / TEMPER)
     assert (first.effect, second.effect) == ("a.spring", "a.viscous")
     assert first.confidence == pytest.approx(1.0 / (2.0 + less))
@@ -266,8 +267,8 @@ def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
     """Unless the other is better by more than such laws are inexact, 5 % of what was brought; of one joint only."""
     near = 0.98 * KINSHIP * 1000.0
 
-    def find(effect: str, rival: str, lead: float) -> tuple[str, str] | None:
-        return find_better(SEARCH, {effect: {rival: lead}}, {effect: 1000.0})
+    def find(effect: str, rival: str, evidence: float) -> tuple[str, str] | None:
+        return find_better(SEARCH, {effect: {rival: evidence}}, {effect: 1000.0})
 
     assert find("a.stiction", "a.coulomb", near) == ("a.stiction", "a.coulomb")
     assert find("a.stiction", "a.coulomb", 1.05 * near) is None
@@ -275,3 +276,17 @@ def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
     assert find("a.coulomb", "a.stiction", -1.05 * near) == ("a.coulomb", "a.stiction")
     assert find("a.stiction", "b.coulomb", 0.0) is None
     assert find("a.stiction", "a.viscous", -1.1 * BETTER) == ("a.stiction", "a.viscous")
+
+
+def test_costs_of_two_frames_are_not_compared() -> None:
+    """Other weights, other noise: no difference, no step, no cheapest, no held-out flights."""
+    here, elsewhere = fit(10.0, a_coulomb=1.0), guess({}, 50.0, Frame(FRAME.weight, FRAME.scale, FRAME.floor))
+    for compare in (
+        lambda: here.evidence_against(elsewhere),
+        lambda: Step(elsewhere, {"a.coulomb": here}).ordered,
+        lambda: find_cheapest([here, elsewhere]),
+        lambda: HeldOut.weigh(SURE, (elsewhere, False), (here, False)),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(ValueError, match="fits of two frames"):
+            compare()
+    assert here.evidence_against(fit(50.0)) == 40.0

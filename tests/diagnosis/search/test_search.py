@@ -11,9 +11,12 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_search
 from tests.diagnosis.fakes import linear
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.search.search import BAR, WORTH_A_REFIT, YIELDING, Fit, Search, Step, weigh_windows
+from vpptwin.diagnosis.search.fits import YIELDING, Fit, find_cheapest
+from vpptwin.diagnosis.search.frame import weigh_windows
+from vpptwin.diagnosis.search.search import BAR, WORTH_A_REFIT, Search, Step
 from vpptwin.diagnosis.search.shortlist import Start, rank_trials
-from vpptwin.diagnosis.search.suspects import Trial, Unknown, solve_hypothesis
+from vpptwin.diagnosis.search.solution import solve_hypothesis
+from vpptwin.diagnosis.search.suspects import Trial, Unknown
 from vpptwin.effects.friction import coulomb
 from vpptwin.effects.joint import Place, bias, spring
 
@@ -30,9 +33,9 @@ def rank(residual: np.ndarray, columns: np.ndarray, trials: list[Trial], tried: 
     """The starts of trials beside two parameters that sit within their tolerance, noise of variance 1.7."""
     unknowns = (*HELD, STIFFNESS, REST)
     at = np.array([u.nominal for u in unknowns])
-    about = linear(at, np.concatenate([columns, np.zeros((2, MEASURED))]), residual, tried)
-    base = solve_hypothesis(about, unknowns, frozenset(), 1.7)
-    return rank_trials(about, unknowns, trials, base, frozenset({"barred"}), 1.7)
+    about = linear(at, np.concatenate([columns, np.zeros((2, MEASURED))]), residual, tried, 1.7)
+    base = solve_hypothesis(about, unknowns, frozenset())
+    return rank_trials(about, unknowns, trials, base, frozenset({"barred"}))
 
 
 def find_drop(
@@ -135,7 +138,7 @@ def test_the_planted_effect_brings_most(step: Step) -> None:
 
 def test_nothing_is_missed_beside_it(rubbing: Search, step: Step) -> None:
     """Once it is known, no suspect clears the bar; what is barred is not even tried."""
-    found = rubbing.adopt(step.tried["slide.coulomb"])
+    found = rubbing.reframe(step.tried["slide.coulomb"])
     further = rubbing.extend(found)
     assert all(further.drop(effect) < BAR for effect in further.tried)
     assert not {"slide.viscous", "slide.bias"} & set(
@@ -147,12 +150,12 @@ def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
     """What sticks hardly feels where it started: its own response or a far likelier one; damping keeps the old."""
     start = rubbing.start
     force, damping = {("slide.coulomb", "force"): FRICTION}, {("slide.viscous", "damping"): 1.5}
-    stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about, start.likelihood)
-    own = rubbing.own(stuck)
-    assert own.likelihood.response.push is not start.likelihood.response.push or own.cost <= stuck.cost
-    assert own.cost < stuck.cost + YIELDING
-    damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about, start.likelihood)
-    assert rubbing.own(damped).likelihood.response.push is start.likelihood.response.push
+    stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about)
+    alone = rubbing.judge_alone(stuck)
+    assert alone.likelihood.response.push is not start.likelihood.response.push or alone.evidence_against(stuck) >= 0.0
+    assert alone.evidence_against(stuck) > -YIELDING
+    damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about)
+    assert rubbing.judge_alone(damped).likelihood.response.push is start.likelihood.response.push
 
 
 def test_fits_go_downhill(rubbing: Search) -> None:
@@ -160,11 +163,9 @@ def test_fits_go_downhill(rubbing: Search) -> None:
     start = rubbing.start
     for force in (0.4, 2.0):
         values = {("slide.coulomb", "force"): force}
-        begun, done = (
-            rubbing.fit(frozenset({"slide.coulomb"}), values, start.about, start.likelihood, n) for n in (0, 6)
-        )
+        begun, done = (rubbing.fit(frozenset({"slide.coulomb"}), values, start.about, n) for n in (0, 6))
         assert begun.values == values
-        assert done.cost < begun.cost + 2.0 * WORTH_A_REFIT
+        assert done.evidence_against(begun) > -2.0 * WORTH_A_REFIT
         assert done.values["slide.coulomb", "force"] > 0.0
 
 
@@ -172,15 +173,15 @@ def test_what_is_superfluous_is_dropped(rubbing: Search) -> None:
     """Friction and a constant force that nothing asks for: friction stays alone."""
     values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
     effects = frozenset({"slide.coulomb", "slide.bias"})
-    both = rubbing.fit(effects, values, rubbing.start.about, rubbing.start.likelihood)
-    assert rubbing.drop_superfluous(rubbing.adopt(rubbing.own(both))).effects == {"slide.coulomb"}
+    both = rubbing.fit(effects, values, rubbing.start.about)
+    assert rubbing.drop_superfluous(rubbing.reframe(rubbing.judge_alone(both))).effects == {"slide.coulomb"}
 
 
 def test_a_rival_is_tried_beside_the_others_as_they_were(rubbing: Search, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without friction the constant force moves to make up for it; a rival starts from both, the better one stays."""
     values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
     start = rubbing.start
-    both = rubbing.fit(frozenset({"slide.coulomb", "slide.bias"}), values, start.about, start.likelihood, 0)
+    both = rubbing.fit(frozenset({"slide.coulomb", "slide.bias"}), values, start.about, 0)
     without = rubbing.without(both, "slide.coulomb")
     made: list[tuple[float, Fit]] = []
     refit = rubbing.fit
@@ -192,8 +193,8 @@ def test_a_rival_is_tried_beside_the_others_as_they_were(rubbing: Search, monkey
         return done
 
     monkeypatch.setattr(rubbing, "fit", record)
-    monkeypatch.setattr(rubbing, "own", lambda fit: fit)
+    monkeypatch.setattr(rubbing, "judge_alone", lambda fit: fit)
     step = rubbing.extend(without, against="slide.coulomb", values=values)
     assert 0.05 in [bias for bias, _ in made]
     assert without.values["slide.bias", "force"] != pytest.approx(0.05, rel=0.1)
-    assert step.tried["slide.viscous"].cost == min(done.cost for _, done in made)
+    assert step.tried["slide.viscous"] is find_cheapest([done for _, done in made])

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from tests.diagnosis.fakes import lay_starts, linear
-from vpptwin.diagnosis.search.suspects import (
+from vpptwin.diagnosis.search.frame import Linearisation
+from vpptwin.diagnosis.search.solution import (
     MOST_TOLERATED,
     STRETCH,
-    Linearisation,
     Solution,
-    Unknown,
     price_of_freedom,
     scatter_by_stretch,
     solve_hypothesis,
 )
+from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Effect
 from vpptwin.effects.friction import coulomb
 from vpptwin.effects.joint import Place, bias, spring, viscous
@@ -94,7 +96,8 @@ def test_minimum_is_that_of_brute_force(
 ) -> None:
     """Deviation and cost, freed, frozen or held within tolerance, inside the bounds or pressed against them."""
     fit = draw_problem(truth, seed=3, about=about)
-    solution = solve_hypothesis(fit, UNKNOWNS, frozenset(freed), scale, frozen)
+    fit = replace(fit, frame=replace(fit.frame, scale=scale))
+    solution = solve_hypothesis(fit, UNKNOWNS, frozenset(freed), frozen)
     value, cost = search_minimum(fit, freed, scale, frozen)
     np.testing.assert_allclose(fit.at + solution.deviation, value, atol=2e-4)
     assert solution.cost == pytest.approx(cost, rel=1e-6)
@@ -103,15 +106,15 @@ def test_minimum_is_that_of_brute_force(
 def test_bounds_hold_for_what_physics_forbids() -> None:
     """Data that ask for friction of -1 N and damping of 9 N s/m get 0 and 5."""
     fit = draw_problem([-1.0, 9.0, 0.0, 0.0, 0.3], seed=4)
-    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb", "b.viscous"}), 1.0)
+    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb", "b.viscous"}))
     np.testing.assert_allclose((fit.at + solution.deviation)[:2], [0.0, 5.0], atol=1e-9)
 
 
 def test_what_is_not_freed_stays_within_three_tolerances() -> None:
     """A constant force of 1 N is not explained away by one that may be 0.02 N."""
     fit = draw_problem([0.0, 0.5, 1.0, 0.0, 0.3], seed=5)
-    held = solve_hypothesis(fit, UNKNOWNS, frozenset(), 1.0)
-    freed = solve_hypothesis(fit, UNKNOWNS, frozenset({"c.bias"}), 1.0)
+    held = solve_hypothesis(fit, UNKNOWNS, frozenset())
+    freed = solve_hypothesis(fit, UNKNOWNS, frozenset({"c.bias"}))
     assert fit.at[2] + held.deviation[2] == pytest.approx(MOST_TOLERATED * TOLERANCE)
     assert fit.at[2] + freed.deviation[2] == pytest.approx(1.0, abs=0.2)
     assert held.cost - freed.cost > 100.0
@@ -124,7 +127,7 @@ def test_what_is_freed_is_not_drawn_to_its_nominal_value(about: list[float]) -> 
     300 values of noise 1 with columns of rms 1.3 know it to 0.05 N; the range of 0.9 N draws to 0.3 % of the way.
     """
     fit = draw_problem([1.8, 0.5, 0.0, 0.0, 0.3], seed=8, about=about, noise=0.0)
-    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb"}), 1.0)
+    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb"}))
     assert fit.at[0] + solution.deviation[0] == pytest.approx(1.8, abs=0.02)
     assert solution.cost < 0.2
 
@@ -132,11 +135,11 @@ def test_what_is_freed_is_not_drawn_to_its_nominal_value(about: list[float]) -> 
 def test_frozen_parameters_stay_and_know_nothing() -> None:
     """What is frozen moves not at all and has no variance; what is beside it moves as if it were known."""
     fit = draw_problem([0.8, 0.52, 0.0, 0.0, 0.3], seed=2, about=[0.6, 0.5, 0.0, 0.0, 0.3])
-    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb"}), 1.0, frozen=True)
+    solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb"}), frozen=True)
     assert solution.deviation[0] == 0.0
     np.testing.assert_array_equal(solution.covariance[0], 0.0)
     known = linear(fit.at[1:], fit.columns[1:], fit.residual)
-    beside = solve_hypothesis(known, UNKNOWNS[1:], frozenset(), 1.0)
+    beside = solve_hypothesis(known, UNKNOWNS[1:], frozenset())
     np.testing.assert_allclose(solution.deviation[1:], beside.deviation, atol=1e-12)
     np.testing.assert_allclose(solution.covariance[1:, 1:], beside.covariance, atol=1e-12)
     assert solution.cost == pytest.approx(beside.cost)
@@ -150,7 +153,7 @@ def test_covariance_is_that_of_repeated_experiments() -> None:
     values = []
     for _ in range(400):
         noisy = linear(clean.at, clean.columns, clean.residual + rng.standard_normal(MEASURED))
-        solution = solve_hypothesis(noisy, UNKNOWNS, frozenset({"a.coulomb"}), 1.0)
+        solution = solve_hypothesis(noisy, UNKNOWNS, frozenset({"a.coulomb"}))
         values.append(noisy.at[0] + solution.deviation[0])
     # The held parameters sit at their nominal value in truth, so the fit scatters a little less than they allow for.
     std = np.sqrt(solution.covariance[0, 0])
@@ -181,7 +184,7 @@ def test_evidence_is_the_integral_over_the_range() -> None:
     """
     fit = draw_problem([0.8, 0.5, 0.0, 0.0, 0.3], seed=6)
     one = linear(fit.at[:1], fit.columns[:1], fit.residual)
-    solution = solve_hypothesis(one, UNKNOWNS[:1], frozenset({"a.coulomb"}), 1.0)
+    solution = solve_hypothesis(one, UNKNOWNS[:1], frozenset({"a.coulomb"}))
     best = one.at[0] + solution.deviation[0]
     value = best + np.linspace(-0.9, 0.9, 20001)
     cost = ((one.residual - (value - one.at[0])[:, None] * one.columns[0]) ** 2).sum(axis=1)
@@ -196,10 +199,11 @@ def test_scatter_by_hand() -> None:
     bench = lay_starts([0.0, 0.25 * STRETCH, 0.5 * STRETCH, 0.75 * STRETCH, 1.01 * STRETCH])
     fit = linear(np.zeros(1), np.array([[1.0, 2.0, 1.0, 1.0, 3.0]]), np.array([1.0, 1.0, -1.0, -1.0, 2.0]))
     solution = Solution(np.zeros(1), 0.0, np.array([[1.0 / 16.0]]))
-    np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench, 1.0), [np.sqrt(37.0) / 16.0])
+    np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [np.sqrt(37.0) / 16.0])
     # The fit may have moved by 0.5: residuals 0.5, 0, -1.5, -1.5, 0.5; scores 0.5, 0, -1.5, -1.5 and 1.5; over scale 2.
+    twice = replace(fit, frame=replace(fit.frame, scale=2.0))
     moved = Solution(np.array([0.5]), 0.0, np.array([[1.0 / 8.0]]))
-    np.testing.assert_allclose(scatter_by_stretch(fit, moved, bench, 2.0), [np.hypot(2.5, 1.5) / 2.0 / 8.0])
+    np.testing.assert_allclose(scatter_by_stretch(twice, moved, bench), [np.hypot(2.5, 1.5) / 2.0 / 8.0])
 
 
 def test_windows_of_other_flights_are_other_stretches() -> None:
@@ -207,7 +211,7 @@ def test_windows_of_other_flights_are_other_stretches() -> None:
     fit = linear(np.zeros(1), np.ones((1, 2)), np.array([1.0, 2.0]))
     solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)))
     for flight, expected in (([0, 1], np.sqrt(5.0)), ([0, 0], 3.0)):
-        np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_starts([0.5, 0.5], flight), 1.0), [expected])
+        np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_starts([0.5, 0.5], flight)), [expected])
 
 
 def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
@@ -218,4 +222,4 @@ def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
     solution = Solution(np.zeros(1), 0.0, np.array([[1.0 / len(error)]]))
     bench = lay_starts(list(STRETCH * (np.arange(800) // 4 + 0.2 * (np.arange(800) % 4) + 0.1)))
     # 200 draws know their own scatter to 5 %.
-    np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench, 1.0), [1.0 / np.sqrt(200.0)], rtol=0.15)
+    np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [1.0 / np.sqrt(200.0)], rtol=0.15)

@@ -138,7 +138,7 @@ class Bench:
         return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= set(PERFECT))
 
     @cached_property
-    def gliding(self) -> dict[Key, float]:
+    def without_dry_friction(self) -> dict[Key, float]:
         """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
         rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
         return {(e.id, e.parameters[0].name): e.parameters[0].off for e in rubbing}

@@ -25,8 +25,9 @@ from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import TEMPER, Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Unexplained, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
+from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
-from vpptwin.diagnosis.search.search import Fit, Search
+from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import Stage as EffectStage
 from vpptwin.effects import find_effect

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
@@ -20,7 +21,6 @@ from vpptwin.diagnosis.search.likelihood import (
     rotary_dofs,
     whiten_with,
 )
-from vpptwin.diagnosis.search.search import Fit
 from vpptwin.estimation.windows import Windows
 
 BLOCK = 1.5
@@ -81,27 +81,26 @@ class HeldOut:
         strength = np.ones(self.short.spec.model.nv) if gust is None else gust
         return couple_gusts(self.short, self.response(values), strength)
 
-    def surprise(self, fit: Fit, scale: float, sticks: bool, gust: np.ndarray | None = None) -> np.ndarray:
+    def surprise(self, fit: Fit, sticks: bool, gust: np.ndarray | None = None) -> np.ndarray:
         """Twice the negative log of the density that a fit predicts for every short window, (K,).
 
         Args:
-            fit: effects with their values, and the strength of the gusts beside them.
-            scale: variance of the whitened residual.
+            fit: effects with their values, the strength of the gusts beside them, and the frame.
             sticks: one of them is dry friction. Then every window may have the response of the nominal twin as well as
                 the fit's own: a real slider slips a little earlier or later than the twin's.
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         residual, found = self.residual(fit.likeliest), []
-        for values in (self.short.gliding, fit.values) if sticks else ({},):
+        for values in (self.short.without_dry_friction, fit.values) if sticks else ({},):
             likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
-            square = (likelihood.whiten(residual) ** 2).sum(axis=1) / scale
+            square = (likelihood.whiten(residual) ** 2).sum(axis=1) / fit.frame.scale
             usual = 3.0 * float(np.median(square))
             # As in the fit, a window that goes astray must not outvote the others.
             square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
             found.append(square + likelihood.logdet)
         return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
 
-    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool], scale: float) -> tuple[float, float]:
+    def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise from one fit to another and its standard error.
 
         Both are tried with the gusts of either and judged with those that suit them: how strongly it blew on the
@@ -109,12 +108,12 @@ class HeldOut:
 
         Args:
             before: a fit, and whether it sticks.
-            after: another.
-            scale: variance of the whitened residual.
+            after: another of the same frame.
         """
+        check_frames([before[0], after[0]])
         gusts = [fit.likelihood.gust for fit, _ in (before, after)]
         found = [
-            min((self.surprise(fit, scale, sticks, gust) for gust in gusts), key=lambda surprise: float(surprise.sum()))
+            min((self.surprise(fit, sticks, gust) for gust in gusts), key=lambda surprise: float(surprise.sum()))
             for fit, sticks in (before, after)
         ]
         return improvement(found[0], found[1])
@@ -178,7 +177,7 @@ class HeldOut:
         noise = self.short.std[:, pose]
         residual, found = self.residual(values)[:, pose], []
         # What sticks leaves a wrong starting state no way out; a real slider yields.
-        for response in (self.response(self.short.gliding), self.response(values)):
+        for response in (self.response(self.short.without_dry_friction), self.response(values)):
             state = response.state[:, pose] * response.state_std
             covariance = np.einsum("kmi,kni->kmn", state, state)
             diagonal = np.arange(covariance.shape[1])

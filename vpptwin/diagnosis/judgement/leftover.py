@@ -11,8 +11,9 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut, blocks_of
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
+from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, rotary_dofs
-from vpptwin.diagnosis.search.search import Fit, Search
+from vpptwin.diagnosis.search.search import Search
 
 NO_EFFECT = 0.72
 """Mean square of the innovations of unmodelled force on sessions of tests/reality without an effect (0.68 to 0.75)."""
@@ -92,10 +93,13 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     the twin missed before.
     """
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
-    looser = search.gliding_response, held_out.response(held_out.short.gliding)
+    looser = search.responses.without_dry_friction(fit.frame.floor)
     parts = [
-        quieter(Part(search.bench, fit.likelihood.response, fitted), looser[0]),
-        quieter(Part(held_out.short, held_out.response(fit.values), judged), looser[1]),
+        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser),
+        with_looser_response(
+            Part(held_out.short, held_out.response(fit.values), judged),
+            held_out.response(held_out.short.without_dry_friction),
+        ),
     ]
     before = [
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
@@ -132,7 +136,7 @@ def clip_astray(squares: np.ndarray, flights: np.ndarray) -> np.ndarray:
     return np.minimum(squares, [most[flight] for flight in flights])
 
 
-def quieter(part: Part, response: Response) -> Part:
+def with_looser_response(part: Part, response: Response) -> Part:
     """The part, or the same under another response that leaves less to explain: what sticks in a twin may yield."""
     return min(part, replace(part, response=response), key=lambda p: float(p.squares_of_force().sum()))
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from vpptwin.diagnosis.judgement.verdict import Cleared, Unseen
-from vpptwin.diagnosis.search.search import Fit, Search
-from vpptwin.diagnosis.search.suspects import Unknown, scatter_by_stretch, solve_hypothesis
+from vpptwin.diagnosis.search.fits import Fit
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.solution import scatter_by_stretch, solve_hypothesis
+from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Effect
 
 SEEN = 4.0
@@ -42,8 +44,8 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
     if effect.modifies and len(lacking) == len(effect.modifies):
         return Unseen(effect.id, f"it only changes {' or '.join(lacking)}, which is not there")
     i = next(i for i, u in enumerate(search.unknowns) if u.key == strength.key)
-    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects | {effect.id}, search.scale)
-    scatter = scatter_by_stretch(fit.about, solution, search.bench, search.scale)
+    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects | {effect.id})
+    scatter = scatter_by_stretch(fit.about, solution, search.bench)
     std = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
     # The range that was looked through counts as prior knowledge; it must not pass for something seen.
     if std > 0.5 * strength.width or parameter.size < SEEN * std:
@@ -56,13 +58,14 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
 def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
     """The lowest limit that these flights would not have run into visibly."""
     about, parameter = fit.about, limit.parameter
-    base = solve_hypothesis(about, search.unknowns, fit.effects, search.scale)
+    base = solve_hypothesis(about, search.unknowns, fit.effects)
+    scale = about.frame.scale
     best = 0.0
     for trial, column in zip(search.trials, about.tried):
         if trial.effect != limit.effect.id:
             continue
         cross = about.columns @ column
-        square = float(column @ column) / search.scale - float(cross @ base.covariance @ cross) / search.scale**2
+        square = float(column @ column) / scale - float(cross @ base.covariance @ cross) / scale**2
         if square > SEEN**2:
             best = max(best, trial.values[limit.key])
     if best == 0.0:

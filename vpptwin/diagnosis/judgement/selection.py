@@ -9,7 +9,8 @@ import numpy as np
 
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Rival
-from vpptwin.diagnosis.search.search import BAR, MAX_CAUSES, STARTS, Fit, Search, Step
+from vpptwin.diagnosis.search.fits import Fit, find_cheapest
+from vpptwin.diagnosis.search.search import BAR, MAX_CAUSES, STARTS, Search, Step
 from vpptwin.effects import Effect
 from vpptwin.effects import Stage as EffectStage
 
@@ -68,36 +69,36 @@ class Selection:
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
     fit, barred, swaps, steps = search.start, frozenset[str](), 0, 0
-    brought: dict[str, float] = {}
+    earlier_drops: dict[str, float] = {}
     first: Step | None = None
     while True:
         named = ", ".join(sorted(fit.effects)) or "nothing yet"
         stage(f"trying suspects (named: {named})")
         step = search.extend(fit, barred)
         first, steps = first or step, steps + 1
-        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, brought)), None)
+        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
         if accepted is not None and len(fit.effects) < MAX_CAUSES and steps < MOST_STEPS:
-            best, brought[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(search.adopt(best))
+            best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
+            fit = search.drop_superfluous(search.reframe(best))
             barred |= step.before.effects - fit.effects
             continue
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
-        leads = {
-            effect: {rival: lead(search, held_out, fit, tried) for rival, tried in step.tried.items()}
+        evidence = {
+            effect: {rival: evidence_against_rival(search, held_out, fit, tried) for rival, tried in step.tried.items()}
             for effect, step in replaced.items()
         }
-        better = find_better(search, leads, brought) if swaps < MOST_SWAPS else None
+        better = find_better(search, evidence, earlier_drops) if swaps < MOST_SWAPS else None
         if better is None:
-            rivals = {effect: weigh_rivals(row) for effect, row in leads.items()}
-            evidence = {effect: step.before.cost - fit.cost for effect, step in replaced.items()}
+            rivals = {effect: weigh_rivals(row) for effect, row in evidence.items()}
+            beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-            return Selection(fit, first, rivals, instead, evidence)
+            return Selection(fit, first, rivals, instead, beside)
         cause, rival = better
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
-        brought[rival] = brought.get(cause, 0.0)
-        fit = search.drop_superfluous(search.adopt(replaced[cause].tried[rival]))
+        earlier_drops[rival] = earlier_drops.get(cause, 0.0)
+        fit = search.drop_superfluous(search.reframe(replaced[cause].tried[rival]))
         swaps += 1
 
 
@@ -114,21 +115,21 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
     for effect in effects:
         starts = [start for start in search.rank(fit) if start.effect == effect][:STARTS]
         freed = fit.effects | {effect}
-        found = [search.own(search.fit(freed, s.values, fit.about, fit.likelihood)) for s in starts]
-        best = min(found, key=lambda f: f.cost)
-        fit = search.adopt(best)
+        found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts]
+        fit = search.reframe(find_cheapest(found))
     return fit
 
 
-def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, brought: Mapping[str, float]) -> bool:
+def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:
     """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better.
 
-    Beside a cause that looks like it, it must bring a good part of what that cause `brought`: no law of friction is
-    exact, and what one leaves over another of its kind would mop up.
+    Beside a cause that looks like it, it must bring a good part of what that cause brought: no law of friction is
+    exact, and what one leaves over another of its kind would mop up. `earlier_drops` are drops in cost of the frames in
+    which causes were added, in which noise was larger than it is now: a cautious yardstick, no difference is taken.
     """
     tried, drop = step.tried[effect], step.drop(effect)
-    kin = [drop for other, drop in brought.items() if other in tried.effects and look_alike(search, effect, other)]
-    if drop < HINT * BAR + KINSHIP * max(kin, default=0.0):
+    alike = [e for e in earlier_drops if e in tried.effects and look_alike(search, effect, e)]
+    if drop < HINT * BAR + KINSHIP * max((earlier_drops[e] for e in alike), default=0.0):
         return False
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
@@ -161,17 +162,17 @@ def trusts_errors(search: Search) -> bool:
 def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:
     """Drop in held-out surprise from one fit to another, and its standard error."""
     fits = [(fit, search.sticks(fit.effects)) for fit in (before, after)]
-    return held_out.weigh(fits[0], fits[1], search.scale)
+    return held_out.weigh(fits[0], fits[1])
 
 
-def lead(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
+def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
     """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
 
     Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors; and a rival that
     makes them grow is never better.
     """
     gain, error = compare(search, held_out, rival, fit)
-    evidence = rival.cost - fit.cost + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+    evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
     if not trusts_errors(search):
         return evidence
     sigmas = held_out.prefer(rival.values, fit.values)
@@ -194,23 +195,23 @@ def rub_together(one: Effect, other: Effect) -> bool:
 
 def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
     """The fit without a cause, and every shortlisted suspect tried in its place."""
-    return search.extend(search.complete(search.without(fit, effect)), against=effect, values=fit.values)
+    return search.extend(search.rederive(search.without(fit, effect)), against=effect, values=fit.values)
 
 
 def find_better(
-    search: Search, leads: Mapping[str, Mapping[str, float]], brought: Mapping[str, float]
+    search: Search, evidence: Mapping[str, Mapping[str, float]], earlier_drops: Mapping[str, float]
 ) -> tuple[str, str] | None:
     """The cause that a rival should take the place of, and that rival; None if the evidence prefers none."""
     behind = [
-        (found + handicap(search, effect, rival, brought), effect, rival)
-        for effect, row in leads.items()
+        (found + handicap(search, effect, rival, earlier_drops), effect, rival)
+        for effect, row in evidence.items()
         for rival, found in row.items()
     ]
     least, effect, rival = min(behind, default=(0.0, "", ""))
     return (effect, rival) if least < 0.0 else None
 
 
-def handicap(search: Search, effect: str, rival: str, brought: Mapping[str, float]) -> float:
+def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str, float]) -> float:
     """Evidence by which a rival must be better to take the place of a cause.
 
     How a slider sticks makes the evidence rough: of two laws of a joint's dry friction that differ by less than such
@@ -220,17 +221,17 @@ def handicap(search: Search, effect: str, rival: str, brought: Mapping[str, floa
     richer = len(effects[rival].parameters) - len(effects[effect].parameters)
     if richer == 0 or not rub_together(effects[effect], effects[rival]):
         return BETTER
-    inexact = max(BETTER, KINSHIP * brought.get(effect, 0.0))
+    inexact = max(BETTER, KINSHIP * earlier_drops.get(effect, 0.0))
     return inexact if richer > 0 else -inexact
 
 
-def weigh_rivals(leads: Mapping[str, float]) -> list[Rival]:
+def weigh_rivals(evidence: Mapping[str, float]) -> list[Rival]:
     """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
 
     Args:
-        leads: rival → evidence for the cause against it.
+        evidence: rival → evidence for the cause against it.
     """
-    close = {name: gap for name, found in leads.items() if (gap := max(found, 0.0) / TEMPER) < RIVAL_SIGMA**2}
+    close = {name: gap for name, found in evidence.items() if (gap := max(found, 0.0) / TEMPER) < RIVAL_SIGMA**2}
     weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
     total = 1.0 + sum(weights.values())
     ordered = sorted(close, key=lambda name: close[name])

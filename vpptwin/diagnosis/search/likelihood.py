@@ -45,6 +45,7 @@ class Response:
         state: derivative by the starting state, (K, M, 2 nv).
         state_std: prior of the starting state, (2 nv,).
         push: derivative by force pulses in units of their standard deviation, (K, M, G).
+        sticking: ids of the effects of dry friction in that twin.
     """
 
     sensor_factor: np.ndarray
@@ -54,6 +55,7 @@ class Response:
     state: np.ndarray
     state_std: np.ndarray
     push: np.ndarray
+    sticking: frozenset[str] = frozenset()
 
     def along(self, residual: np.ndarray) -> np.ndarray:
         """What pulses could have done to residuals (..., K, M), (..., K, G)."""

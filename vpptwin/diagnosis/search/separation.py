@@ -13,7 +13,7 @@ from vpptwin.diagnosis.search.suspects import Unknown
 
 
 class Hypothesis(Protocol):
-    """An explanation of the flights, such as a `search.Fit`: effects that are freed, and their fitted parameters."""
+    """An explanation of the flights, such as a `fits.Fit`: effects that are freed, and their fitted parameters."""
 
     @property
     def effects(self) -> frozenset[str]:

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.search.suspects import Linearisation, Solution, Trial, Unknown, solve_hypothesis
+from vpptwin.diagnosis.search.frame import Linearisation
+from vpptwin.diagnosis.search.solution import Solution, solve_hypothesis
+from vpptwin.diagnosis.search.suspects import Trial, Unknown
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,6 @@ def rank_effects(
     base: Solution,
     effects: frozenset[str],
     barred: frozenset[str],
-    scale: float,
 ) -> list[Start]:
     """Every other effect freed beside `effects`: where the solution lies, and by how much its cost is lower.
 
@@ -47,13 +48,12 @@ def rank_effects(
         base: its solution with `effects` freed.
         effects: ids of the fit.
         barred: ids that are left out.
-        scale: variance of the whitened residual.
     """
     starts = []
     limited = {u.effect.id for u in unknowns if u.is_limit}
     for effect in {u.effect.id for u in unknowns} - effects - barred - limited:
         freed = effects | {effect}
-        solution = solve_hypothesis(about, unknowns, freed, scale)
+        solution = solve_hypothesis(about, unknowns, freed)
         starts.append(Start(effect, advance(about, unknowns, freed, solution), base.cost - solution.cost))
     return starts
 
@@ -64,11 +64,11 @@ def rank_trials(
     trials: Sequence[Trial],
     base: Solution,
     barred: frozenset[str],
-    scale: float,
 ) -> list[Start]:
     """The same for trials: the drop in cost along each, everything else at its best beside it."""
     if not len(about.tried):
         return []
+    scale = about.frame.scale
     left = about.residual - base.deviation @ about.columns
     cross = about.tried @ about.columns.T
     across = (about.tried**2).sum(axis=1) / scale
@@ -89,7 +89,7 @@ def rank_trials(
     return starts
 
 
-def imitate(
+def start_from_look_alikes(
     about: Linearisation,
     unknowns: Sequence[Unknown],
     cause: str,

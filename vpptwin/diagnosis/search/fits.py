@@ -1,0 +1,259 @@
+"""Fits of hypotheses in the twin: Gauss-Newton, each judged by what gusts and starting states do to its own twin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
+from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, tune_gust
+from vpptwin.diagnosis.search.responses import Responses
+from vpptwin.diagnosis.search.shortlist import advance
+from vpptwin.diagnosis.search.solution import Solution, price_of_freedom, scatter_by_stretch, solve_hypothesis
+from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
+from vpptwin.effects import Stage
+
+ITERATIONS = 6
+POLISH = 2
+"""Steps of Gauss-Newton once a hypothesis has its own likelihood."""
+SETTLED = 0.3
+"""Drop in cost under which Gauss-Newton stops."""
+NONLINEAR = 0.1
+"""Share of what a twin misses in a window that no linearised gust or starting state is believed to explain."""
+YIELDING = 300.0
+"""Cost by which a looser response must be likelier to set the parameters: gusts then explain a part of friction."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Effects fitted together in the twin.
+
+    Attributes:
+        effects: ids that were freed.
+        values: their parameters.
+        std: standard deviation of each, the other effects uncertain within their tolerance.
+        cost: twice the negative log of the evidence on the fitted windows, up to a constant of the frame.
+        about: linearisation near `values`.
+        tolerated: what the effects that were not freed moved within their tolerance, parameter → value.
+    """
+
+    effects: frozenset[str]
+    values: dict[Key, float]
+    std: dict[Key, float]
+    cost: float
+    about: Linearisation
+    tolerated: dict[Key, float]
+
+    @property
+    def frame(self) -> Frame:
+        """What the cost is measured in."""
+        return self.about.frame
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """What gusts and starting states do to a twin with `values`, or with values close to them."""
+        return self.about.likelihood
+
+    @property
+    def likeliest(self) -> dict[Key, float]:
+        """Every parameter where it is likeliest: those of the effects, the others within their tolerance."""
+        return self.tolerated | self.values
+
+    def evidence_against(self, other: Fit) -> float:
+        """By how much the other costs more: twice the log of how much likelier this one is.
+
+        Raises:
+            ValueError: if they are of two frames.
+        """
+        check_frames([self, other])
+        return other.cost - self.cost
+
+
+def check_frames(fits: Sequence[Fit]) -> None:
+    """Refuse to compare fits of two frames: other weights, other noise, other costs."""
+    if any(fit.frame is not fits[0].frame for fit in fits):
+        raise ValueError("fits of two frames have costs that cannot be compared; `reframe` and refit one of them")
+
+
+def find_cheapest(fits: Sequence[Fit]) -> Fit:
+    """The fit of least cost, the first of several; ValueError if they are of two frames."""
+    check_frames(fits)
+    return min(fits, key=lambda fit: fit.cost)
+
+
+class Fitter:
+    """Fits on one set of windows. It has no state but what it has computed: every fit brings its frame along.
+
+    Args:
+        bench: the windows to fit.
+        unknowns: parameters under suspicion.
+    """
+
+    def __init__(self, bench: Bench, unknowns: Sequence[Unknown]) -> None:
+        self.bench, self.unknowns = bench, tuple(unknowns)
+        self.trials = list_trials(self.unknowns, bench)
+        self.responses = Responses(bench)
+        self._derivatives: dict[frozenset[str], Derivatives] = {}
+        floor = np.zeros(bench.valid.shape)
+        self.start = self._settle(frozenset(), {}, self.dry_friction_of(frozenset()), floor)
+        """The twin as it is, in a frame of its own."""
+
+    def dry_friction_of(self, effects: frozenset[str]) -> frozenset[str]:
+        """Those of the effects, and of the nominal twin's, that make dry friction."""
+        on = effects | {effect for effect, _ in self.bench.without_dry_friction}
+        return frozenset(u.effect.id for u in self.unknowns if u.effect.stage is Stage.FRICTION) & on
+
+    def sticks(self, effects: frozenset[str]) -> bool:
+        """Whether any of the effects makes dry friction."""
+        return bool(self.dry_friction_of(effects))
+
+    def fit(
+        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS
+    ) -> Fit:
+        """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
+
+        Args:
+            effects: ids to free.
+            values: where to start.
+            known: linearisation whose frame and likelihood are kept, and its derivatives by all other effects.
+            iterations: at most.
+        """
+        point = {key: value for key, value in values.items() if key[0] in effects}
+        about = self._linearise(point, effects, known)
+        best, stride = (about, point, self._tolerate(about, effects).cost), 1.0
+        for _ in range(iterations if effects else 0):
+            about, point, cost = best
+            ahead = advance(about, self.unknowns, effects, solve_hypothesis(about, self.unknowns, effects), stride)
+            there = self._linearise(ahead, effects, about)
+            # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
+            cost_there = self._tolerate(there, effects).cost
+            if cost_there > cost:
+                stride *= 0.4
+                if stride < 0.1:
+                    break
+                continue
+            best, stride = (there, ahead, cost_there), min(1.0, 2.0 * stride)
+            if cost - cost_there < SETTLED:
+                break
+        return self._sum_up(effects, *best)
+
+    def judge_alone(self, fit: Fit) -> Fit:
+        """The same hypothesis judged by its own likelihood: gusts as strong as it needs, acting through its own twin.
+
+        A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
+        nearly as it is. A real slider may yield where the twin's stands still, so that the likelier of its response
+        and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
+        polished; derivatives by effects that are not freed are kept.
+        """
+        floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
+        loose = self._polish(fit, self.responses.without_dry_friction(floor))
+        if not sticking:
+            return loose
+        tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
+        chosen = tight if tight.evidence_against(loose) > -YIELDING else loose
+        return replace(chosen, cost=find_cheapest([tight, loose]).cost)
+
+    def reframe(self, fit: Fit) -> Fit:
+        """Take a fit as the new state of knowledge: derivatives that belong to it, a frame of its own, and a refit.
+
+        What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
+        """
+        return self._settle(fit.effects, fit.values, fit.likelihood.response.sticking, fit.frame.floor)
+
+    def rederive(self, fit: Fit) -> Fit:
+        """The same fit with derivatives that belong to it, in the same frame."""
+        known = self._derive(fit.effects, fit.values, fit.likelihood, fit.frame)
+        return self.judge_alone(replace(fit, about=self._linearise(fit.values, fit.effects, known)))
+
+    def _polish(self, fit: Fit, response: Response) -> Fit:
+        likelihood = self._tune(fit.about, fit.effects, response)
+        return self.fit(fit.effects, fit.values, fit.about.under(likelihood, fit.frame), POLISH)
+
+    def _settle(
+        self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray
+    ) -> Fit:
+        """A fit in a new frame, which is found from what the hypothesis misses; `floor` serves until then."""
+        plain = Frame(np.ones(self.bench.valid.size), 1.0, floor)
+        assumed = np.ones(self.bench.spec.model.nv)
+        likelihood = couple_gusts(self.bench, self.responses.find(sticking, floor, values), assumed)
+        about = self._linearise(values, effects, self._derive(effects, values, likelihood, plain))
+        floored = replace(plain, floor=self._find_floor(about.missed))
+        response = self.responses.find(sticking, floored.floor, values)
+        likelihood = self._tune(about, effects, response)
+        about = about.under(likelihood, floored)
+        residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
+        weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
+        scale = max(1.0, float(((residual * weight) ** 2).sum()) / response.freedom)
+        frame = replace(floored, weight=weight, scale=scale)
+        return self.judge_alone(self.fit(effects, values, about.under(likelihood, frame)))
+
+    def _find_floor(self, missed: np.ndarray) -> np.ndarray:
+        """A floor from what a twin misses, (K, M): a part of it is beyond what linearisation can follow."""
+        floor = np.empty_like(missed)
+        for columns in self.bench.columns:
+            number = np.maximum(self.bench.valid[:, columns].sum(axis=1, keepdims=True), 1)
+            floor[:, columns] = NONLINEAR * np.sqrt((missed[:, columns] ** 2).sum(axis=1, keepdims=True) / number)
+        return floor
+
+    def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:
+        """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
+        deviation = self._tolerate(about, effects).deviation
+        left = about.missed - np.einsum("p,pkm->km", deviation, about.slopes)
+        return couple_gusts(self.bench, response, tune_gust(self.bench, response, left, about.frame.scale))
+
+    def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
+        """Freed parameters held where they are, the others at their best within tolerance."""
+        return solve_hypothesis(about, self.unknowns, effects, frozen=True)
+
+    def _sum_up(self, effects: frozenset[str], about: Linearisation, point: dict[Key, float], cost: float) -> Fit:
+        solution = solve_hypothesis(about, self.unknowns, effects)
+        std, tolerated = {}, {}
+        scatter = scatter_by_stretch(about, solution, self.bench)
+        for i, unknown in enumerate(self.unknowns):
+            if unknown.effect.id in effects:
+                std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
+            elif not unknown.is_limit:  # a limit has no tolerance about its nominal, which is far away
+                tolerated[unknown.key] = float(unknown.parameter.clip(about.at[i] + solution.deviation[i]))
+        cost += float(about.likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
+        return Fit(effects, point, std, cost, about, tolerated)
+
+    def _derive(
+        self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood, frame: Frame
+    ) -> Linearisation:
+        """Derivatives about a twin with these effects.
+
+        Only what sticks changes the derivatives by everything else much, so that they are taken once for every set of
+        effects that make dry friction, at the parameters that are asked for first. No frame changes them.
+        """
+        sticking = self.dry_friction_of(effects)
+        if sticking not in self._derivatives:
+            self._derivatives[sticking] = self._differentiate(values, range(len(self.unknowns)), self.trials)
+        return whiten(self._derivatives[sticking], likelihood, frame)
+
+    def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
+        """About a twin with `values`: derivatives by `effects` anew, all else as in `known`."""
+        wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
+        at, slopes, missed, _ = self._differentiate(values, wanted, ())
+        return known.move(at, wanted, slopes, missed)
+
+    def _differentiate(
+        self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial]
+    ) -> Derivatives:
+        """Point, derivatives by the unknowns `wanted`, residual, and what trials change, of a twin with `values`."""
+        at = np.array([values.get(u.key, u.nominal) for u in self.unknowns])
+        steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
+        variations = [Variation(dict(values))]
+        for i, step in zip(wanted, steps):
+            moved = self.unknowns[i].parameter.clip(at[i] + step)  # rounding may lead past a bound
+            variations.append(Variation({**values, self.unknowns[i].key: float(moved)}))
+        # A trial of what is switched on already would replace it.
+        on = {key[0] for key in values}
+        variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
+        predicted = self.bench.predict(variations, values)
+        valid = self.bench.valid
+        missed = np.where(valid, self.bench.measured - predicted[0], 0.0)
+        changed = np.where(valid, predicted[1:] - predicted[0], 0.0)
+        return at, changed[: len(wanted)] / steps[:, None, None], missed, changed[len(wanted) :]

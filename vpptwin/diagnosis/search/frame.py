@@ -1,0 +1,102 @@
+"""What costs are measured in: a frame says how much windows count, how strong noise is and where belief ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from vpptwin.diagnosis.search.likelihood import Likelihood
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What the costs of fits must share to be compared. Two frames are the same only if they are one object.
+
+    Attributes:
+        weight: of every whitened residual, (K M,); windows that go astray count less.
+        scale: variance of the whitened residual; costs are divided by it.
+        floor: standard deviation that is added to the sensors' noise, (K, M).
+    """
+
+    weight: np.ndarray
+    scale: float
+    floor: np.ndarray
+
+    def whiten(self, raw: np.ndarray, likelihood: Likelihood) -> np.ndarray:
+        """Rows (V, K, M) whitened by a likelihood and weighted, (V, K M)."""
+        if not len(raw):
+            return np.empty((0, self.weight.size))
+        return likelihood.whiten(raw).reshape(len(raw), -1) * self.weight
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Residual and its derivative by every unknown, about a twin with the parameters `at`, whitened in a frame.
+
+    Attributes:
+        frame: what weighed it.
+        likelihood: what whitened it.
+        at: (P,) in the parameters' units; deviations count from here.
+        slopes: derivative of the prediction, (P, K, M).
+        missed: residual, (K, M).
+        trials: change of the prediction by every trial, (T, K, M).
+        columns: whitened derivative, (P, K M).
+        residual: whitened residual, (K M,).
+        tried: whitened change of the prediction by every trial, (T, K M).
+    """
+
+    frame: Frame
+    likelihood: Likelihood
+    at: np.ndarray
+    slopes: np.ndarray
+    missed: np.ndarray
+    trials: np.ndarray
+    columns: np.ndarray
+    residual: np.ndarray
+    tried: np.ndarray
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """Inner products of the columns, (P, P)."""
+        return self.columns @ self.columns.T
+
+    @cached_property
+    def slope(self) -> np.ndarray:
+        """Inner products of columns and residual, (P,)."""
+        return self.columns @ self.residual
+
+    def under(self, likelihood: Likelihood, frame: Frame) -> Linearisation:
+        """The same derivatives whitened by another likelihood, in another frame."""
+        return whiten((self.at, self.slopes, self.missed, self.trials), likelihood, frame)
+
+    def move(self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray) -> Linearisation:
+        """About another point: derivatives by the unknowns `wanted` anew, (n, K, M); the others, and trials, stay."""
+        moved, columns = self.slopes.copy(), self.columns.copy()
+        moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
+        residual = self.frame.whiten(missed[None], self.likelihood)[0]
+        return replace(self, at=at, slopes=moved, missed=missed, columns=columns, residual=residual)
+
+
+Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""`at`, `slopes`, `missed` and `trials` of a linearisation: what no frame changes."""
+
+
+def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Linearisation:
+    """A linearisation from its derivatives."""
+    at, slopes, missed, trials = derivatives
+    columns, residual, tried = (frame.whiten(rows, likelihood) for rows in (slopes, missed[None], trials))
+    return Linearisation(frame, likelihood, at, slopes, missed, trials, columns, residual[0], tried)
+
+
+def weigh_windows(residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Square roots of Student-t weights, one a window, for whitened residuals (K, M); flat, (K M,).
+
+    A window that fits no better than three times the usual misfit counts less: a collision, a glitch, or a slip that
+    came early there must not outvote all the others.
+    """
+    square = (residual**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
+    usual = 3.0 * float(np.median(square))
+    weight = np.sqrt(2.0 * usual / (usual + np.maximum(square, usual)))
+    return np.repeat(weight, residual.shape[1])

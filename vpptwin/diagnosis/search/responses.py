@@ -1,0 +1,54 @@
+"""What starting states and gusts do to twins that stick and twins that glide, measured once each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.search.likelihood import Response, assemble, measure_response
+
+
+class Responses:
+    """Responses of twins on one bench; only effects of dry friction change them much, so that those are the key.
+
+    Measured once for every set of such effects, with the parameters it is first asked for, and never again. With the
+    floor of a frame added they take a second of algebra and 100 MB each: those of the last floor asked for are kept.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._measured: dict[frozenset[str], Response] = {}
+        self._floored: dict[frozenset[str], Response] = {}
+        self._floor = np.empty(0)
+
+    def find(
+        self,
+        sticking: frozenset[str],
+        floor: np.ndarray,
+        values: Mapping[Key, float],
+        gust: np.ndarray | None = None,
+    ) -> Response:
+        """The response of a twin in which these effects make dry friction, nothing believed better than a floor (K, M).
+
+        Args:
+            sticking: ids of the effects.
+            floor: of a frame.
+            values: parameters, used if it has not been measured yet.
+            gust: strength of the pulses it is then measured with, (nv,).
+        """
+        if floor is not self._floor:
+            self._floor, self._floored = floor, {}
+        if sticking not in self._measured:
+            self._measured[sticking] = measure_response(self._bench, values, gust)
+        if sticking not in self._floored:
+            found = self._measured[sticking]
+            floored = assemble(self._bench, found.state, found.state_std, found.push, floor)
+            self._floored[sticking] = replace(floored, sticking=sticking)
+        return self._floored[sticking]
+
+    def without_dry_friction(self, floor: np.ndarray) -> Response:
+        """That of the nominal twin without dry friction."""
+        return self.find(frozenset(), floor, self._bench.without_dry_friction)

@@ -1,0 +1,97 @@
+"""The most probable parameters of a hypothesis in closed form, and what its freedom costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.search.frame import Linearisation
+from vpptwin.diagnosis.search.suspects import Unknown
+
+STRETCH = 1.2
+"""Windows within this time [s] count as one when the scatter of a parameter is judged: gusts outlast a window."""
+MOST_TOLERATED = 3.0
+"""An effect that is not freed stays within this many of its build tolerances."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Minimum of a penalised fit: parameter deviations from the point of linearisation, and the cost there."""
+
+    deviation: np.ndarray
+    cost: float
+    covariance: np.ndarray
+
+
+def solve_hypothesis(
+    about: Linearisation, unknowns: tuple[Unknown, ...], freed: frozenset[str], frozen: bool = False
+) -> Solution:
+    """Most probable parameters if the effects `freed` are wrong and all others sit within their build tolerance.
+
+    Args:
+        about: the linearised windows, in whose frame costs are measured.
+        unknowns: their parameters.
+        freed: ids of effects whose parameters the data may move anywhere inside the bounds.
+        frozen: the freed parameters stay where they are; only the others move.
+    """
+    scale = about.frame.scale
+    nominal = np.array([u.nominal for u in unknowns])
+    free = np.array([u.effect.id in freed for u in unknowns])
+    width = np.array([u.width if f else max(u.parameter.tolerance, 1e-12) for u, f in zip(unknowns, free)])
+    low = np.array([u.parameter.low for u in unknowns])
+    high = np.array([u.parameter.high for u in unknowns])
+    low = np.where(free, low, np.maximum(low, nominal - MOST_TOLERATED * width)) - about.at
+    high = np.where(free, high, np.minimum(high, nominal + MOST_TOLERATED * width)) - about.at
+    # A freed parameter is not drawn anywhere: only its range is known.
+    pull = np.where(free, 0.0, nominal - about.at)
+    moving = ~(free & frozen)
+    unit = np.array([u.scale_at(at) for u, at in zip(unknowns, about.at)])[moving]
+    gram, slope = about.gram[np.ix_(moving, moving)], about.slope[moving]
+    hessian = gram / scale * unit[:, None] * unit + np.diag((unit / width[moving]) ** 2)
+    target = slope / scale * unit + unit / width[moving] ** 2 * pull[moving]
+    factor = np.linalg.cholesky(hessian + 1e-9 * np.diag(np.diag(hessian)))
+    wanted = np.linalg.solve(factor, target)
+    margin = 1e-12
+    bounds = (low[moving] - margin) / unit, (high[moving] + margin) / unit
+    inside = np.linalg.solve(factor.T, wanted)
+    if np.any(inside < bounds[0]) or np.any(inside > bounds[1]):
+        inside = lsq_linear(factor.T, wanted, bounds=bounds, method="bvls").x
+    step = inside * unit
+    deviation = np.zeros(len(unknowns))
+    deviation[moving] = step
+    cost = (about.residual @ about.residual - 2.0 * slope @ step + step @ gram @ step) / scale
+    held = ~free
+    cost += float(np.sum(((deviation[held] - pull[held]) / width[held]) ** 2))
+    covariance = np.zeros((len(unknowns), len(unknowns)))
+    covariance[np.ix_(moving, moving)] = np.linalg.inv(hessian) * unit[:, None] * unit
+    return Solution(deviation, float(cost), covariance)
+
+
+def price_of_freedom(solution: Solution, unknowns: tuple[Unknown, ...], freed: frozenset[str]) -> float:
+    """What a fit must gain to pay for its freedom: twice the log of prior range over posterior width (Laplace)."""
+    free = [i for i, u in enumerate(unknowns) if u.effect.id in freed]
+    if not free:
+        return 0.0
+    width = np.array([unknowns[i].width for i in free])
+    share = solution.covariance[np.ix_(free, free)] / width[:, None] / width
+    return float(-np.linalg.slogdet(share + 1e-12 * np.eye(len(free)))[1])
+
+
+def scatter_by_stretch(about: Linearisation, solution: Solution, bench: Bench) -> np.ndarray:
+    """Standard deviation of every parameter from how much stretches of flight disagree about it, (P,).
+
+    The sandwich estimate with stretches of a few windows as clusters: unlike the curvature alone it notices residuals
+    that are larger, or more alike from window to window, than the noise model says.
+    """
+    residual = about.residual - solution.deviation @ about.columns
+    scores = (about.columns * residual).reshape(len(about.columns), len(bench.windows), -1).sum(
+        axis=2
+    ) / about.frame.scale
+    stretch = np.floor(bench.windows.start / STRETCH).astype(int) + 10**6 * bench.windows.flight
+    _, index = np.unique(stretch, return_inverse=True)
+    sums = np.zeros((index.max() + 1, len(scores)))
+    np.add.at(sums, index, scores.T)
+    return np.sqrt(((sums @ solution.covariance) ** 2).sum(axis=0))
