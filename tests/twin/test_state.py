@@ -21,7 +21,7 @@ def list_arrays(state: TwinState) -> Iterable[tuple[str, np.ndarray]]:
 
 def freeze(state: TwinState) -> dict[str, np.ndarray]:
     """Make writing to a state raise; returns a copy of what it holds."""
-    for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.actuators):
+    for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.effects, state.actuators):
         array.flags.writeable = False
     return {name: array.copy() for name, array in list_arrays(state)}
 

@@ -1,0 +1,98 @@
+"""What gives: dry friction whose bristles bend before they slip, and an elastic mode on a joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vpptwin.effects.base import Effect, Motion, Stage, State
+from vpptwin.effects.joint import JOINT_SHOWS, Place
+from vpptwin.effects.parameter import Parameter, Prior
+
+STIFFEST = 4.0
+"""Bristles stiffer than the inertia over so many squared steps count as that: a swing on them takes 12 steps."""
+TINY = 1e-300
+"""Stands for a deflection of zero, which would divide by zero [m, rad]."""
+GIVE, GIVE_ROTARY = 1e-3, 1e-2
+"""Deflection of the bristles under the typical force of a joint [m], [rad]."""
+
+
+def apply_lugre(
+    motion: Motion, forward: float, backward: float, /, deflection: float, dt: float, compliance: float
+) -> tuple[float, float]:
+    """Bristles that bend and slip: F = z/c + σ ż, ż = v - |v| z/(F(v) c), with z exact at constant v [N, N m].
+
+    Their damping σ = √(M/c) is half the critical one for the inertia M on them. It raises no force above the level
+    that the joint can muster, so that at any speed a joint reverses without a jolt.
+    """
+    soft = np.maximum(compliance, STIFFEST * dt * dt / motion.inertia)
+    most = soft * ((motion.velocity > 0.0) * forward - (motion.velocity < 0.0) * backward)
+    left = np.exp(-np.abs(motion.velocity) * dt / np.maximum(np.abs(most), TINY))
+    bent = most + left * (deflection - most)
+    held = bent / soft
+    wanted = held + np.sqrt(motion.inertia / soft) * (bent - deflection) / dt
+    return -np.minimum(np.maximum(wanted, np.minimum(held, -backward)), np.maximum(held, forward)), bent
+
+
+def apply_elastic(
+    motion: Motion, /, position: float, velocity: float, dt: float, share: float, frequency: float, zeta: float
+) -> tuple[float, float, float]:
+    """A mass on a spring and a damper that the joint drags along [N, N m]; stepped as the engine steps the joint."""
+    rate = 2.0 * np.pi * frequency
+    pull = rate * (rate * (motion.position - position) + 2.0 * zeta * (motion.velocity - velocity))
+    faster = velocity + dt * pull
+    return -share * motion.inertia * pull, position + dt * faster, faster
+
+
+def lugre(
+    place: Place, look_alikes: tuple[str, ...] = (), modifies: tuple[str, ...] = ("coulomb", "stiction")
+) -> Effect:
+    """Dry friction of a joint that gives before it slips (the LuGre model). Without such friction it does nothing."""
+    length, unit, give = ("rad", "N m", GIVE_ROTARY) if place.rotary else ("m", "N", GIVE)
+    size = give / place.scale
+    parameter = Parameter(
+        name="compliance", unit=f"{length}/({unit})" if place.rotary else f"{length}/{unit}", off=0.0, low=0.0,
+        high=10.0 * size, prior=Prior("halfnormal", 0.0, 0.5 * size), size=size, tolerance=0.1 * size,
+    )  # fmt: skip
+    return Effect(
+        id=f"{place.joint}.lugre",
+        summary=f"dry friction {place.where} that gives before it slips",
+        equation="-(z/compliance + σ dz/dt), dz/dt = v - |v| z/(F compliance)",
+        parameters=(parameter,),
+        stage=Stage.SLIP,
+        apply=apply_lugre,
+        shows=JOINT_SHOWS,
+        look_alikes=look_alikes,
+        target=place.joint,
+        modifies=tuple(f"{place.joint}.{kind}" for kind in modifies),
+        states=(State("deflection", length),),
+    )
+
+
+def elastic(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """An elastic mode on a slider: a share of what it carries, besides that, on a spring and a damper."""
+    return Effect(
+        id=f"{place.joint}.elastic",
+        summary=f"an elastic mode {place.where}",
+        equation="share M (ω² (s - q) + 2 zeta ω d(s - q)/dt), ω = 2π frequency",
+        parameters=(
+            Parameter(
+                name="share", unit="", off=0.0, low=0.0, high=0.5, prior=Prior("halfnormal", 0.0, 0.05), size=0.05,
+                tolerance=0.005,
+            ),
+            Parameter(
+                name="frequency", unit="Hz", off=8.0, low=2.0, high=40.0, prior=Prior("normal", 8.0, 2.0), size=2.0,
+                tolerance=40.0,
+            ),
+            Parameter(
+                name="zeta", unit="", off=0.03, low=0.0, high=0.3, prior=Prior("normal", 0.03, 0.01), size=0.02,
+                tolerance=0.3,
+            ),
+        ),
+        stage=Stage.FORCE,
+        apply=apply_elastic,
+        shows=JOINT_SHOWS,
+        look_alikes=look_alikes,
+        target=place.joint,
+        follows="command change",
+        states=(State("position", "m", "position"), State("velocity", "m/s", "velocity")),
+    )  # fmt: skip
