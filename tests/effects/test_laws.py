@@ -57,14 +57,15 @@ JOINT_LAWS = [
 ]
 
 # Bristles of 0.01 m/N that carry 0.5 kg: motion, friction forward and backward [N], deflection before [m], force [N]
-# (None where they are damped, by √(0.5/0.01) N s/m), deflection 1 ms later.
-SIGMA = np.sqrt(50.0)
+# (None where they are damped, by 2 √(0.5/0.01) N s/m), deflection 1 ms later.
+SIGMA = 2.0 * np.sqrt(50.0)
 BRISTLES = {
     "at rest": (AT_REST, (0.4, 0.4), 1e-3, -0.1, 1e-3),  # they push back, and stay
-    # v dt = 0.1 mm of at most 4 mm: 4 - (4 - 1) exp(-0.1/4) mm
-    "bending": (FORWARD, (0.4, 0.3), 1e-3, None, 4e-3 - 3e-3 * np.exp(-0.025)),
+    "bending": (FORWARD, (0.4, 0.3), 1e-3, None, 1.1e-3),  # by v dt = 0.1 mm
+    # Half of it up to 0.9 of 4 mm, half beyond, ever more slipping: 4 - 0.4 exp(-0.05/0.4) mm
+    "yielding": (FORWARD, (0.4, 0.3), 3.55e-3, None, 4e-3 - 0.4e-3 * np.exp(-0.125)),
     "slipping": (BACKWARD, (0.4, 0.3), -3e-3, 0.3, -3e-3),  # as far as they bend: 0.3 N backward
-    "overbent": (FORWARD, (0.1, 0.1), 5e-3, None, 1e-3 + 4e-3 * np.exp(-0.1)),  # what could hold 0.5 N lets go
+    "overbent": (FORWARD, (0.1, 0.1), 5e-3, None, 1e-3 + 4e-3 / E),  # what could hold 0.5 N lets go
     "no friction": (FORWARD, (0.0, 0.0), 0.0, 0.0, 0.0),
 }
 

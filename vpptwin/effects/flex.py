@@ -10,6 +10,8 @@ from vpptwin.effects.parameter import Parameter, Prior
 
 STIFFEST = 4.0
 """Bristles stiffer than the inertia over so many squared steps count as that: a swing on them takes 12 steps."""
+ELASTIC = 0.9
+"""Share of the friction up to which bristles bend and do not slip."""
 TINY = 1e-300
 """Stands for a deflection of zero, which would divide by zero [m, rad]."""
 GIVE, GIVE_ROTARY = 1e-3, 1e-2
@@ -19,17 +21,21 @@ GIVE, GIVE_ROTARY = 1e-3, 1e-2
 def apply_lugre(
     motion: Motion, forward: float, backward: float, /, deflection: float, dt: float, compliance: float
 ) -> tuple[float, float]:
-    """Bristles that bend and slip: F = z/c + σ ż, ż = v - |v| z/(F(v) c), with z exact at constant v [N, N m].
+    """Bristles that bend, and slip as they approach what the joint can muster, F(v): z/c + σ ż [N, N m].
 
-    Their damping σ = √(M/c) is half the critical one for the inertia M on them. It raises no force above the level
-    that the joint can muster, so that at any speed a joint reverses without a jolt.
+    ż = v up to 0.9 F c, from there v (1 - (z - 0.9 F c)/(0.1 F c)), exact at constant v: LuGre's law with an elastic
+    range (Dupont and others), without which bristles creep under any load that trembles. Their damping σ = 2 √(M/c) is
+    critical for the inertia M on them. It raises no force above F, so that a joint reverses without a jolt.
     """
     soft = np.maximum(compliance, STIFFEST * dt * dt / motion.inertia)
-    most = soft * ((motion.velocity > 0.0) * forward - (motion.velocity < 0.0) * backward)
-    left = np.exp(-np.abs(motion.velocity) * dt / np.maximum(np.abs(most), TINY))
-    bent = most + left * (deflection - most)
+    most = soft * ((motion.velocity > 0.0) * forward + (motion.velocity < 0.0) * backward)
+    sense, way = np.sign(motion.velocity), np.abs(motion.velocity) * dt
+    freely = np.minimum(np.maximum(ELASTIC * most - sense * deflection, 0.0), way)
+    slipping = np.expm1((freely - way) / np.maximum((1.0 - ELASTIC) * most, TINY))
+    change = sense * (freely + (sense * deflection + freely - most) * slipping)
+    bent = deflection + change
     held = bent / soft
-    wanted = held + np.sqrt(motion.inertia / soft) * (bent - deflection) / dt
+    wanted = held + 2.0 * np.sqrt(motion.inertia / soft) * change / dt
     return -np.minimum(np.maximum(wanted, np.minimum(held, -backward)), np.maximum(held, forward)), bent
 
 
@@ -44,8 +50,9 @@ def apply_elastic(
 
 
 def lugre(
-    place: Place, look_alikes: tuple[str, ...] = (), modifies: tuple[str, ...] = ("coulomb", "stiction")
-) -> Effect:
+    place: Place, look_alikes: tuple[str, ...] = (), modifies: tuple[str, ...] = ("coulomb", "stiction"),
+    needs: tuple[str, ...] = (),
+) -> Effect:  # fmt: skip
     """Dry friction of a joint that gives before it slips (the LuGre model). Without such friction it does nothing."""
     length, unit, give = ("rad", "N m", GIVE_ROTARY) if place.rotary else ("m", "N", GIVE)
     size = give / place.scale
@@ -56,19 +63,20 @@ def lugre(
     return Effect(
         id=f"{place.joint}.lugre",
         summary=f"dry friction {place.where} that gives before it slips",
-        equation="-(z/compliance + σ dz/dt), dz/dt = v - |v| z/(F compliance)",
+        equation="-(z/compliance + σ dz/dt), dz/dt = v (1 - (|z|/(F compliance) - 0.9)/0.1) beyond 0.9, else v",
         parameters=(parameter,),
         stage=Stage.SLIP,
         apply=apply_lugre,
         shows=JOINT_SHOWS,
         look_alikes=look_alikes,
         target=place.joint,
+        needs=needs,
         modifies=tuple(f"{place.joint}.{kind}" for kind in modifies),
         states=(State("deflection", length),),
     )
 
 
-def elastic(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+def elastic(place: Place, look_alikes: tuple[str, ...] = (), needs: tuple[str, ...] = ()) -> Effect:
     """An elastic mode on a slider: a share of what it carries, besides that, on a spring and a damper."""
     return Effect(
         id=f"{place.joint}.elastic",
@@ -93,6 +101,7 @@ def elastic(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
         shows=JOINT_SHOWS,
         look_alikes=look_alikes,
         target=place.joint,
+        needs=needs,
         follows="command change",
         states=(State("position", "m", "position"), State("velocity", "m/s", "velocity")),
     )  # fmt: skip
