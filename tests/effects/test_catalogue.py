@@ -192,7 +192,7 @@ POSE = {True: "/mocap/pose", False: "/joint_states"}
 
 def expected_ratio(rig: Rig, effect: Effect) -> float:
     """How many times closer rollouts with this effect must come."""
-    if effect.stage is Stage.FRICTION:
+    if effect.stage in (Stage.FRICTION, Stage.SLIP):
         return FIRST_ORDER_KINKED
     order = ORDERS.get(effect.id, ORDERS.get(effect.id.split(".")[-1], SECOND_ORDER))
     return order if rig.drone else min(order, FIRST_ORDER)

@@ -18,9 +18,9 @@ ROUNDING = 1e-12
 E = np.e
 
 # Friction: level [N, N m] before, motion, parameters, level after.
-FORWARD = Motion(position=0.3, velocity=0.1, direction=1.0, load=-2.0, lever=15.0)
-BACKWARD = Motion(position=0.3, velocity=-0.1, direction=-1.0, load=2.0, lever=-15.0)
-AT_REST = Motion(position=0.3, velocity=0.0, direction=1.0, load=0.0, lever=0.0)
+FORWARD = Motion(position=0.3, velocity=0.1, direction=1.0, load=-2.0, lever=15.0, inertia=0.5)
+BACKWARD = Motion(position=0.3, velocity=-0.1, direction=-1.0, load=2.0, lever=-15.0, inertia=0.5)
+AT_REST = Motion(position=0.3, velocity=0.0, direction=1.0, load=0.0, lever=0.0, inertia=0.5)
 FRICTION_LAWS = [
     ("rail_x.coulomb", 0.2, FORWARD, (0.3,), 0.5),  # 0.2 + 0.3, at any speed
     ("rail_z.coulomb", 0.2, AT_REST, (0.3,), 0.5),
@@ -55,6 +55,19 @@ JOINT_LAWS = [
     ("slide.spring", FORWARD, (2.0, 0.0), -0.6),
     ("swing.spring", FORWARD, (2.0, 0.0), -0.6),
 ]
+
+# Bristles of 0.01 m/N that carry 0.5 kg: motion, friction forward and backward [N], deflection before [m], force [N]
+# (None where they are damped, by 2 √(0.5/0.01) N s/m), deflection 1 ms later.
+SIGMA = 2.0 * np.sqrt(50.0)
+BRISTLES = {
+    "at rest": (AT_REST, (0.4, 0.4), 1e-3, -0.1, 1e-3),  # they push back, and stay
+    "bending": (FORWARD, (0.4, 0.3), 1e-3, None, 1.1e-3),  # by v dt = 0.1 mm
+    # Half of it up to 0.9 of 4 mm, half beyond, ever more slipping: 4 - 0.4 exp(-0.05/0.4) mm
+    "yielding": (FORWARD, (0.4, 0.3), 3.55e-3, None, 4e-3 - 0.4e-3 * np.exp(-0.125)),
+    "slipping": (BACKWARD, (0.4, 0.3), -3e-3, 0.3, -3e-3),  # as far as they bend: 0.3 N backward
+    "overbent": (FORWARD, (0.1, 0.1), 5e-3, None, 1e-3 + 4e-3 / E),  # what could hold 0.5 N lets go
+    "no friction": (FORWARD, (0.0, 0.0), 0.0, 0.0, 0.0),
+}
 
 # Force on the craft [N, N, N m]: v = (3, -4) m/s, |v| = 5; arm along (cos θ, sin θ) = (0.8, 0.6).
 CRAFT = Craft(0.1, 1.2, 3.0, -4.0, 2.0, sine=0.6, cosine=0.8, arm=0.2, speed_1=450.0, speed_2=550.0, time=1.0)
@@ -186,7 +199,40 @@ def test_every_effect_has_a_law() -> None:
         Stage.CONSTANT: {law[0] for law in CONSTANT_LAWS},
     }
     for stage, ids in laws.items():
-        assert ids == {effect.id for effect in EFFECTS if effect.stage is stage}
+        assert ids == {effect.id for effect in EFFECTS if effect.stage is stage and not effect.states}
+
+
+LUGRE = [effect.id for effect in EFFECTS if effect.stage is Stage.SLIP]
+
+
+@pytest.mark.parametrize("effect_id", LUGRE)
+@pytest.mark.parametrize("case", BRISTLES)
+def test_bristles(effect_id: str, case: str) -> None:
+    """Bristles bend by the way of a step, hold by their stiffness and damping, and slip where friction ends."""
+    motion, levels, before, force, after = BRISTLES[case]
+    found, bent = find_effect(EFFECTS, effect_id).apply(motion, *levels, before, 1e-3, 0.01)
+    assert bent == pytest.approx(after, rel=ROUNDING)
+    if force is None:
+        held, damped = after / 0.01, after / 0.01 + SIGMA * (after - before) / 1e-3
+        force = -np.clip(damped, min(held, -levels[1]), max(held, levels[0]))
+    assert found == pytest.approx(force, rel=ROUNDING)
+
+
+def test_bristles_stiffer_than_a_step_shows() -> None:
+    """They count as those that swing in 12 steps: at 0.5 kg and 1 ms 8 µm/N."""
+    apply = find_effect(EFFECTS, "rail_x.lugre").apply
+    for compliance in (0.0, 1e-9, 8e-6):
+        force, bent = apply(AT_REST, 0.4, 0.4, 1e-6, 1e-3, compliance)
+        assert (force, bent) == pytest.approx((-1e-6 / 8e-6, 1e-6), rel=ROUNDING)
+
+
+def test_elastic_mode() -> None:
+    """A joint 0.2 m ahead of its part and 0.3 m/s faster pulls it along, and feels what that takes."""
+    omega = 2.0 * np.pi * 5.0
+    pull = omega**2 * 0.2 + 2.0 * 0.1 * omega * 0.3  # m/s²
+    found = find_effect(EFFECTS, "rail_x.elastic").apply(FORWARD, 0.1, -0.2, 1e-3, 0.1, 5.0, 0.1)
+    faster = -0.2 + 1e-3 * pull
+    assert found == pytest.approx((-0.1 * 0.5 * pull, 0.1 + 1e-3 * faster, faster), rel=ROUNDING)
 
 
 @pytest.mark.parametrize(("effect_id", "level", "motion", "parameters", "expected"), FRICTION_LAWS, ids=name_case)

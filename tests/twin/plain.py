@@ -84,7 +84,8 @@ def fly_plain(twin: Twin, state: TwinState, inputs: Inputs) -> TwinState:
     for i in range(twin.num_sims):
         own = twin._batch.get_model(i)
         nv, data = int(own.nv), mujoco.MjData(own)
-        row = Row(layers[i], constants[i], parameters[i], result.memory[i], np.zeros((scratch_rows(nv), nv)))
+        room = np.zeros((scratch_rows(nv), nv))
+        row = Row(layers[i], constants[i], parameters[i], result.memory[i], result.effects[i], room)
         tape = inputs.tape(i, nv)
         data.time, data.qpos[:], data.qvel[:] = state.time[i], state.qpos[i], state.qvel[i]
         data.qacc_warmstart[:] = state.warmstart[i]

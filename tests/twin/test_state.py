@@ -11,7 +11,8 @@ import pytest
 from vpptwin.twin import Twin, TwinState, load_twin
 
 SPEC = load_twin()
-ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass")
+ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass", "rail_x.lugre",
+          "rail_x.elastic")  # fmt: skip
 
 
 def list_arrays(state: TwinState) -> Iterable[tuple[str, np.ndarray]]:
@@ -21,7 +22,7 @@ def list_arrays(state: TwinState) -> Iterable[tuple[str, np.ndarray]]:
 
 def freeze(state: TwinState) -> dict[str, np.ndarray]:
     """Make writing to a state raise; returns a copy of what it holds."""
-    for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.actuators):
+    for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.effects, state.actuators):
         array.flags.writeable = False
     return {name: array.copy() for name, array in list_arrays(state)}
 
@@ -44,6 +45,8 @@ def twin() -> Twin:
     twin = Twin(SPEC, 4, active=ACTIVE, num_threads=1)
     twin.set_parameter("rail_x.coulomb", "force", np.array([0.0, 0.1, 0.2, 0.3]))
     twin.set_parameter("command.delay", "delay", np.array([0.0, 0.001, 0.0025, 0.01]))
+    twin.set_parameter("rail_x.lugre", "compliance", np.array([0.0, 1e-3, 2e-3, 1e-2]))
+    twin.set_parameter("rail_x.elastic", "share", np.array([0.0, 0.1, 0.2, 0.3]))
     return twin
 
 
@@ -212,8 +215,9 @@ def test_disturbance_is_a_force_held_in_turn(twin: Twin, flown: TwinState) -> No
     push[:, 1, 0] = 0.6
     after = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0), disturbance=push).state
     biased = Twin(SPEC, 4, active=(*ACTIVE, "rail_x.bias"), num_threads=1)
-    for effect_id, parameter in (("rail_x.coulomb", "force"), ("command.delay", "delay")):
-        biased.set_parameter(effect_id, parameter, twin.parameter(effect_id, parameter))
+    for effect_id, effect in twin.effects.items():
+        for p in effect.parameters:
+            biased.set_parameter(effect_id, p.name, twin.parameter(effect_id, p.name))
     state = flown
     for force in (0.0, 0.6, 0.0):
         biased.set_parameter("rail_x.bias", "force", force)
@@ -308,7 +312,9 @@ def test_arrays_make_the_state_again(twin: Twin, flown: TwinState) -> None:
     assert_equal(twin.step_policy(again, wanted), dict(list_arrays(twin.step_policy(flown, wanted))))
 
 
-@pytest.mark.parametrize("name", ["qpos", "qvel", "memory", "actuators.horn", "actuators.history", "actuators.gyro"])
+@pytest.mark.parametrize(
+    "name", ["qpos", "qvel", "memory", "effects", "actuators.horn", "actuators.history", "actuators.gyro"]
+)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_finite_tells_broken_rows(flown: TwinState, name: str, value: float) -> None:
     """A row with one number that is none is told, wherever it is; the others are sound."""
@@ -373,6 +379,9 @@ WRONG_TAPES = {
         state, np.zeros((4, 5, 2)), disturbance=np.zeros((4, 1, 2))
     ),
     "a state of fewer simulations": lambda twin, state: twin.step_policy(state.take(np.arange(3)), np.zeros((4, 2))),
+    "a state of other effects": lambda twin, state: twin.step_policy(
+        replace(state, effects=state.effects[:, :1].copy()), np.zeros((4, 2))
+    ),
     "past commands of fewer": lambda twin, state: twin.warm_up(state.actuators, np.zeros((3, 5, 2))),
     "actuators of fewer": lambda twin, state: twin.warm_up(state.actuators[:3], np.zeros((4, 5, 2))),
 }

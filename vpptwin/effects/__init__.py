@@ -4,7 +4,7 @@ One list serves the model, the identification's unknowns, the randomization's ax
 the makers of hidden test data. This package imports nothing else of vpptwin.
 """
 
-from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage
+from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage, State
 from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT, effects_for_rig, find_effect
 from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
@@ -23,6 +23,7 @@ __all__ = [
     "Rotor",
     "Site",
     "Stage",
+    "State",
     "effects_for_rig",
     "find_effect",
 ]

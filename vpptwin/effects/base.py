@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -26,27 +26,37 @@ class Stage(Enum):
     `apply(craft, /, parameter, ...) -> (f_x, f_z, moment)` [N, N, N m] in the world's axes, about the hinge.
     FRICTION: `apply(level, motion, /, parameter, ...) -> level` [N, N m], every inner step: the dry friction that the
     joint can muster against `motion.direction`; the engine room turns it into a force that sticks.
+    SLIP: `apply(motion, forward, backward, /, parameter, ...) -> force` [N, N m], every inner step: how the joint's dry
+    friction acts, given its levels against motion forward and backward, in place of the force that sticks.
 
-    Functions of the last three are compiled by numba and called with numbers. They use arithmetic and numpy functions
+    Functions of the last four are compiled by numba and called with numbers. They use arithmetic and numpy functions
     that take numbers and arrays alike (np.exp, np.minimum; not np.where, which allocates), so that they also run on
-    arrays as they are. Parameters arrive in the order of `Effect.parameters`. Functions keep no state.
+    arrays as they are. Parameters arrive in the order of `Effect.parameters`.
+
+    What evolves is no secret of the function: an effect that declares `states` gets their values at the start of the
+    step, and the step `dt` [s], before its parameters, and returns the new values behind its result:
+    `apply(motion, /, state, ..., dt, parameter, ...) -> (force, state, ...)`. They lie in `TwinState.effects`, for a
+    rotor's THRUST one of each kind per rotor, and stay as they are while the effect is off, when it is not called. A
+    FRICTION effect is called for both senses: what it returns for the sense of motion is kept.
     """
 
     CONSTANT = "constant"
     THRUST = "thrust"
     FORCE = "force"
     FRICTION = "friction"
+    SLIP = "slip"
 
 
 class Motion(NamedTuple):
-    """One joint, as FORCE and FRICTION effects on a joint see it.
+    """One joint, as FORCE, FRICTION and SLIP effects on a joint see it.
 
     Attributes:
         position: q [m, rad].
         velocity: q̇ [m/s, rad/s].
-        direction: +1 or -1, the sense of motion that friction would oppose.
+        direction: +1 or -1, the sense of motion that friction would oppose; 0 for FORCE and SLIP.
         load: horizontal force between guide and slider [N]; 0 on other rigs.
         lever: height of the slider above the rail over the spacing of the bearings; 0 on other rigs.
+        inertia: that the joint moves [kg, kg m²].
     """
 
     position: float
@@ -54,6 +64,7 @@ class Motion(NamedTuple):
     direction: float
     load: float
     lever: float
+    inertia: float
 
 
 class Craft(NamedTuple):
@@ -119,6 +130,21 @@ ApplyFunction = Callable[..., Any]
 
 
 @dataclass(frozen=True)
+class State:
+    """A number of an effect that evolves.
+
+    Attributes:
+        name: argument of the function.
+        unit: SI unit in plain text, "" for none.
+        start: value at the start of a simulation; "position" or "velocity" for the joint's own there.
+    """
+
+    name: str
+    unit: str
+    start: float | Literal["position", "velocity"] = 0.0
+
+
+@dataclass(frozen=True)
 class Effect:
     """A physical effect that a simulation may lack.
 
@@ -139,6 +165,7 @@ class Effect:
         modifies: ids of effects that it only modifies: without any of them it does nothing.
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
+        states: what evolves, of effects that act every step.
     """
 
     id: str
@@ -155,6 +182,7 @@ class Effect:
     dissipative: bool = False
     modifies: tuple[str, ...] = ()
     follows: str = "velocity"
+    states: tuple[State, ...] = ()
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 
-from vpptwin.effects import actuator, air, airframe, friction, joint, motor, rail, rotor, sensing, servo, timing
+from vpptwin.effects import actuator, air, airframe, flex, friction, joint, motor, rail, rotor, sensing, servo, timing
 from vpptwin.effects.base import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
 
@@ -27,6 +27,9 @@ CATALOGUE: tuple[Effect, ...] = (
     # These scale all dry friction of their joint, so they come after it.
     friction.asymmetry(RAIL, ("rail.tilt", "rail_x.bias")),
     friction.asymmetry(GUIDE, ("rail_z.bias",)),
+    flex.lugre(RAIL, modifies=("coulomb", "stiction", "jamming", "tight_spot"), needs=rail.RIG),
+    flex.lugre(GUIDE, modifies=("coulomb", "stiction", "jamming"), needs=rail.RIG),
+    flex.lugre(PIVOT_FRICTION, modifies=("coulomb",)),
     joint.viscous(RAIL, ("rail_x.coulomb", "air.drag", "rotor.in_plane")),
     joint.viscous(GUIDE, ("rail_z.coulomb", "air.drag", "rotor.inflow")),
     joint.viscous(PIVOT_DAMPING, ("pitch.coulomb", "rotor.inflow")),
@@ -34,6 +37,7 @@ CATALOGUE: tuple[Effect, ...] = (
     joint.bias(GUIDE, ("airframe.mass", "rotor.thrust_gain", "rail_z.asymmetry")),
     joint.bias(PIVOT_TORQUE, ("rotor.asymmetry", "airframe.com", "servo.trim")),
     joint.spring(RAIL, ("rail_x.bias", "carriage.mass")),
+    flex.elastic(RAIL, ("carriage.mass",), rail.RIG),
     rail.TILT,
     rail.CARRIAGE_MASS,
     airframe.MASS,
@@ -71,6 +75,7 @@ GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
     (joint.bias, ("spring",)),
     (joint.spring, ("bias", "inertia")),
     (joint.inertia, ("spring",)),
+    (flex.lugre, ()),
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
 

@@ -17,6 +17,7 @@ ACTS_ON = {
     Stage.THRUST: "rotor thrust, every step",
     Stage.FORCE: "force, every step",
     Stage.FRICTION: "dry friction, every step",
+    Stage.SLIP: "how dry friction acts, every step",
 }
 PREAMBLE = """\
 # Effects
@@ -24,8 +25,8 @@ PREAMBLE = """\
 Written by `vpptwin effects --markdown`; to change it, change the catalogue in `vpptwin/effects` and write it anew.
 
 At `off` an effect does nothing. Where `off` is the upper bound, the effect is a limit that nothing reaches there. A
-parameter that merely shapes an effect (`velocity`, `rest`, `place`, `width`, `height`) does nothing while the strength
-before it is off; its `off` is a typical value, and its tolerance lets any value pass.
+parameter that merely shapes an effect (`velocity`, `rest`, `place`, `width`, `height`, `frequency`, `zeta`) does
+nothing while the strength before it is off; its `off` is a typical value, and its tolerance lets any value pass.
 
 A twin YAML ([twin.md](twin.md)) takes values within `bounds`. `tolerance` is the deviation that a well-built rig may
 show unremarked: below it a diagnosis accuses nothing. Training draws from the prior. `source` tells where these

@@ -8,13 +8,14 @@ import math
 import re
 from collections.abc import Callable
 
-from vpptwin.effects import Effect, Parameter, Prior, Stage
+from vpptwin.effects import Effect, Parameter, Prior, Stage, State
 from vpptwin.errors import InputError
 from vpptwin.twin.model import missing_parts
 from vpptwin.twin.robot import Robot
 
 FOLLOWS = ("velocity", "position", "command", "command change")
 KINDS = ("normal", "uniform", "halfnormal")
+STARTS = ("position", "velocity")
 SEE = "see docs/own_effects.md"
 
 
@@ -53,9 +54,16 @@ def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> Non
             raise InputError(f"{where}: parameter {parameter!r}", "a Parameter", SEE)
         if not re.fullmatch(r"[A-Za-z]\w*", str(parameter.name), flags=re.ASCII):
             raise InputError(f"{where}: parameter {parameter.name!r}", "a word, such as force", "rename it")
-    names = [parameter.name for parameter in effect.parameters]
+    for state in check_states(effect, where):
+        if not re.fullmatch(r"[A-Za-z]\w*", str(state.name), flags=re.ASCII) or not isinstance(state.unit, str):
+            raise InputError(f"{where}: state {state.name!r}, unit {state.unit!r}", "a word and a text", "correct it")
+        number = isinstance(state.start, (int, float)) and math.isfinite(state.start)
+        if not number and not (effect.target and effect.stage is not Stage.THRUST and state.start in STARTS):
+            expected = f"a finite number{', or ' + ' or '.join(STARTS) if effect.target else ''}"
+            raise InputError(f"{where}: state {state.name} starts at {state.start!r}", expected, "correct it")
+    names = [*(state.name for state in effect.states), *(parameter.name for parameter in effect.parameters)]
     if len(set(names)) < len(names):
-        raise InputError(f"{where}: parameters {', '.join(names)}", "each name once", "rename one")
+        raise InputError(f"{where}: {', '.join(names)}", "each name once", "rename one")
     if effect.follows not in FOLLOWS:
         raise InputError(f"{where}: follows {effect.follows!r}", f"one of {', '.join(FOLLOWS)}", "correct it")
     for kind, ids in (("look_alikes", effect.look_alikes), ("modifies", effect.modifies)):
@@ -65,6 +73,15 @@ def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> Non
             if other not in known:
                 close = difflib.get_close_matches(other, known, n=1) or ["rail_x.coulomb"]
                 raise InputError(f"{where}: {kind} {other!r}", f"an id such as {close[0]}", "correct it")
+
+
+def check_states(effect: Effect, where: str) -> tuple[State, ...]:
+    """The states of an effect, if that is what they are."""
+    if not isinstance(effect.states, tuple) or not all(isinstance(state, State) for state in effect.states):
+        raise InputError(f"{where}: states {effect.states!r}", "a tuple of State objects", SEE)
+    if effect.states and effect.stage is Stage.CONSTANT:
+        raise InputError(f"{where}: states of {effect.stage}", "a stage that acts every step", "leave them out")
+    return effect.states
 
 
 def check_parameter(parameter: Parameter, where: str) -> None:
@@ -93,7 +110,7 @@ def check_place(effect: Effect, where: str, rig: Robot) -> None:
     joints = [model.joint(i).name for i in range(model.njnt)]
     actuators = [model.actuator(i).name for i in range(model.nu)]
     bodies = [model.body(i).name for i in range(model.nbody)]
-    on_joint = effect.stage is Stage.FRICTION or (effect.stage is Stage.FORCE and bool(target))
+    on_joint = effect.stage in (Stage.FRICTION, Stage.SLIP) or (effect.stage is Stage.FORCE and bool(target))
     if on_joint and target not in joints:
         listed = ", ".join(filter(None, joints)) or "none, as the MJCF names no joint"
         action = "correct it, or leave the file out"
@@ -114,16 +131,17 @@ def check_place(effect: Effect, where: str, rig: Robot) -> None:
 
 
 def check_arguments(effect: Effect, where: str) -> None:
-    """Check that the function takes what its stage gives, and then the parameters in their order."""
-    names = [parameter.name for parameter in effect.parameters]
+    """Check that the function takes what its stage gives, its states, and then the parameters in their order."""
+    names = [*(s.name for s in effect.states), *(["dt"] if effect.states else []), *(p.name for p in effect.parameters)]
     inputs = {
         Stage.CONSTANT: ["constants", "site"], Stage.THRUST: ["thrust", "rotor"], Stage.FRICTION: ["level", "motion"],
-        Stage.FORCE: ["motion" if effect.target else "craft"],
+        Stage.FORCE: ["motion" if effect.target else "craft"], Stage.SLIP: ["motion", "forward", "backward"],
     }[effect.stage]  # fmt: skip
     taken = list_arguments(effect.apply)
     if len(taken) != len(inputs) + len(names) or taken[len(inputs) :] != names:
         found = f"{where}: {getattr(effect.apply, '__name__', 'apply')}({', '.join(taken)})"
-        expected = f"({', '.join([*inputs, *names])}), what {effect.stage} gives and the parameters in their order"
+        own = "the states, dt and the parameters" if effect.states else "the parameters"
+        expected = f"({', '.join([*inputs, *names])}), what {effect.stage} gives and {own} in their order"
         raise InputError(found, expected, "correct its arguments")
 
 

@@ -23,6 +23,8 @@ from vpptwin.twin.robot import Robot
 
 CASES = 24
 """States and parameter values that an effect is tried at."""
+TRIAL_STEP = 0.001
+"""Inner step of a trial [s]."""
 FAST = 'only numbers, math and numpy functions of numbers; functions that it calls decorated with "@numba.njit"'
 
 
@@ -37,13 +39,15 @@ def try_effect(effect: Effect, where: str, rig: Robot) -> None:
         try_constants(effect, where, rig)
         return
     function = compile_effect(effect, where)
+    forces = 3 if effect.stage is Stage.FORCE and not effect.target else 1
+    wanted = forces + len(effect.states)
     for inputs, values in draw_cases(effect):
         result = call(effect, where, partial(function, *inputs, *values))
         numbers = result if isinstance(result, tuple) else (result,)
-        wanted = 3 if effect.stage is Stage.FORCE and not effect.target else 1
         given = ", ".join(f"{p.name} {value:g}" for p, value in zip(effect.parameters, values))
         if len(numbers) != wanted or not all(isinstance(number, (int, float)) for number in numbers):
-            expected = "three numbers (f_x, f_z, moment)" if wanted == 3 else "a number"
+            expected = "three numbers (f_x, f_z, moment)" if forces == 3 else "a number"
+            expected += "".join(f", then {state.name}" for state in effect.states)
             raise InputError(f"{where} returns {result!r}", expected, "correct what it returns")
         if not all(map(math.isfinite, numbers)):
             expected = "finite numbers everywhere within the bounds"
@@ -51,8 +55,10 @@ def try_effect(effect: Effect, where: str, rig: Robot) -> None:
         if effect.stage is Stage.FRICTION and numbers[0] < 0.0:
             expected = "0 or more: friction does not push"
             raise InputError(f"{where} returns {result} at {given}", expected, "correct it, or narrow the bounds")
+        if effect.stage is Stage.SLIP:  # which is not called while it is off
+            continue
         untouched = 0.0 if effect.stage is Stage.FORCE else inputs[0]
-        if values == [p.off for p in effect.parameters] and any(number != untouched for number in numbers):
+        if values == [p.off for p in effect.parameters] and any(number != untouched for number in numbers[:forces]):
             refuse_active(where, f"{result} for {untouched:g}", given)
 
 
@@ -108,7 +114,8 @@ def draw_cases(effect: Effect) -> Iterator[tuple[tuple[Any, ...], list[float]]]:
         values = off if case < CASES // 3 else [float(rng.uniform(p.low, p.high)) for p in effect.parameters]
         if CASES // 3 <= case < CASES // 2:
             values = [values[0], *off[1:]]
-        yield draw_inputs(effect, rng), list(values)
+        states = (*rng.normal(0.0, 0.1, len(effect.states)).tolist(), TRIAL_STEP) if effect.states else ()
+        yield (*draw_inputs(effect, rng), *states), list(values)
 
 
 def draw_inputs(effect: Effect, rng: np.random.Generator) -> tuple[Any, ...]:
@@ -122,7 +129,9 @@ def draw_inputs(effect: Effect, rng: np.random.Generator) -> tuple[Any, ...]:
         rotor = Rotor(side, draw(0, 550), draw(-0.25, 0.25), draw(-0.1, 3), draw(-5, 5))
         return draw(-6, 6), rotor
     if effect.target:
-        motion = Motion(draw(-2, 2), draw(-4, 4), side, draw(-10, 10), draw(0, 25))
+        motion = Motion(draw(-2, 2), draw(-4, 4), side, draw(-10, 10), draw(0, 25), float(rng.uniform(0.005, 2)))
+        if effect.stage is Stage.SLIP:
+            return motion, draw(0, 2), draw(0, 2)
         return (draw(0, 2), motion) if effect.stage is Stage.FRICTION else (motion,)
     angle, speeds = draw(-np.pi, np.pi), (draw(0, 550), draw(0, 550))
     pose, velocity = (draw(-2, 2), draw(-1, 3)), (draw(-4, 4), draw(-4, 4), draw(-15, 15))

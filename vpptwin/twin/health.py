@@ -25,7 +25,7 @@ from vpptwin.twin.twin import Twin
 
 FASTEST = 1e4
 """A joint faster than this [m/s, rad/s] has left physics, if its numbers are still finite."""
-KIND, FORMAT = "vpptwin fault", 1
+KIND, FORMAT = "vpptwin fault", 2
 MOST = 20
 """Faults that are kept of a run; the first tell most."""
 RECORDED = ("mujoco", "numba", "numpy")

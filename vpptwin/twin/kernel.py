@@ -26,8 +26,8 @@ from vpptwin.twin.step import Rig, Row, Tape
 
 CONTEXT = np.dtype(
     [(name, np.int64) for name in (
-        "vehicle", "layer", "constants", "parameters", "memory", "scratch", "active", "dry", "driven", "counter",
-        "policy", "steps", "segments", "command", "speed", "throttle", "push", "lead", "qpos", "qvel",
+        "vehicle", "layer", "constants", "parameters", "memory", "effects", "scratch", "active", "dry", "driven",
+        "counter", "policy", "steps", "segments", "command", "speed", "throttle", "push", "lead", "qpos", "qvel",
         "rotor_speed",
     )]
 )  # fmt: skip
@@ -65,6 +65,7 @@ def control(m, d):
         carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
         float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
         float64_at(context.memory + (2 + {nv}) * 8 * i, 2 + {nv}),
+        float64_at(context.effects + {states} * 8 * i, {states}),
         float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
     )
     steps = context.steps
@@ -163,6 +164,7 @@ def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: 
         "mark": MARK,
         "view": write_view(model),
         "parameters": len(pipeline.columns),
+        "states": len(pipeline.starts),
         "places": len(pipeline.places),
         "scratch": scratch_rows(nv),
         "nq": int(model.nq),

@@ -20,7 +20,7 @@ from vpptwin.effects import Effect, Stage
 from vpptwin.effects.base import Motion
 from vpptwin.twin import step
 
-STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION)
+STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION, Stage.SLIP)
 
 
 CHAIN = ("shape_thrust", "push_craft", "push_joints", "muster_friction")
@@ -38,12 +38,22 @@ class Pipeline:
         functions: names in the text → the effects' functions.
         columns: (effect id, parameter) → column of a simulation's parameters.
         places: effect id → place among the switches.
+        starts: of every column of the effects' states, a number, or which position or velocity: ("position", 0).
     """
 
     source: str
     functions: dict[str, Function]
     columns: dict[tuple[str, str], int]
     places: dict[str, int]
+    starts: tuple[float | tuple[str, int], ...]
+
+    def start_effects(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """States of the effects at the start, (N, S), from positions (N, nq) and velocities (N, nv)."""
+        of_joints = {"position": qpos, "velocity": qvel}
+        states = np.empty((len(qpos), len(self.starts)))
+        for column, start in enumerate(self.starts):
+            states[:, column] = of_joints[start[0]][:, start[1]] if isinstance(start, tuple) else start
+        return states
 
     def build(self, transform: Transform, file: str = "<pipeline>") -> dict[str, Function]:
         """The steps with this chain in them, `step_drone` and `step_rig`.
@@ -76,56 +86,91 @@ def bind_names(function: Function, names: dict[str, Any]) -> Function:
 def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeline:
     """Write the pipeline of a catalogue, in its order, for a model's joints."""
     effects = [e for e in catalogue if e.stage in STEP_STAGES]
+    joints = {model.joint(i).name: i for i in range(model.njnt)}
     columns: dict[tuple[str, str], int] = {}
+    states: dict[str, list[str]] = {}
+    starts: list[float | tuple[str, int]] = []
     for effect in effects:
         for parameter in effect.parameters:
             columns[effect.id, parameter.name] = len(columns)
+        copies = 2 if effect.stage is Stage.THRUST else 1  # one for each rotor
+        rotor = " + rotor_2" if effect.stage is Stage.THRUST else ""
+        first = len(starts)
+        states[effect.id] = [f"s[{first + copies * i}{rotor}]" for i in range(len(effect.states))]
+        for state in effect.states:
+            starts += copies * [find_start(model, joints.get(effect.target, -1), state.start)]
     places = {effect.id: i for i, effect in enumerate(effects)}
     functions = {function_name(e): e.apply for e in effects}
 
-    def call(effect: Effect, *inputs: str) -> str:
-        given = [*inputs, *(f"p[{columns[effect.id, p.name]}]" for p in effect.parameters)]
-        return f"{function_name(effect)}({', '.join(given)})"
+    def when(effect: Effect) -> str:
+        strength = effect.parameters[0]
+        evolves = effect.states or effect.stage is Stage.SLIP
+        unless = f" and p[{columns[effect.id, strength.name]}] != {float(strength.off)!r}" if evolves else ""
+        return f"    if on[{places[effect.id]}]{unless}:"
+
+    def call(effect: Effect, result: str, *inputs: str, kept: Sequence[str] | None = None) -> str:
+        own = states[effect.id]
+        parameters = [f"p[{columns[effect.id, p.name]}]" for p in effect.parameters]
+        given = [*inputs, *own, *(["dt"] if own else []), *parameters]
+        returned = ", ".join([result, *(own if kept is None else kept)])
+        return f"        {returned} = {function_name(effect)}({', '.join(given)})"
 
     def of(stage: Stage, target: str | None = None) -> list[Effect]:
         return [e for e in effects if e.stage is stage and (target is None or e.target == target)]
 
+    def moves(i: int, direction: str) -> str:
+        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
+        diagonal = int(model.M_rowadr[dof] + model.M_rownnz[dof]) - 1
+        return f"Motion(view.qpos[{q}], view.qvel[{dof}], {direction}, load, lever, view.inertia[{diagonal}])"
+
     # Switches are looked up in the step, not written into it: all twins of a catalogue share what is compiled.
-    lines = ["def shape_thrust(on, p, thrust, rotor):"]
+    lines = ["def shape_thrust(on, p, s, thrust, rotor, dt):", "    rotor_2 = int(rotor.side > 0.0)"]
     for effect in of(Stage.THRUST):
-        lines += [f"    if on[{places[effect.id]}]:", f"        thrust = {call(effect, 'thrust', 'rotor')}"]
-    lines += ["    return thrust", "", "def push_craft(on, p, craft):", "    f_x = f_z = moment = 0.0"]
+        lines += [when(effect), call(effect, "thrust", "thrust", "rotor")]
+    lines += ["    return thrust", "", "def push_craft(on, p, s, craft, dt):", "    f_x = f_z = moment = 0.0"]
     for effect in of(Stage.FORCE, ""):
         lines += [
-            f"    if on[{places[effect.id]}]:",
-            f"        more_x, more_z, more_moment = {call(effect, 'craft')}",
+            when(effect),
+            call(effect, "more_x, more_z, more_moment", "craft"),
             "        f_x, f_z, moment = f_x + more_x, f_z + more_z, moment + more_moment",
         ]
-    lines += ["    return f_x, f_z, moment", "", "def push_joints(on, p, view, load, lever, force):"]
-    joints = {model.joint(i).name: i for i in range(model.njnt)}
+    lines += ["    return f_x, f_z, moment", "", "def push_joints(on, p, s, view, load, lever, force):"]
+    lines += ["    dt = view.timestep"]
     for joint, i in joints.items():
-        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
         for effect in of(Stage.FORCE, joint) if joint else ():
-            motion = f"Motion(view.qpos[{q}], view.qvel[{dof}], 0.0, load, lever)"
-            lines += [f"    if on[{places[effect.id]}]:", f"        force[{dof}] += {call(effect, motion)}"]
-    lines += ["    return None", "", "def muster_friction(on, p, dry, view, load, lever, forward, backward):"]
-    lines += ["    most = 0.0", "    for i in range(len(forward)):", "        forward[i] = backward[i] = dry[i]"]
-    lines += ["        most = max(most, dry[i])"]
+            lines += [when(effect), call(effect, "more", moves(i, "0.0"))]
+            lines += [f"        force[{int(model.jnt_dofadr[i])}] += more"]
+    lines += ["    return None", ""]
+    lines += ["def muster_friction(on, p, s, dry, view, load, lever, forward, backward, force):"]
+    lines += ["    dt, most = view.timestep, 0.0", "    for i in range(len(forward)):"]
+    lines += ["        forward[i] = backward[i] = dry[i]", "        most = max(most, dry[i])"]
     for joint, i in joints.items():
-        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
-        rubbing = of(Stage.FRICTION, joint) if joint else []
-        if not rubbing:
+        dof = int(model.jnt_dofadr[i])
+        rubbing, slipping = (of(stage, joint) if joint else [] for stage in (Stage.FRICTION, Stage.SLIP))
+        if not rubbing and not slipping:
             continue
         lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
         # Each sense of motion has a level, which passes through the joint's effects in their order: they add or scale.
         for effect in rubbing:
-            lines += [f"    if on[{places[effect.id]}]:"]
-            for level, sense in (("ahead", "1.0"), ("back", "-1.0")):
-                motion = f"Motion(view.qpos[{q}], view.qvel[{dof}], {sense}, load, lever)"
-                lines += [f"        {level} = {call(effect, level, motion)}"]
+            lines += [when(effect)]
+            ways = {"ahead": "1.0", "back": "-1.0"}
+            after = {level: [f"{level}_{k}" for k in range(len(effect.states))] for level in ways}
+            lines += [call(effect, way, way, moves(i, sense), kept=after[way]) for way, sense in ways.items()]
+            for own, *pair in zip(states[effect.id], *after.values()):
+                lines += [f"        {own} = {pair[0]} if view.qvel[{dof}] >= 0.0 else {pair[1]}"]
+        for effect in slipping:
+            lines += [when(effect), call(effect, "more", moves(i, "0.0"), "ahead", "back")]
+            lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
         lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
     lines += ["    return most > 0.0", ""]
-    return Pipeline("\n".join(lines), functions, columns, places)
+    return Pipeline("\n".join(lines), functions, columns, places, tuple(starts))
+
+
+def find_start(model: mujoco.MjModel, joint: int, start: float | str) -> float | tuple[str, int]:
+    """Where a state of an effect on a joint starts: a number, or the index of the joint's position or velocity."""
+    if isinstance(start, str):
+        return start, int((model.jnt_qposadr if start == "position" else model.jnt_dofadr)[joint])
+    return float(start)
 
 
 def function_name(effect: Effect) -> str:

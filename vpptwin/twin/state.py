@@ -19,6 +19,7 @@ class TwinState:
         qvel: generalized velocities, (N, nv) m/s, rad/s.
         warmstart: accelerations of the last step, (N, nv): the constraint solver starts from them.
         memory: of the last step the force on the carriage [N], the number of constraints, their forces, (N, 2 + nv).
+        effects: what evolves of the catalogue's effects, (N, S) in the order of the compiled pipeline.
         actuators: state of the actuator layer, (N,) records of `vpptwin.actuators.layer.layer_dtype`.
     """
 
@@ -27,6 +28,7 @@ class TwinState:
     qvel: np.ndarray
     warmstart: np.ndarray
     memory: np.ndarray
+    effects: np.ndarray
     actuators: np.ndarray
 
     @property

@@ -36,6 +36,7 @@ class Row(NamedTuple):
         constants: a record of `constants_dtype`.
         parameters: of the effects that act every step, (P,).
         memory: of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,).
+        effects: what evolves of the effects, (S,).
         scratch: room for forces, friction levels, friction and inertia, (6 + 2 nv, nv).
     """
 
@@ -43,6 +44,7 @@ class Row(NamedTuple):
     constants: Any
     parameters: np.ndarray
     memory: np.ndarray
+    effects: np.ndarray
     scratch: np.ndarray
 
 
@@ -88,30 +90,38 @@ class Rig(NamedTuple):
 
 
 @register_jitable(forceinline=True)
-def shape_thrust(active: np.ndarray, parameters: np.ndarray, thrust: Number, rotor: Rotor) -> Number:
+def shape_thrust(
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, thrust: Number, rotor: Rotor, dt: float
+) -> Number:
     """Thrust of a rotor [N] after the THRUST effects that are switched on."""
     return thrust
 
 
 @register_jitable(forceinline=True)
-def push_craft(active: np.ndarray, parameters: np.ndarray, craft: Craft) -> tuple[Number, Number, Number]:
+def push_craft(
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, craft: Craft, dt: float
+) -> tuple[Number, Number, Number]:
     """Force of the FORCE effects on the craft: along x and z [N], moment about the hinge [N m]."""
     return 0.0, 0.0, 0.0
 
 
 @register_jitable(forceinline=True)
 def push_joints(
-    active: np.ndarray, parameters: np.ndarray, view: View, load: float, lever: float, force: np.ndarray
-) -> None:
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View, load: float, lever: float,
+    force: np.ndarray,
+) -> None:  # fmt: skip
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
 
 
 @register_jitable(forceinline=True)
 def muster_friction(
-    active: np.ndarray, parameters: np.ndarray, dry: np.ndarray, view: View, load: float, lever: float,
-    forward: np.ndarray, backward: np.ndarray,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View, load: float,
+    lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
 ) -> bool:  # fmt: skip
-    """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs."""
+    """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs.
+
+    Where a SLIP effect says how a joint's friction acts, it goes to `force`, (nv,), and no level is left.
+    """
     forward[:] = dry
     backward[:] = dry
     return forward.max() > 0.0
@@ -154,7 +164,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
         side = 2.0 * i - 1.0
         rotor = Rotor(side, layer.mean_speed[i], layer["mean"][i], craft.z, climb + side * craft.arm * craft.rate)
         thrust = compute_thrust(vehicle.rotor, rotor.speed, rotor.pitch)
-        thrust = shape_thrust(rig.active, row.parameters, thrust, rotor)
+        thrust = shape_thrust(rig.active, row.parameters, row.effects, thrust, rotor, dt)
         view.ctrl[i] = limit_control(constants, i, thrust)
 
     # What the carriage hands on to its slider: its other forces less m a, of the last step, as this one's is not known.
@@ -166,16 +176,20 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     lever = (craft.z - vehicle.rig.rail_height) / vehicle.rig.bearing_spacing
     force = row.scratch[0]
     force[:] = 0.0
-    push_joints(rig.active, row.parameters, view, load, lever, force)
+    push_joints(rig.active, row.parameters, row.effects, view, load, lever, force)
     on_rail = force[X] - view.dof_damping[X] * view.qvel[X]
     if rig.carriage >= 0:
         on_rail += view.body_mass[rig.carriage] * view.gravity[X]
-    f_x, f_z, moment = push_craft(rig.active, row.parameters, craft)
+    f_x, f_z, moment = push_craft(rig.active, row.parameters, row.effects, craft, dt)
     force[X] += f_x
     force[Z] += f_z
     force[PITCH] += moment
     drive(view, tape, k, force)
-    rubs = muster_friction(rig.active, row.parameters, rig.dry, view, load, lever, row.scratch[1], row.scratch[2])
+    others = force[X]
+    rubs = muster_friction(
+        rig.active, row.parameters, row.effects, rig.dry, view, load, lever, row.scratch[1], row.scratch[2], force
+    )
+    on_rail += force[X] - others
     resist(rubs, view, row, k)
     row.memory[0] = on_rail + row.scratch[3, X]
 
@@ -189,9 +203,11 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
         view.ctrl[i] = limit_control(row.constants, i, row.layer["mean"][i])
     force = row.scratch[0]
     force[:] = 0.0
-    push_joints(rig.active, row.parameters, view, 0.0, 0.0, force)
+    push_joints(rig.active, row.parameters, row.effects, view, 0.0, 0.0, force)
     drive(view, tape, k, force)
-    rubs = muster_friction(rig.active, row.parameters, rig.dry, view, 0.0, 0.0, row.scratch[1], row.scratch[2])
+    rubs = muster_friction(
+        rig.active, row.parameters, row.effects, rig.dry, view, 0.0, 0.0, row.scratch[1], row.scratch[2], force
+    )
     resist(rubs, view, row, k)
 
 

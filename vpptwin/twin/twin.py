@@ -156,12 +156,15 @@ class Twin:
         layer["rotor_speed"] = layer["mean_speed"] = robot.rotor_speed
         if self.spec.controller == "adaptive":
             layer["adaptive"] = start_memory(robot.rotor_speed)
+        pose = np.array(np.broadcast_to(robot.start_pose if qpos is None else qpos, (n, model.nq)), dtype=float)
+        velocity = np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float)
         return TwinState(
             time=np.array(np.broadcast_to(time, n), dtype=float),
-            qpos=np.array(np.broadcast_to(robot.start_pose if qpos is None else qpos, (n, model.nq)), dtype=float),
-            qvel=np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float),
+            qpos=pose,
+            qvel=velocity,
             warmstart=np.zeros((n, model.nv)),
             memory=np.zeros((n, 2 + model.nv)),
+            effects=self._kernel.pipeline.start_effects(pose, velocity),
             actuators=layer,
         )
 
@@ -273,8 +276,8 @@ class Twin:
         held = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in tape.items()}
         rows = {
             "vehicle": self._numbers, "layer": state.actuators, "constants": self._constants.records,
-            "parameters": self._constants.parameters, "memory": state.memory, "scratch": self._scratch,
-            "active": self._active, "dry": self._dry, "driven": self._led,
+            "parameters": self._constants.parameters, "memory": state.memory, "effects": state.effects,
+            "scratch": self._scratch, "active": self._active, "dry": self._dry, "driven": self._led,
             "counter": np.zeros(self.num_sims, np.int64),
         }  # fmt: skip
         with installed(self._kernel.callback):  # and under its lock
@@ -297,8 +300,10 @@ class Twin:
             ValueError: with what was found and what was expected.
         """
         n, model = self.num_sims, self.spec.model
-        given = {"memory": state.memory, "actuators": state.actuators} | tape
+        own = {"memory": state.memory, "effects": state.effects, "actuators": state.actuators}
+        given = own | tape
         expected: dict[str, tuple[int, ...]] = {"memory": (n, 2 + model.nv), "actuators": (n,)}
+        expected["effects"] = (n, len(self._kernel.pipeline.starts))
         for name in tape:
             expected[name] = (n, steps, model.nv if name in ("lead", "qvel") else model.nu)
         if policy:
@@ -310,7 +315,8 @@ class Twin:
         for name, shape in expected.items():
             if given[name].shape != shape:
                 raise ValueError(f"{name} has shape {given[name].shape}; expected {shape} for {n} simulations")
-        if state.actuators.dtype != self._kernel.layer or state.memory.dtype != np.float64:
+        kinds = state.actuators.dtype, state.memory.dtype, state.effects.dtype
+        if kinds != (self._kernel.layer, np.dtype(float), np.dtype(float)):
             raise ValueError("a state of another rig or another catalogue; expected one that this twin has made")
-        if not (state.actuators.flags.c_contiguous and state.memory.flags.c_contiguous):
+        if not all(array.flags.c_contiguous for array in own.values()):
             raise ValueError("a state whose arrays are views; expected arrays of its own, as TwinState.copy makes them")
