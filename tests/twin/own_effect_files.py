@@ -28,6 +28,13 @@ OWN = Effect(
 )
 """
 WAVE = HEAD + FUNCTION + EFFECT
+WARM = (
+    WAVE.replace("Stage\n", "Stage, State\n")
+    .replace("motion, /, force):", "motion, /, heat, dt, force):")
+    .replace("position)\n", "position) * heat, heat + dt * abs(motion.velocity)\n")
+    .replace('target="slide"', 'target="slide", states=(State("heat", "m", "position"),)')
+)
+"""A wave that grows with the way from where the cart started."""
 
 
 def write_rig(folder: Path, more: str = "") -> Path:

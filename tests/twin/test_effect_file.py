@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.twin.own_effect_files import EFFECT, FUNCTION, HEAD, WAVE, write_effects, write_rig
+from tests.twin.own_effect_files import EFFECT, FUNCTION, HEAD, WARM, WAVE, write_effects, write_rig
 from vpptwin.cli import main
 from vpptwin.effects import CATALOGUE
 from vpptwin.errors import InputError
@@ -133,6 +133,23 @@ def constant(body: str, writes: str) -> str:
         pytest.param(wrong("name=", ""), r"own\.py:4: TypeError: .* positional", id="positional"),
         pytest.param(wrong("low=0.0", "low=0.5"), "low 0.5, off 0, high 2", id="bounds"),
         pytest.param(wrong("size=0.1", "size=0.0"), "parameter force: size 0", id="size"),
+        pytest.param(wrong('"position")', '"warm")', WARM), "heat starts at 'warm'; .* position or", id="start"),
+        pytest.param(wrong('"position")', "np.inf)", WARM), "heat starts at inf", id="endless start"),
+        pytest.param(wrong('State("heat", "m", "position"),', '"heat",', WARM), r"states \('heat',\)", id="no state"),
+        pytest.param(wrong('"heat", "m"', '"he at", "m"', WARM), "state 'he at'", id="state's name"),
+        pytest.param(
+            wrong('"heat", "m"', '"force", "m"', WARM), "force, force; expected each name once", id="one name"
+        ),
+        pytest.param(
+            wrong("heat, dt, force", "heat, force", WARM), r"expected \(motion, heat, dt, force\)", id="no dt"
+        ),
+        pytest.param(
+            wrong(", heat + dt * abs(motion.velocity)", "", WARM), "a number, then heat", id="loses its state"
+        ),
+        pytest.param(wrong("-force *", "heat - force *", WARM), "not off at its off values", id="state acts while off"),
+        pytest.param(
+            wrong("Stage.FORCE", "Stage.CONSTANT", WARM), "states of Stage.CONSTANT", id="constant with states"
+        ),
         pytest.param(
             wrong('target="slide"', 'target="rail_x"'), "'rail_x'; expected a joint of the rig: slide", id="joint"
         ),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def fly(effects: Effects, force: np.ndarray, step: float) -> np.ndarray:
     model.opt.timestep = step
     hand = np.zeros((*force.shape, 3))
     hand[..., X] = force
-    _, velocity = push(make_twin(4, effects, replace(SPEC, model=model)), hand, SECONDS, level_poses(4))
+    _, velocity = push(make_twin(4, effects, SPEC.with_robot(model=model)), hand, SECONDS, level_poses(4))
     each = round(SEGMENT / step)
     return velocity[:, each - 1 :: each, X]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.twin.own_effect_files import HEAD, WAVE, write_effects, write_rig
+from tests.twin.own_effect_files import HEAD, WARM, WAVE, write_effects, write_rig
 from vpptwin.twin import Twin, load_twin
 
 STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
@@ -40,6 +40,51 @@ def test_own_effects_push(tmp_path: Path) -> None:
     assert coast(twin, file) == pytest.approx(x, rel=1e-3)
     assert abs(x - START) > 0.005
     assert coast(twin, file, force=0.0) == coast(twin, file, force=None) == START
+
+
+def test_own_effects_evolve(tmp_path: Path) -> None:
+    """What an effect keeps starts with its joint, changes by its formula, and acts by it; off it stays."""
+    twin, file = write_rig(tmp_path), write_effects(tmp_path, WARM)
+    x, v, heat = START, 0.0, START
+    for _ in range(STEPS):
+        pull, heat = -1.5 * np.sin(10.0 * x) * heat, heat + DT * abs(v)
+        v = (v * MASS + DT * pull) / (MASS + 0.5 * DT)
+        x += DT * v
+    assert coast(twin, file) == pytest.approx(x, rel=1e-3)
+    assert START - x > 5e-4
+    assert coast(twin, file, force=0.0) == START
+
+
+def test_friction_that_evolves(tmp_path: Path) -> None:
+    """A FRICTION effect is called for both senses; what it keeps is what it returns for the sense of motion."""
+    rub = """
+def pull(level, motion, /, heat, dt, force):
+    return level + force * heat, heat + dt * (1.0 + motion.direction)
+"""
+    text = WARM[: WARM.index("\ndef pull")] + rub + WARM[WARM.index("\nOWN") :].replace("Stage.FORCE", "Stage.FRICTION")
+    text = text.replace('"position"', "0.1")
+    spec = load_twin(write_rig(tmp_path), [write_effects(tmp_path, text)])
+    made = Twin(spec, 2, active=["slide.wave"], num_threads=1)
+    made.set_parameter("slide.wave", "force", 0.01)
+    state = made.initial_state(qpos=np.array([START, 0.0]), qvel=np.array([[0.5, 0.0], [-0.5, 0.0]]))
+    after = made.replay_commands(state, np.zeros((2, STEPS, 1)))[0].effects[:, -1]
+    np.testing.assert_allclose(after, [START + 2.0 * STEPS * DT, START], rtol=1e-9)
+
+
+def test_the_example_of_the_docs(tmp_path: Path) -> None:
+    """The motors of docs/own_effects.md weaken as they get hot, each by its own load."""
+    page = (Path(__file__).parents[2] / "docs/own_effects.md").read_text(encoding="utf-8")
+    text = next(block for block in page.split("```")[1::2] if "motor.heat" in block).removeprefix("python\n")
+    twin = Twin(load_twin("nominal", [write_effects(tmp_path, text)]), 1, active=["motor.heat"], num_threads=1)
+    twin.set_parameter("motor.heat", "loss", 0.3)
+    state = twin.initial_state()
+    state.actuators["horn"] = state.actuators["blade"] = state.actuators["history"] = blade = np.array(
+        [0.0, 0.1]
+    )  # rad
+    after = twin.replay_commands(state, np.broadcast_to(blade, (1, 1000, 2)))[0]
+    thrust = twin.vehicle.rotor.k_t * twin.vehicle.rotor.speed * 0.1
+    expected = thrust / 5.0 * (1.0 - np.exp(-1.0 / 60.0))
+    np.testing.assert_allclose(after.effects[0, -2:], [0.0, expected], rtol=1e-3, atol=1e-12)
 
 
 def test_an_edited_file_is_compiled_anew(tmp_path: Path) -> None:

@@ -103,6 +103,6 @@ def elastic(place: Place, look_alikes: tuple[str, ...] = (), needs: tuple[str, .
         look_alikes=look_alikes,
         target=place.joint,
         needs=needs,
-        follows="command change",
+        follows="command",
         states=(State("position", "m", "position"), State("velocity", "m/s", "velocity")),
     )  # fmt: skip

@@ -87,6 +87,6 @@ CARRIAGE_MASS = Effect(
         Parameter(name="mass", unit="kg", off=0.0, low=-0.06, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.03,
                   tolerance=0.0015, source="assumption: 0.080 kg (vehicle.yaml) within 10 g"),
     ),
-    stage=Stage.CONSTANT, apply=apply_mass, shows=("/mocap/pose", "/imu/data"), writes=("body_mass",), target="carriage",
-    look_alikes=("rail_x.spring", "rail_x.elastic"), needs=("carriage",), follows="command",
+    stage=Stage.CONSTANT, apply=apply_mass, shows=("/mocap/pose", "/imu/data"), writes=("body_mass",),
+    target="carriage", look_alikes=("rail_x.spring", "rail_x.elastic"), needs=("carriage",), follows="command",
 )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from vpptwin.errors import InputError
 from vpptwin.train.env import VppEnv
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.starts import FailedStarts
@@ -36,7 +37,15 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
 
 
 def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
-    """Put an environment where a snapshot was taken; its next full reset hands out the observation of that moment."""
+    """Put an environment where a snapshot was taken; its next full reset hands out the observation of that moment.
+
+    Raises:
+        InputError: if a version took it that kept less of a simulation.
+    """
+    missing = env.state.arrays().keys() - snapshot["state"].keys()
+    if missing:
+        found = f"a checkpoint whose simulations lack {', '.join(sorted(missing))}"
+        raise InputError(found, "one of this version", "train on with init_from=RUN, which takes the policy alone")
     for effect, values in snapshot["parameters"].items():
         for name, value in values.items():
             env.twin.set_parameter(effect, name, value.numpy())

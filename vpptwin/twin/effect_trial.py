@@ -40,9 +40,10 @@ def try_effect(effect: Effect, where: str, rig: Robot) -> None:
         return
     function = compile_effect(effect, where)
     forces = 3 if effect.stage is Stage.FORCE and not effect.target else 1
-    wanted = forces + len(effect.states)
+    wanted, states = forces + len(effect.states), start_states(effect, next(draw_cases(effect))[0])
     for inputs, values in draw_cases(effect):
-        result = call(effect, where, partial(function, *inputs, *values))
+        own = (*states, TRIAL_STEP) if states else ()
+        result = call(effect, where, partial(function, *inputs, *own, *values))
         numbers = result if isinstance(result, tuple) else (result,)
         given = ", ".join(f"{p.name} {value:g}" for p, value in zip(effect.parameters, values))
         if len(numbers) != wanted or not all(isinstance(number, (int, float)) for number in numbers):
@@ -55,6 +56,7 @@ def try_effect(effect: Effect, where: str, rig: Robot) -> None:
         if effect.stage is Stage.FRICTION and numbers[0] < 0.0:
             expected = "0 or more: friction does not push"
             raise InputError(f"{where} returns {result} at {given}", expected, "correct it, or narrow the bounds")
+        states = numbers[forces:]  # only what it gets to counts
         if effect.stage is Stage.SLIP:  # which is not called while it is off
             continue
         untouched = 0.0 if effect.stage is Stage.FORCE else inputs[0]
@@ -74,8 +76,9 @@ def compile_effect(effect: Effect, where: str) -> Callable[..., Any]:
     function = getattr(effect.apply, "py_func", effect.apply)
     compiled = njit(function, error_model="numpy")
     inputs, values = next(draw_cases(effect))
+    states = start_states(effect, inputs)
     try:
-        compiled(*inputs, *values)
+        compiled(*inputs, *states, *([TRIAL_STEP] if states else []), *values)
     except NumbaError as error:
         name = Path(function.__code__.co_filename).name
         place = re.search(r'File "[^"]*' + re.escape(name) + r'", line (\d+)', str(error))
@@ -114,8 +117,14 @@ def draw_cases(effect: Effect) -> Iterator[tuple[tuple[Any, ...], list[float]]]:
         values = off if case < CASES // 3 else [float(rng.uniform(p.low, p.high)) for p in effect.parameters]
         if CASES // 3 <= case < CASES // 2:
             values = [values[0], *off[1:]]
-        states = (*rng.normal(0.0, 0.1, len(effect.states)).tolist(), TRIAL_STEP) if effect.states else ()
-        yield (*draw_inputs(effect, rng), *states), list(values)
+        yield draw_inputs(effect, rng), list(values)
+
+
+def start_states(effect: Effect, inputs: tuple[Any, ...]) -> tuple[float, ...]:
+    """Its states at the start, on a joint that is where the inputs say."""
+    motion = inputs[1] if effect.stage is Stage.FRICTION else inputs[0]
+    starts = [state.start for state in effect.states]
+    return tuple(float(getattr(motion, start) if isinstance(start, str) else start) for start in starts)
 
 
 def draw_inputs(effect: Effect, rng: np.random.Generator) -> tuple[Any, ...]:

@@ -90,6 +90,7 @@ def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
                 shown = p.away(SIZES) if i == 0 else p.off
                 twin.set_parameter(other, p.name, shown if on or other != effect.id else p.off)
         state = states.copy()
+        state.effects[:] = twin.initial_state(states.qpos, states.qvel).effects  # those of what was off are old
         for k in range(commands.shape[1]):
             twin.advance_policy(state, commands[:, k])
         ends.append(state)
