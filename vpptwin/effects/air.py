@@ -37,5 +37,5 @@ GROUND_EFFECT = Effect(
                   tolerance=2.0, source="assumption: fades within some 0.3 m"),
     ),
     stage=Stage.THRUST, apply=apply_ground_effect, shows=("/mocap/pose", "/imu/data"),
-    look_alikes=("rotor.thrust_gain",), follows="position",
+    look_alikes=("rotor.thrust_gain",), fades_along="rail_z", follows="position",
 )  # fmt: skip

@@ -166,6 +166,7 @@ class Effect:
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
         states: what evolves, of effects that act every step.
+        fades_along: joint with whose position it fades: only low enough on it can it be seen. "" for none.
     """
 
     id: str
@@ -183,6 +184,7 @@ class Effect:
     modifies: tuple[str, ...] = ()
     follows: str = "velocity"
     states: tuple[State, ...] = ()
+    fades_along: str = ""
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

@@ -78,6 +78,7 @@ def describe_blindness(effect: Effect, sigma: float, search: Search) -> str:
     parameter = effect.parameters[0]
     size = f"{parameter.size:g} {parameter.unit}".strip()
     text = f"{parameter.name} of {size} would stand out by {sigma:.1f} sigma only"
-    if effect.id == "air.ground_effect":
-        text += f": never below {float(search.bench.windows.pose[:, 1].min()):.2f} m"
+    if effect.fades_along:
+        place = search.bench.spec.model.joint(effect.fades_along).qposadr[0]
+        text += f": never below {float(search.bench.windows.pose[:, place].min()):.2f} m"
     return text
