@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.fakes import Starts
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.likelihood import (
     FORGOTTEN,
-    GUST_TIME,
-    LEAST_GUST,
     MOST_COUPLED,
-    MOST_GUST,
     Response,
     couple_gusts,
     likeness_of_gusts,
@@ -35,7 +33,7 @@ def lay_bench(start: np.ndarray, flight: np.ndarray | None = None, outdoors: boo
     flights = np.zeros(len(start), dtype=int) if flight is None else flight
     windows = Starts(start=start, flight=flights, steps=300, dt=LENGTH / 300)
     spec = SimpleNamespace(vehicle="a drone" if outdoors else None, model=SimpleNamespace(nv=NV))
-    return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS)  # type: ignore[return-value]
+    return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS, criteria=CRITERIA)  # type: ignore[return-value]
 
 
 def draw_response(count: int, seed: int = 0) -> Response:
@@ -62,7 +60,7 @@ def correlate_gusts(bench: Bench, strength: np.ndarray, stretches: list[list[int
                         apart = (bench.windows.start[k] + 0.1 * s) - (bench.windows.start[j] + 0.1 * t)
                         for d in range(NV):
                             row, column = k * size + s * NV + d, j * size + t * NV + d
-                            covariance[row, column] = strength[d] ** 2 * np.exp(-abs(apart) / GUST_TIME)
+                            covariance[row, column] = strength[d] ** 2 * np.exp(-abs(apart) / CRITERIA.gust_time)
     return covariance
 
 
@@ -88,7 +86,7 @@ TOGETHER = [[1, 4, 3, 0], [2], [5, 6]]
 def test_gusts_are_alike_within_a_third_of_a_second() -> None:
     """Outdoors pulses a tenth apart share e^(-1/3), two tenths e^(-2/3); indoors each is a draw of its own."""
     time = np.array([[1.0, 1.1, 1.2]])
-    a, b = np.exp(-0.1 / GUST_TIME), np.exp(-0.2 / GUST_TIME)
+    a, b = np.exp(-0.1 / CRITERIA.gust_time), np.exp(-0.2 / CRITERIA.gust_time)
     start = np.array([1.0])
     np.testing.assert_allclose(likeness_of_gusts(lay_bench(start), time), [[[1, a, b], [a, 1, a], [b, a, 1]]])
     np.testing.assert_array_equal(likeness_of_gusts(lay_bench(start, outdoors=False), time), [np.eye(3)])
@@ -108,7 +106,7 @@ def test_windows_that_follow_each_other_are_coupled() -> None:
 
 def test_a_stretch_ends_where_gusts_have_forgotten_each_other() -> None:
     """A break is one of more than FORGOTTEN times their memory after a window's end."""
-    reach = LENGTH + FORGOTTEN * GUST_TIME
+    reach = LENGTH + FORGOTTEN * CRITERIA.gust_time
     near, far = (list_stretches(lay_bench(np.array([0.0, reach + d]))) for d in (-1e-3, 1e-3))
     assert [len(part) for part in near] == [2]
     assert [len(part) for part in far] == [1, 1]
@@ -217,6 +215,6 @@ def test_indoors_no_wind_blows() -> None:
 def test_gusts_stay_within_what_can_be() -> None:
     """Nothing at all to be seen, or a catastrophe: the bounds."""
     bench, response = lay_bench(2.0 * np.arange(20.0)), draw_response(20)
-    np.testing.assert_allclose(tune_gust(bench, response, np.zeros((20, VALUES))), LEAST_GUST, rtol=1e-6)
-    storm = 1e3 * draw_flight(bench, response, np.full(2, MOST_GUST), 1)
-    np.testing.assert_allclose(tune_gust(bench, response, storm), MOST_GUST, rtol=1e-6)
+    np.testing.assert_allclose(tune_gust(bench, response, np.zeros((20, VALUES))), CRITERIA.least_gust, rtol=1e-6)
+    storm = 1e3 * draw_flight(bench, response, np.full(2, CRITERIA.most_gust), 1)
+    np.testing.assert_allclose(tune_gust(bench, response, storm), CRITERIA.most_gust, rtol=1e-6)

@@ -18,22 +18,8 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.twin.model import describe_joints
 from vpptwin.twin.spec import TwinSpec
 
-START_POSE = {False: 0.02, True: 0.1}
-"""Prior on the starting pose [m], rotary [rad]: wide, the window itself pins it down."""
-START_VELOCITY = {False: 0.3, True: 1.0}
-"""Prior on the starting velocity [m/s], rotary [rad/s]."""
-GUST = 0.01
-"""Force that nobody modelled, as a share of the drone's weight."""
-GENERIC_GUST = 0.001
-"""The same on other rigs, as a share of the force that moves a joint about: indoors, without rotors."""
-GUST_TIME = 0.3
-"""Time over which gusts stay alike [s]."""
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
-LEAST_GUST, MOST_GUST = 0.2, 50.0
-"""Bounds of the gusts' strength as a multiple of what is assumed."""
-GUST_DOUBT = 2.0
-"""How well that is known beforehand: standard deviation of its logarithm."""
 MOST_COUPLED = 48
 """Windows in a stretch: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STEP_POSE = {False: 0.002, True: 0.005}
@@ -119,14 +105,15 @@ def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return result if residual.ndim == 3 else result[0]
 
 
-def gust_std(spec: TwinSpec) -> np.ndarray:
+def gust_std(bench: Bench) -> np.ndarray:
     """Standard deviation of an unmodelled force pulse per degree of freedom, (nv,) N, N m."""
+    spec = bench.spec
     if spec.vehicle is not None:
         weight = spec.vehicle.airframe.mass * spec.vehicle.gravity
-        return GUST * weight * np.array([1.0, 1.0, spec.vehicle.airframe.half_length])
+        return bench.criteria.gust * weight * np.array([1.0, 1.0, spec.vehicle.airframe.half_length])
     std = np.full(spec.model.nv, 0.0)
     for name, _, scale in describe_joints(spec.model):
-        std[spec.model.joint(name).dofadr[0]] = GENERIC_GUST * scale
+        std[spec.model.joint(name).dofadr[0]] = bench.criteria.gust_indoors * scale
     return std
 
 
@@ -144,7 +131,7 @@ def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
     Wind outlasts a segment; what disturbs a rig without rotors is taken as independent from segment to segment.
     """
     apart = np.abs(time[..., :, None] - time[..., None, :])
-    return (apart == 0.0).astype(float) if bench.spec.vehicle is None else np.exp(-apart / GUST_TIME)
+    return (apart == 0.0).astype(float) if bench.spec.vehicle is None else np.exp(-apart / bench.criteria.gust_time)
 
 
 def middles_of_segments(bench: Bench) -> np.ndarray:
@@ -160,7 +147,7 @@ def list_stretches(bench: Bench) -> list[np.ndarray]:
         return [np.array([k]) for k in range(len(windows))]
     order = np.lexsort((windows.start, windows.flight))
     breaks = np.diff(windows.flight[order]) != 0
-    breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * GUST_TIME
+    breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * bench.criteria.gust_time
     whole = np.split(order, np.flatnonzero(breaks) + 1)
     return [piece for part in whole for piece in np.array_split(part, -(-len(part) // MOST_COUPLED))]
 
@@ -194,7 +181,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     """
     if bench.spec.vehicle is None:
         return np.ones(bench.spec.model.nv)
-    along = response.along(residual)
+    along, criteria = response.along(residual), bench.criteria
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
     nv = bench.spec.model.nv
     one = np.eye(response.triangles.shape[1])
@@ -209,9 +196,9 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         square = (white**2).sum(axis=1) / scale
         # Student-t of 4 degrees of freedom for every value: a window that goes astray must not make a storm.
         heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
-        return float(heavy.sum() + logdet + ((log_gust / GUST_DOUBT) ** 2).sum())
+        return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
 
-    low, high = np.log(LEAST_GUST), np.log(MOST_GUST)
+    low, high = np.log(criteria.least_gust), np.log(criteria.most_gust)
     found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
 
@@ -222,7 +209,7 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
     """
     spec, nv = bench.spec, bench.spec.model.nv
-    rotary, assumed = rotary_dofs(spec), gust_std(spec)
+    rotary, assumed, criteria = rotary_dofs(spec), gust_std(bench), bench.criteria
     variations = [Variation(values)]
     sizes = []
     for dof in range(nv):
@@ -241,7 +228,8 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     predicted = bench.predict(variations, values)
     slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
-    prior = np.array([START_POSE[bool(r)] for r in rotary] + [START_VELOCITY[bool(r)] for r in rotary])
+    pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
+    prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
     return assemble(bench, np.moveaxis(state, 0, -1), prior, np.moveaxis(push, 0, -1))
 
 
