@@ -12,7 +12,7 @@ from hidden.draw import Plan
 from tests.reality import fly_many, write_mcap
 from tests.reality.flight import FlightPlan
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.judgement.diagnose import diagnose, fit_causes
+from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
@@ -79,10 +79,8 @@ def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
 def find(flights: Sequence[Flight], truth: frozenset[str] | None = None, criteria: Criteria = CRITERIA) -> Finding:
     """Diagnose flights with the nominal twin, or judge the true structure where that is given."""
     began = time.perf_counter()
-    twin = load_twin()
-    diagnosis = (
-        diagnose(twin, flights, criteria=criteria) if truth is None else fit_causes(twin, flights, sorted(truth))
-    )
+    causes = None if truth is None else sorted(truth)
+    diagnosis = diagnose(load_twin(), flights, criteria=criteria, causes=causes)
     return read_verdict(diagnosis.verdict, time.perf_counter() - began)
 
 

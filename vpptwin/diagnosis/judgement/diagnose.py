@@ -77,6 +77,7 @@ def diagnose(
     stage: Stage = lambda text: None,
     progress: Callable[[int], None] | None = None,
     criteria: Criteria = CRITERIA,
+    causes: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Find what a twin gets wrong.
 
@@ -86,43 +87,22 @@ def diagnose(
         stage: told what is being done.
         progress: told how many inner steps were simulated.
         criteria: thresholds that decide.
+        causes: effects to fit and judge whatever the evidence, as if they were known; None looks for them.
 
     Raises:
         InputError: if a log is too short, lacks what the twin needs, or never moves.
+        KeyError: if the catalogue lacks one of the causes.
     """
+    for effect in causes or ():
+        find_effect(spec.catalogue, effect)
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
         material = prepare(spec, flights, stage, progress, criteria)
-        return judge(spec, flights, material, select_causes(material.search, material.held_out, stage), stage)
-
-
-def fit_causes(
-    spec: TwinSpec,
-    flights: Sequence[Flight],
-    effects: Sequence[str],
-    stage: Stage = lambda text: None,
-    progress: Callable[[int], None] | None = None,
-    criteria: Criteria = CRITERIA,
-) -> Diagnosis:
-    """Fit exactly these effects and judge them as `diagnose` does: what knowing the true causes would give.
-
-    Args:
-        spec: the twin.
-        flights: logs.
-        effects: ids, whatever the evidence for them.
-        stage: told what is being done.
-        progress: told how many inner steps were simulated.
-        criteria: thresholds that decide.
-
-    Raises:
-        InputError: as `diagnose`.
-        KeyError: if the catalogue lacks an effect.
-    """
-    for effect in effects:
-        find_effect(spec.catalogue, effect)
-    with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria)
-        return judge(spec, flights, material, impose_causes(material.search, effects), stage)
+        if causes is None:
+            selection = select_causes(material.search, material.held_out, stage)
+        else:
+            selection = impose_causes(material.search, causes)
+        return judge(spec, flights, material, selection, stage)
 
 
 @dataclass(frozen=True)

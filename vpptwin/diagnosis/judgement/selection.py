@@ -102,8 +102,8 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better.
 
     Beside a cause that looks like it, it must bring a good part of what that cause brought: no law of friction is
-    exact, and what one leaves over another of its kind would mop up. `earlier_drops` are drops in cost of the frames in
-    which causes were added, in which noise was larger than it is now: a cautious yardstick, no difference is taken.
+    exact, and what one leaves over another of its kind would mop up. `earlier_drops` are each of the frame in
+    which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
     """
     tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
     kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
