@@ -5,6 +5,7 @@
     python benchmarks/hidden_effects.py --report first.json second.json                       (of both)
     python benchmarks/hidden_effects.py --seed 1 --numbers 17,31 --keep logs                  (these again)
     python benchmarks/hidden_effects.py --seed 1 --time                                       (where time goes)
+    python benchmarks/hidden_effects.py --nightly --json night.json                           (exit 1 if rates are bad)
 
 Each session is three 16 s flights of one rig, closed loop: gusts, noise, dropouts, stamp jitter, small distractors, in
 a quarter of them outliers, the rig off nominal within its tolerance (tests/reality, which shares no physics with
@@ -30,16 +31,21 @@ from hidden.case import Case  # noqa: E402
 from hidden.costs import format_costs, profile_diagnosis  # noqa: E402
 from hidden.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
 from hidden.pictures import draw_pictures  # noqa: E402
-from hidden.rates import compare_baselines, format_table, list_failures, summarise  # noqa: E402
+from hidden.rates import compare_baselines, find_broken, format_table, list_failures, summarise  # noqa: E402
 from hidden.session import fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
+
+NIGHTLY = 73127
+"""Seed of the sessions that nobody may tune on: look at their rates, never at one of them. Once one was looked at, for
+whatever reason, the seed is spent: take another and say so in docs/benchmarks.md."""
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=40, help="sessions; 40 by default")
+    parser.add_argument("--nightly", action="store_true", help="fresh sessions under bounds, see NIGHTLY")
     parser.add_argument("--seed", type=int, default=1, help="of what is drawn; session i is the same for any --cases")
     parser.add_argument("--json", type=Path, help="results, written after every session; a rerun goes on from them")
     parser.add_argument(
@@ -57,7 +63,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--report", type=Path, nargs="+", metavar="FILE", help="run nothing, report these results")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
     parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
-    return parser.parse_args(argv)
+    options = parser.parse_args(argv)
+    if options.nightly:
+        options.seed, options.oracle = NIGHTLY, False
+    return options
 
 
 def choose_plans(options: argparse.Namespace) -> list[Plan]:
@@ -91,7 +100,7 @@ def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
         cases = run_campaign(left, home, options.jobs, options.oracle, compared, options.keep is not None, done)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
             done[case.plan.number] = case
-            for line in list_failures([case]):
+            for line in [] if options.nightly else list_failures([case]):
                 tqdm.write(line)
             if options.json:
                 write_results(options.json, head, list(done.values()))
@@ -108,12 +117,12 @@ def report(cases: Sequence[Case], pictures: Path | None) -> None:
         print(path)
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the sessions, print each that went wrong and the rates."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the sessions, print each that went wrong and the rates; 1 if a nightly run breaks a bound."""
     options = parse(argv)
     if options.report:
         report(load_cases(options.report), options.pictures)
-        return
+        return 0
     try:
         plans = choose_plans(options)
     except ValueError as error:
@@ -123,9 +132,16 @@ def main(argv: Sequence[str] | None = None) -> None:
             logs = fly_sessions(plans[:1], Path(folder))[0]
             profile_diagnosis(logs[:1])  # compiles
             print(f"{plans[0].hidden}\n\n{format_costs(profile_diagnosis(logs))}")
-        return
-    report(run(options, plans), options.pictures)
+        return 0
+    cases = run(options, plans)
+    if not options.nightly:
+        report(cases, options.pictures)
+        return 0
+    rows = summarise(cases)
+    broken = find_broken(rows)
+    print("\n".join([format_table(rows), "", *(broken or ["no bound is broken"])]))
+    return int(bool(broken))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

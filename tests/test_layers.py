@@ -59,6 +59,12 @@ def test_rooms_of_diagnosis_run_one_way() -> None:
     assert not wrong
 
 
+def test_criteria_lie_below_the_rooms() -> None:
+    """All rooms read them, so that they import nothing of ours."""
+    tree = ast.parse((PACKAGE / "diagnosis/criteria.py").read_text())
+    assert not [module for module in find_imports(tree) if module.startswith("vpptwin")]
+
+
 def test_no_files_import_each_other() -> None:
     """Not in circles of any length, nor inside of functions: the files can be read in one order."""
     files = {name_module(file): file for file in PACKAGE.rglob("*.py")}

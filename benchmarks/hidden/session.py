@@ -11,7 +11,8 @@ from hidden.case import Case, Finding, Named
 from hidden.draw import Plan
 from tests.reality import fly_many, write_mcap
 from tests.reality.flight import FlightPlan
-from vpptwin.diagnosis.judgement.diagnose import diagnose, fit_causes
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
+from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
@@ -75,11 +76,11 @@ def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
     return {name: method(flights) for name, method in BASELINES.items()}
 
 
-def find(flights: Sequence[Flight], truth: frozenset[str] | None = None) -> Finding:
+def find(flights: Sequence[Flight], truth: frozenset[str] | None = None, criteria: Criteria = CRITERIA) -> Finding:
     """Diagnose flights with the nominal twin, or judge the true structure where that is given."""
     began = time.perf_counter()
-    twin = load_twin()
-    diagnosis = diagnose(twin, flights) if truth is None else fit_causes(twin, flights, sorted(truth))
+    causes = None if truth is None else sorted(truth)
+    diagnosis = diagnose(load_twin(), flights, criteria=criteria, causes=causes)
     return read_verdict(diagnosis.verdict, time.perf_counter() - began)
 
 

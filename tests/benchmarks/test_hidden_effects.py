@@ -269,3 +269,64 @@ def test_costs_go_to_whoever_called() -> None:
         numpy: (4, 4, 2.0, 2.0, {algebra: (3, 3, 1.5, 1.5), reading: (1, 1, 0.5, 0.5)}),
     }
     assert costs.share_out(stats) == pytest.approx({costs.FITS: 2.5, "reading logs": 0.75})
+
+
+def rate(name: str, hits: int, of: int) -> Any:  # noqa: ANN401
+    """A made-up rate."""
+    return load("rates").Rate(name, hits, of)
+
+
+@pytest.mark.parametrize(
+    ("name", "hits", "of", "broken"),
+    [
+        ("one effect: named or in the reported group", 46, 46, False),
+        ("one effect: named or in the reported group", 40, 46, False),  # 87 % where 90 % is asked: 31 % of such nights
+        ("one effect: named or in the reported group", 36, 46, True),  # 78 %: 1 %
+        ("confidently wrong", 2, 93, False),
+        ("confidently wrong", 14, 93, True),  # 15 % where 5 % is allowed
+        ("diagnosis failed", 0, 100, False),
+        ("diagnosis failed", 1, 100, True),
+        ("two effects: both named", 0, 0, False),
+        ("a measure without a bound", 0, 100, False),
+    ],
+)
+def test_bounds_are_broken_beyond_chance(name: str, hits: int, of: int, broken: bool) -> None:
+    """A rate that chance gives a diagnosis at the bound in less than 2.5 % of nights; nothing may fail at all."""
+    found = load("rates").find_broken([rate(name, hits, of), load("rates").Figure(name, "1 s")])
+    assert bool(found) is broken
+    assert all(name in line for line in found)
+
+
+def test_every_bound_is_of_a_measure_and_kept_on_record() -> None:
+    """Bounds are names of measures, and the sessions of seed 8001 keep them all."""
+    rates = load("rates")
+    record = json.loads((BENCHMARKS / "results/hidden_8001.json").read_text())
+    rows = rates.summarise([load("case").Case.from_dict(content) for content in record["cases"]])
+    assert set(rates.BOUNDS) <= {row.name for row in rows}
+    assert rates.find_broken(rows) == []
+
+
+def test_the_night_tells_by_its_exit_status(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    """0 where bounds hold, 1 where not; sessions are not told one by one, the seed is its own, no oracle is asked."""
+    main, asked = importlib.import_module("hidden_effects"), []
+    for failed, status in ((False, 0), (True, 1)):
+
+        def run(options: Any, plans: list, failed: bool = failed) -> list:  # noqa: ANN401
+            asked.append((options.seed, options.oracle, len(plans)))
+            return [
+                session(p.number, p.kind, p.hidden, None if failed else finding(*map(cause, p.known))) for p in plans
+            ]
+
+        monkeypatch.setattr(main, "run", run)
+        assert main.main(["--nightly", "--cases", "3", "--seed", "1"]) == status
+        told = capsys.readouterr().out
+        assert "not named as hidden" not in told
+        assert ("diagnosis failed: 100.0 % (3 of 3)" in told) is failed
+    assert asked == [(main.NIGHTLY, False, 3)] * 2
+
+
+@pytest.mark.slow
+def test_a_small_night_breaks_nothing(tmp_path: Path) -> None:
+    """Three of its sessions, flown and diagnosed."""
+    main = importlib.import_module("hidden_effects")
+    assert main.main(["--nightly", "--cases", "3", "--jobs", "1", "--json", str(tmp_path / "night.json")]) == 0

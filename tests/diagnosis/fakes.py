@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench, Key
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.frame import Frame, Linearisation
@@ -21,7 +22,8 @@ class Starts(SimpleNamespace):
 def lay_starts(start: list[float], flight: list[int] | None = None) -> Bench:
     """A bench of which only the windows' times count."""
     flights = np.zeros(len(start), dtype=int) if flight is None else np.array(flight)
-    return SimpleNamespace(windows=Starts(start=np.array(start), flight=flights))  # type: ignore[return-value]
+    windows = Starts(start=np.array(start), flight=flights)
+    return SimpleNamespace(windows=windows, criteria=CRITERIA)  # type: ignore[return-value]
 
 
 def linear(

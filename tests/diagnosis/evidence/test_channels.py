@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vpptwin.diagnosis.evidence.channels import (
-    MODEL_FLOOR,
     Channel,
     bin_channel,
     join_channels,
@@ -39,9 +38,13 @@ def lay_windows(starts: list[float], length: float) -> Windows:
     )
 
 
-def bin_one(windows: Windows, series: Series, kind: str = "position", delayed: bool = False) -> Channel:
+def bin_one(
+    windows: Windows, series: Series, kind: str = "position", delayed: bool = False, floor: float = 0.02
+) -> Channel:
     """A channel of degree of freedom 0, poses compared from 20 ms on if delayed."""
-    return bin_channel(windows, series, series.value, kind, 0, delayed, 0.02, series.name)
+    return bin_channel(
+        windows, series, series.value, kind, 0, delayed, 0.02, series.name, floor if kind == "velocity" else 0.0
+    )
 
 
 def move(windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +75,7 @@ def test_what_no_rigid_body_explains_adds_to_white_noise() -> None:
     """Variances add: that of the mean of four samples and that of the model's roughness."""
     time = np.arange(400) / 400.0
     channel = bin_one(lay_windows([0.0], 0.03), Series("q", "rad/s", time, time, 0.02), "velocity")
-    np.testing.assert_allclose(channel.std**2, 0.01**2 + MODEL_FLOOR["velocity"] ** 2)
+    np.testing.assert_allclose(channel.std**2, 0.01**2 + 0.02**2)
 
 
 def test_empty_bins_count_for_nothing() -> None:

@@ -10,8 +10,9 @@ import pytest
 
 from tests.reality import fly_many, write_mcap
 from tests.reality.flight import FlightPlan
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.channels import Channel
-from vpptwin.diagnosis.evidence.motor import CURRENT, CURRENT_FLOOR, SPEED, SPEED_FLOOR, observe_motor, predict_motor
+from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, observe_motor, predict_motor
 from vpptwin.estimation.measurements import Measurements, Series, read_measurements
 from vpptwin.estimation.windows import Windows, cut_windows, fly_windows
 from vpptwin.logs import read_flight
@@ -71,9 +72,9 @@ def test_bins_are_means_with_their_noise() -> None:
     for channel, slope in zip(channels, (1.0, 2.0, 3.0, 4.0)):
         np.testing.assert_allclose(channel.value, slope * np.array([[10.0255, 10.0755], [10.1255, 10.1755]]))
         np.testing.assert_allclose(channel.weight.sum(axis=2), 1.0)
-    np.testing.assert_allclose(channels[0].std, np.hypot(1.0 / np.sqrt(50.0), SPEED_FLOOR))
+    np.testing.assert_allclose(channels[0].std, np.hypot(1.0 / np.sqrt(50.0), CRITERIA.rotor_speed_floor))
     noise = np.hypot(0.05, 1.0 / (115.0 * 0.12))
-    np.testing.assert_allclose(channels[2].std, np.hypot(noise / np.sqrt(50.0), CURRENT_FLOOR))
+    np.testing.assert_allclose(channels[2].std, np.hypot(noise / np.sqrt(50.0), CRITERIA.current_floor))
 
 
 def test_bins_without_samples_count_for_nothing() -> None:

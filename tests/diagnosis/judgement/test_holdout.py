@@ -10,8 +10,8 @@ import pytest
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.holdout import (
-    BLOCK,
     HORIZONS_S,
     HeldOut,
     blocks_of,
@@ -29,7 +29,7 @@ DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}
 
 def test_improvement_by_hand() -> None:
     """Surprises 5, 5, 1 become 3, 3, 1: drops 2, 2, 0; sum 4, scatter 2/√3, standard error of the sum 2."""
-    gain, error = improvement(np.array([5.0, 5.0, 1.0]), np.array([3.0, 3.0, 1.0]))
+    gain, error = improvement(np.array([5.0, 5.0, 1.0]), np.array([3.0, 3.0, 1.0]), 4.0)
     assert gain == pytest.approx(4.0)
     assert error == pytest.approx(2.0)
 
@@ -38,25 +38,25 @@ def test_a_window_astray_counts_as_four_times_the_rest() -> None:
     """99 drops of 1 and one of 100: rms √100.99 = 10.05, so that the one counts as 40.2."""
     before = np.ones(100)
     before[30] = 100.0
-    gain, _ = improvement(before, np.zeros(100))
+    gain, _ = improvement(before, np.zeros(100), 4.0)
     assert gain == pytest.approx(99.0 + 4.0 * np.sqrt(100.99))
-    loss, _ = improvement(np.zeros(100), before)
+    loss, _ = improvement(np.zeros(100), before, 4.0)
     assert loss == pytest.approx(-gain)
 
 
 def test_one_window_decides_nothing() -> None:
     """A single window that gets a thousand times better has no standard error; one among twenty doesn't convince."""
-    assert improvement(np.array([1000.0]), np.array([1.0]))[1] == np.inf
+    assert improvement(np.array([1000.0]), np.array([1.0]), 4.0)[1] == np.inf
     before, after = np.full(20, 10.0), np.full(20, 10.5)
     before[7], after[7] = 1e4, 10.0
-    gain, error = improvement(before, after)
+    gain, error = improvement(before, after, 4.0)
     assert gain < 2.0 * error
 
 
 def test_blocks_are_stretches_of_a_flight() -> None:
     """Windows within 1.5 s count as one; those of another flight never do."""
-    bench = lay_starts([0.0, 0.9 * BLOCK, 1.1 * BLOCK, 5.2 * BLOCK, 0.1], [0, 0, 0, 0, 1])
-    np.testing.assert_array_equal(blocks_of(bench.windows), [0, 0, 1, 2, 3])
+    bench = lay_starts([0.0, 0.9 * CRITERIA.block, 1.1 * CRITERIA.block, 5.2 * CRITERIA.block, 0.1], [0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(blocks_of(bench.windows, CRITERIA.block), [0, 0, 1, 2, 3])
 
 
 def test_sums_over_blocks_by_hand() -> None:
@@ -96,6 +96,7 @@ class Scored(HeldOut):
 
     def __init__(self, start: np.ndarray, squares: dict[float, np.ndarray]) -> None:
         self.short = self.long = lay_starts(list(start))
+        self.criteria = CRITERIA
         self._given = squares
 
     def squares(self, values: dict) -> dict[str, np.ndarray]:
@@ -119,7 +120,7 @@ def test_removed_share_by_hand() -> None:
 
 def test_what_helps_in_one_block_alone_is_not_sure() -> None:
     """Eight blocks of which one holds all of the gain: a third of the draws miss it, and the interval reaches 0."""
-    start = BLOCK * np.arange(8) + 0.1
+    start = CRITERIA.block * np.arange(8) + 0.1
     without = np.full(8, 50.0)
     after = without.copy()
     after[3] = 10.0
@@ -135,7 +136,7 @@ def test_intervals_of_the_change_bracket_it() -> None:
 
     Of 60 intervals 54 are expected, give or take 2.3.
     """
-    start = BLOCK * np.repeat(np.arange(40), 3) + np.tile([0.1, 0.5, 0.9], 40)
+    start = CRITERIA.block * np.repeat(np.arange(40), 3) + np.tile([0.1, 0.5, 0.9], 40)
     held = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -159,7 +160,7 @@ def test_the_truth_surprises_least(rubbing: HeldOut) -> None:
     """The true friction predicts better than none and than twice as much, beyond doubt, and window by window mostly."""
     truth = rubbing.surprise(guess(TRUTH), True)
     for other in (rubbing.surprise(guess({}), False), rubbing.surprise(guess(DOUBLE), True)):
-        gain, error = improvement(other, truth)
+        gain, error = improvement(other, truth, 4.0)
         assert gain > 3.0 * error
         assert (other > truth).mean() > 0.6
 

@@ -9,7 +9,8 @@ import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges, open_search
 from tests.diagnosis.rigs import drive_cart
-from vpptwin.diagnosis.judgement.leftover import DEPENDS, FOLDS, Leftover, judge_leftover, predicted_share
+from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.judgement.leftover import FOLDS, Leftover, judge_leftover, predicted_share
 
 COUNT = 1200
 QUANTITY = np.random.default_rng(1).permutation(np.linspace(-1.0, 1.0, COUNT))
@@ -53,7 +54,7 @@ def test_what_lasts_for_a_stretch_is_not_learnt_from_itself() -> None:
     force = rng.standard_normal(40)[BLOCKS] + 0.1 * rng.standard_normal(COUNT)
     time = np.arange(COUNT, dtype=float)
     assert predicted_share(time, force, rng.integers(FOLDS, size=COUNT)) > 0.5
-    assert predicted_share(time, force, FOLD) < DEPENDS
+    assert predicted_share(time, force, FOLD) < CRITERIA.depends
 
 
 def judge(folder: Path, cogging: float) -> Leftover:

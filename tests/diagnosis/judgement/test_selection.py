@@ -9,18 +9,9 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.fakes import FRAME, guess
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.holdout import HeldOut, improvement
 from vpptwin.diagnosis.judgement.selection import (
-    BARS_TOGETHER,
-    BETTER,
-    HINT,
-    KINSHIP,
-    POWERLESS,
-    RIVAL_SIGMA,
-    SIGMAS_HELD_OUT,
-    STRONG,
-    TEMPER,
-    TOLERANCES,
     Selection,
     evidence_against_rival,
     find_better,
@@ -31,7 +22,7 @@ from vpptwin.diagnosis.judgement.selection import (
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import Frame
-from vpptwin.diagnosis.search.search import BAR, Step
+from vpptwin.diagnosis.search.search import Step
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
@@ -52,6 +43,9 @@ UNKNOWNS = tuple(
     for p in effect.parameters
 )
 WINDOWS = 25
+BAR = CRITERIA.bar
+HINT = CRITERIA.bars_fitted
+STRONG = CRITERIA.bars_strong * BAR
 
 
 def fit(cost: float, **values: float) -> Fit:
@@ -71,7 +65,9 @@ class Judges:
         favour: by how many standard errors the errors favour whatever is fitted later.
     """
 
-    def __init__(self, gain: float, power: float = 10.0 * POWERLESS, worse: bool = False, favour: float = 0.0) -> None:
+    def __init__(
+        self, gain: float, power: float = 10.0 * CRITERIA.powerless, worse: bool = False, favour: float = 0.0
+    ) -> None:
         scatter = np.tile([1.0, -1.0], WINDOWS)[:WINDOWS] - 1.0 / WINDOWS
         scatter /= scatter.std(ddof=1)
         self.drop = scatter + gain / np.sqrt(WINDOWS)
@@ -80,7 +76,7 @@ class Judges:
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise and its standard error."""
         surprise = [-len(fit.effects) * self.drop for fit, _ in (before, after)]
-        return improvement(*surprise)
+        return improvement(*surprise, CRITERIA.most_drop)
 
     def worsens(self, *_: Any) -> bool:  # noqa: ANN401
         """As made."""
@@ -103,7 +99,7 @@ def search_of(known: bool) -> Any:  # noqa: ANN401
     """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
     robot = SimpleNamespace(disturbance=Disturbance(np.ones(1), known=known))
     bench = SimpleNamespace(spec=SimpleNamespace(robot=robot))
-    return SimpleNamespace(unknowns=UNKNOWNS, sticks=lambda effects: False, bench=bench)
+    return SimpleNamespace(unknowns=UNKNOWNS, criteria=CRITERIA, sticks=lambda effects: False, bench=bench)
 
 
 SEARCH, OTHER_RIG = search_of(True), search_of(False)
@@ -127,7 +123,13 @@ SURE = Judges(10.0)
 
 
 @pytest.mark.parametrize(
-    ("drop", "named"), [(1.01 * BAR, True), (1.01 * HINT * BAR, True), (0.99 * HINT * BAR, False), (-5.0, False)]
+    ("drop", "named"),
+    [
+        (1.01 * BAR, True),
+        (1.01 * HINT * BAR, True),
+        (0.99 * HINT * BAR, False),
+        (-5.0, False),
+    ],
 )
 def test_causes_clear_the_bar(drop: float, named: bool) -> None:
     """Evidence below the bar of the fitted windows names nothing, however well held-out windows are predicted."""
@@ -136,7 +138,7 @@ def test_causes_clear_the_bar(drop: float, named: bool) -> None:
 
 def test_fitted_and_held_out_windows_clear_a_higher_bar_together() -> None:
     """Held-out ones that bring 2.2 standard errors of 5 leave so much for the fitted ones."""
-    least = BARS_TOGETHER * BAR - 2.2 * 0.25
+    least = CRITERIA.bars_together * BAR - 2.2 * 0.25
     for drop, named in ((least - 0.1, False), (least + 0.1, True)):
         judges = Judges(2.2)
         judges.drop = 0.05 * judges.drop
@@ -166,7 +168,7 @@ def test_evidence_against_a_rival() -> None:
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
     """A force of 2.4 tolerances is what a well-built rig may have; 2.6 are not; counted from the twin's own value."""
-    for times, named in ((TOLERANCES - 0.1, False), (TOLERANCES + 0.1, True)):
+    for times, named in ((CRITERIA.tolerances - 0.1, False), (CRITERIA.tolerances + 0.1, True)):
         assert judge(SURE, 10.0 * BAR, a_bias=sign * times * 0.02) is named
         assert judge(SURE, 10.0 * BAR, a_viscous=0.1 + sign * times * 0.02) is named
 
@@ -174,9 +176,9 @@ def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
 @pytest.mark.parametrize(
     ("gain", "drop", "named"),
     [
-        (SIGMAS_HELD_OUT + 0.2, 0.9 * STRONG, True),
-        (SIGMAS_HELD_OUT - 0.2, 0.9 * STRONG, False),
-        (SIGMAS_HELD_OUT - 0.2, 1.1 * STRONG, True),
+        (CRITERIA.sigmas_held_out + 0.2, 0.9 * STRONG, True),
+        (CRITERIA.sigmas_held_out - 0.2, 0.9 * STRONG, False),
+        (CRITERIA.sigmas_held_out - 0.2, 1.1 * STRONG, True),
         (-0.8, 1.1 * STRONG, True),
         (-1.2, 1.1 * STRONG, False),
         (-5.0, 100.0 * STRONG, False),
@@ -192,19 +194,19 @@ def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> N
     [
         (0.0, 2.1 * BAR, True),
         (0.0, 1.9 * BAR, False),
-        (-SIGMAS_HELD_OUT + 0.2, 2.1 * BAR, True),
-        (-SIGMAS_HELD_OUT - 0.2, 2.1 * BAR, False),
+        (-CRITERIA.sigmas_held_out + 0.2, 2.1 * BAR, True),
+        (-CRITERIA.sigmas_held_out - 0.2, 2.1 * BAR, False),
     ],
 )
 def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: float, named: bool) -> None:
     """Where an effect hardly moves them, twice the evidence names it unless they speak against it."""
-    assert judge(Judges(gain, 0.9 * POWERLESS), drop, a_coulomb=0.5) is named
-    assert not judge(Judges(0.0, 1.1 * POWERLESS), 2.1 * BAR, a_coulomb=0.5)
+    assert judge(Judges(gain, 0.9 * CRITERIA.powerless), drop, a_coulomb=0.5) is named
+    assert not judge(Judges(0.0, 1.1 * CRITERIA.powerless), 2.1 * BAR, a_coulomb=0.5)
 
 
 def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
     """Beside sliding friction that brought 1000, breakaway must clear the bar by 50; another joint's need not."""
-    drops, more = {"a.coulomb": 1000.0}, HINT * BAR + KINSHIP * 1000.0
+    drops, more = {"a.coulomb": 1000.0}, HINT * BAR + CRITERIA.kinship * 1000.0
     for drop, named in ((0.98 * more, False), (1.02 * more, True)):
         assert judge(SURE, drop, drops, a_coulomb=1.0, a_stiction=0.5) is named
     assert judge(SURE, 1.01 * BAR, drops, a_coulomb=1.0, b_coulomb=0.5)
@@ -224,14 +226,14 @@ def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> 
 
 def test_rivals_by_hand() -> None:
     """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
-    evidence = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * RIVAL_SIGMA**2 * TEMPER}
-    first, second = weigh_rivals(evidence)
-    less = np.exp(-2.0 / TEMPER)
+    evidence = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * CRITERIA.rival_sigma**2 * CRITERIA.temper}
+    first, second = weigh_rivals(evidence, CRITERIA)
+    less = np.exp(-2.0 / CRITERIA.temper)
     assert (first.effect, second.effect) == ("a.spring", "a.viscous")
     assert first.confidence == pytest.approx(1.0 / (2.0 + less))
     assert second.confidence == pytest.approx(less / (2.0 + less))
-    assert (first.sigma, second.sigma) == (0.0, pytest.approx(np.sqrt(4.0 / TEMPER)))
-    assert weigh_rivals({}) == []
+    assert (first.sigma, second.sigma) == (0.0, pytest.approx(np.sqrt(4.0 / CRITERIA.temper)))
+    assert weigh_rivals({}, CRITERIA) == []
 
 
 def select(evidence: float, *rivals: Rival) -> Selection:
@@ -242,7 +244,7 @@ def select(evidence: float, *rivals: Rival) -> Selection:
 
 def test_confidence_by_hand() -> None:
     """What rivals leave, less half of the odds that nothing is there; never beyond 0.999, never below a half of it."""
-    doubt = 0.5 * np.exp(-0.5 * 6.0 / TEMPER)
+    doubt = 0.5 * np.exp(-0.5 * 6.0 / CRITERIA.temper)
     rivals = Rival("a.viscous", 0.25), Rival("a.spring", 0.15)
     assert select(6.0).confidence("a.coulomb") == pytest.approx(1.0 - doubt)
     assert select(6.0, *rivals).confidence("a.coulomb") == pytest.approx(0.6 * (1.0 - doubt))
@@ -251,12 +253,12 @@ def test_confidence_by_hand() -> None:
 
 
 def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
-    """The best rival of all causes, if the evidence prefers it by more than BETTER."""
+    """The best rival of all causes, if the evidence prefers it by more than CRITERIA.better."""
 
     def find(coulomb: dict[str, float], bias: dict[str, float]) -> tuple[str, str] | None:
         return find_better(SEARCH, {"a.coulomb": coulomb, "a.bias": bias}, {})
 
-    little, much, most = -0.9 * BETTER, -1.1 * BETTER, -2.0 * BETTER
+    little, much, most = -0.9 * CRITERIA.better, -1.1 * CRITERIA.better, -2.0 * CRITERIA.better
     assert find({"a.spring": little}, {}) is None
     assert find({"a.spring": little, "a.viscous": much}, {}) == ("a.coulomb", "a.viscous")
     assert find({"a.spring": much}, {"a.spring": little, "a.viscous": most}) == ("a.bias", "a.viscous")
@@ -265,7 +267,7 @@ def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
 
 def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
     """Unless the other is better by more than such laws are inexact, 5 % of what was brought; of one joint only."""
-    near = 0.98 * KINSHIP * 1000.0
+    near = 0.98 * CRITERIA.kinship * 1000.0
 
     def find(effect: str, rival: str, evidence: float) -> tuple[str, str] | None:
         return find_better(SEARCH, {effect: {rival: evidence}}, {effect: 1000.0})
@@ -275,7 +277,7 @@ def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
     assert find("a.coulomb", "a.stiction", -near) is None
     assert find("a.coulomb", "a.stiction", -1.05 * near) == ("a.coulomb", "a.stiction")
     assert find("a.stiction", "b.coulomb", 0.0) is None
-    assert find("a.stiction", "a.viscous", -1.1 * BETTER) == ("a.stiction", "a.viscous")
+    assert find("a.stiction", "a.viscous", -1.1 * CRITERIA.better) == ("a.stiction", "a.viscous")
 
 
 def test_costs_of_two_frames_are_not_compared() -> None:

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.fakes import Starts
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.likelihood import (
     FORGOTTEN,
-    LEAST_GUST,
     MOST_COUPLED,
-    MOST_GUST,
     Response,
     couple_gusts,
     likeness_of_gusts,
@@ -37,7 +36,7 @@ def lay_bench(start: np.ndarray, flight: np.ndarray | None = None, outdoors: boo
     windows = Starts(start=start, flight=flights, steps=300, dt=LENGTH / 300)
     wind = Disturbance(np.ones(NV), GUST_TIME if outdoors else 0.0, outdoors)
     spec = SimpleNamespace(robot=SimpleNamespace(disturbance=wind), model=SimpleNamespace(nv=NV))
-    return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS)  # type: ignore[return-value]
+    return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS, criteria=CRITERIA)  # type: ignore[return-value]
 
 
 def draw_response(count: int, seed: int = 0) -> Response:
@@ -219,6 +218,6 @@ def test_indoors_no_wind_blows() -> None:
 def test_gusts_stay_within_what_can_be() -> None:
     """Nothing at all to be seen, or a catastrophe: the bounds."""
     bench, response = lay_bench(2.0 * np.arange(20.0)), draw_response(20)
-    np.testing.assert_allclose(tune_gust(bench, response, np.zeros((20, VALUES))), LEAST_GUST, rtol=1e-6)
-    storm = 1e3 * draw_flight(bench, response, np.full(2, MOST_GUST), 1)
-    np.testing.assert_allclose(tune_gust(bench, response, storm), MOST_GUST, rtol=1e-6)
+    np.testing.assert_allclose(tune_gust(bench, response, np.zeros((20, VALUES))), CRITERIA.least_gust, rtol=1e-6)
+    storm = 1e3 * draw_flight(bench, response, np.full(2, CRITERIA.most_gust), 1)
+    np.testing.assert_allclose(tune_gust(bench, response, storm), CRITERIA.most_gust, rtol=1e-6)

@@ -9,20 +9,21 @@ import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart
 from tests.diagnosis.rigs import drive_cart
-from vpptwin.diagnosis.search.information import ENOUGH, JUDGING, choose_judges, measure_information
+from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.suspects import list_unknowns
 
 
 @pytest.mark.parametrize(("flights", "judges"), [(2, 1), (3, 1), (5, 1), (6, 2), (9, 3)])
 def test_a_third_of_the_flights_judge(flights: int, judges: int) -> None:
     """At least one, and of flights that tell the same the last ones."""
-    found = choose_judges(np.full((flights, 4), ENOUGH))
+    found = choose_judges(np.full((flights, 4), CRITERIA.half_seen), CRITERIA)
     assert found == set(range(flights - judges, flights))
 
 
 def test_the_only_flight_that_shows_an_effect_is_fitted() -> None:
     """The second effect shows in the last of three flights alone: the second, which the first makes up for, judges."""
-    assert choose_judges(np.array([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]]) * ENOUGH) == {1}
+    assert choose_judges(np.array([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]]) * CRITERIA.half_seen, CRITERIA) == {1}
 
 
 def test_what_shows_nothing_does_not_judge() -> None:
@@ -30,15 +31,15 @@ def test_what_shows_nothing_does_not_judge() -> None:
 
     Without a full one 18/19 of the effect are seen, without the empty one 27/28, worth less than that a judge sees.
     """
-    assert choose_judges(np.array([[9.0], [0.0], [9.0], [9.0]]) * ENOUGH) == {3}
-    assert 0.9 * JUDGING > 27.0 / 28.0 - 18.0 / 19.0
+    assert choose_judges(np.array([[9.0], [0.0], [9.0], [9.0]]) * CRITERIA.half_seen, CRITERIA) == {3}
+    assert 0.9 * CRITERIA.judging_worth > 27.0 / 28.0 - 18.0 / 19.0
 
 
 def test_judges_are_chosen_one_by_one() -> None:
     """Two pairs of flights that tell the same, of six: one of each pair judges, what is alone is fitted."""
     shows = [[9.0, 0.0, 0.0, 0.0], [9.0, 0.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0]]
     alone = [[0.0, 0.0, 9.0, 0.0], [0.0, 0.0, 0.0, 9.0]]
-    assert choose_judges(np.array(shows + alone) * ENOUGH) == {1, 3}
+    assert choose_judges(np.array(shows + alone) * CRITERIA.half_seen, CRITERIA) == {1, 3}
 
 
 def test_information_is_signal_to_noise_of_a_typical_size(tmp_path: Path) -> None:
@@ -53,10 +54,10 @@ def test_information_is_signal_to_noise_of_a_typical_size(tmp_path: Path) -> Non
     flights = [measure_cart(track, 7) for track in (driving, (still, still, still))]
     unknowns = list_unknowns(spec)
     effects = list(dict.fromkeys(u.effect.id for u in unknowns))
-    found = measure_information(spec, flights, unknowns, None)
+    found = measure_information(spec, flights, unknowns, None, CRITERIA)
     assert found.shape == (2, len(effects))
-    assert (found[0] > ENOUGH).all()
-    seen = {effect for effect, signal in zip(effects, found[1]) if signal > ENOUGH}
+    assert (found[0] > CRITERIA.half_seen).all()
+    seen = {effect for effect, signal in zip(effects, found[1]) if signal > CRITERIA.half_seen}
     assert "slide.bias" in seen
     assert not seen & {"slide.inertia", "motor.gain", "motor.delay", "motor.lag", "motor.rate_limit"}
     (force,) = (u.parameter.size for u in unknowns if u.effect.id == "slide.bias")

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import CARTS, MASS, write_rig
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench, Variation
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.search.likelihood import (
-    START_POSE,
-    START_VELOCITY,
     Likelihood,
     Response,
     couple_gusts,
@@ -68,7 +67,7 @@ def write_covariance(gust: float = 1.0) -> np.ndarray:
     t = 0.0025 + 0.01 * np.arange(BINS)
     one, zero = np.ones(BINS), np.zeros(BINS)
     covariance = np.diag(np.concatenate([POSITION_STD**2 * one, VELOCITY_STD**2 * one]))
-    columns = [START_POSE[False] * np.concatenate([one, zero]), START_VELOCITY[False] * np.concatenate([t, one])]
+    columns = [CRITERIA.start_pose * np.concatenate([one, zero]), CRITERIA.start_velocity * np.concatenate([t, one])]
     for column in columns:
         covariance += np.outer(column, column)
     pulses = []
@@ -83,7 +82,7 @@ def write_covariance(gust: float = 1.0) -> np.ndarray:
 
 def test_gusts_are_a_share_of_the_typical_force(bench: Bench) -> None:
     """0.1 % of 20 N."""
-    np.testing.assert_allclose(gust_std(bench.spec), [GUST])
+    np.testing.assert_allclose(gust_std(bench), [GUST])
 
 
 @pytest.mark.parametrize("gust", [0.5, 1.0, 20.0])
@@ -135,7 +134,7 @@ def test_the_starting_state_is_marginalised(bench: Bench, likelihood: Likelihood
     right, wrong = bench.predict([Variation(), shift])
     np.testing.assert_allclose(right, bench.measured, atol=1e-9)
     cost = (likelihood.whiten(bench.measured - wrong) ** 2).sum(axis=1)
-    prior = (pose / START_POSE[False]) ** 2 + (velocity / START_VELOCITY[False]) ** 2
+    prior = (pose / CRITERIA.start_pose) ** 2 + (velocity / CRITERIA.start_velocity) ** 2
     assert (cost <= prior * 1.001).all()
     assert (cost > 0.5 * prior).all()
     alone = (((bench.measured - wrong) / bench.std) ** 2).sum(axis=1)

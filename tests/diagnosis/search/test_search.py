@@ -10,10 +10,11 @@ import pytest
 from tests.diagnosis.carts import load_cart, measure_cart, open_search
 from tests.diagnosis.fakes import linear
 from tests.diagnosis.rigs import FRICTION, drive_cart
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.search.fits import YIELDING, Fit, find_cheapest
+from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import weigh_windows
-from vpptwin.diagnosis.search.search import BAR, WORTH_A_REFIT, Search, Step
+from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.diagnosis.search.shortlist import Start, rank_trials
 from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown
@@ -101,7 +102,7 @@ def test_limits_are_ranked_as_they_are(problem: tuple[np.ndarray, np.ndarray, np
 def test_a_window_that_goes_astray_counts_less() -> None:
     """Mean squares 1, 1, 9 and 299 with median 5: usual misfit 15; weights 1, 1, 1, and √(30 / 314)."""
     residual = np.sqrt(np.array([1.0, 1.0, 9.0, 299.0]))[:, None] * np.ones((4, 2))
-    weight = weigh_windows(residual, np.ones((4, 2), dtype=bool))
+    weight = weigh_windows(residual, np.ones((4, 2), dtype=bool), 3.0)
     np.testing.assert_allclose(weight, np.repeat([1.0, 1.0, 1.0, np.sqrt(30.0 / 314.0)], 2))
 
 
@@ -109,7 +110,7 @@ def test_bins_without_samples_do_not_excuse_a_window() -> None:
     """A window measured in one bin of four has the mean square of that bin: 400, not 100."""
     residual, valid = np.ones((3, 4)), np.ones((3, 4), dtype=bool)
     residual[2], valid[2] = [20.0, 0.0, 0.0, 0.0], [True, False, False, False]
-    weight = weigh_windows(residual, valid).reshape(3, 4)
+    weight = weigh_windows(residual, valid, 3.0).reshape(3, 4)
     np.testing.assert_allclose(weight[2], np.sqrt(6.0 / 403.0))
 
 
@@ -128,8 +129,8 @@ def step(rubbing: Search) -> Step:
 def test_the_planted_effect_brings_most(step: Step) -> None:
     """Dry friction first, well before its look-alikes, and as strong as it is."""
     assert step.ordered[0] == "slide.coulomb"
-    assert step.drop("slide.coulomb") > 10.0 * BAR
-    assert all(step.drop("slide.coulomb") > step.drop(other) + BAR for other in step.ordered[1:])
+    assert step.drop("slide.coulomb") > 10.0 * CRITERIA.bar
+    assert all(step.drop("slide.coulomb") > step.drop(other) + CRITERIA.bar for other in step.ordered[1:])
     found = step.tried["slide.coulomb"]
     assert found.effects == {"slide.coulomb"}
     assert found.values["slide.coulomb", "force"] == pytest.approx(FRICTION, rel=0.05)
@@ -140,7 +141,7 @@ def test_nothing_is_missed_beside_it(rubbing: Search, step: Step) -> None:
     """Once it is known, no suspect clears the bar; what is barred is not even tried."""
     found = rubbing.reframe(step.tried["slide.coulomb"])
     further = rubbing.extend(found)
-    assert all(further.drop(effect) < BAR for effect in further.tried)
+    assert all(further.drop(effect) < CRITERIA.bar for effect in further.tried)
     assert not {"slide.viscous", "slide.bias"} & set(
         rubbing.extend(found, frozenset({"slide.viscous", "slide.bias"})).tried
     )
@@ -153,7 +154,7 @@ def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
     stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about)
     alone = rubbing.judge_alone(stuck)
     assert alone.likelihood.response.push is not start.likelihood.response.push or alone.evidence_against(stuck) >= 0.0
-    assert alone.evidence_against(stuck) > -YIELDING
+    assert alone.evidence_against(stuck) > -CRITERIA.yielding
     damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about)
     assert rubbing.judge_alone(damped).likelihood.response.push is start.likelihood.response.push
 
@@ -165,7 +166,7 @@ def test_fits_go_downhill(rubbing: Search) -> None:
         values = {("slide.coulomb", "force"): force}
         begun, done = (rubbing.fit(frozenset({"slide.coulomb"}), values, start.about, n) for n in (0, 6))
         assert begun.values == values
-        assert done.evidence_against(begun) > -2.0 * WORTH_A_REFIT
+        assert done.evidence_against(begun) > -2.0 * CRITERIA.worth_a_refit
         assert done.values["slide.coulomb", "force"] > 0.0
 
 

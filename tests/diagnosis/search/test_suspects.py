@@ -9,10 +9,9 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.diagnosis.fakes import lay_starts, linear
+from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.solution import (
-    MOST_TOLERATED,
-    STRETCH,
     Solution,
     price_of_freedom,
     scatter_by_stretch,
@@ -25,6 +24,7 @@ from vpptwin.effects.joint import Place, bias, spring, viscous
 
 TOLERANCE = 0.02
 MEASURED = 300
+STRETCH = CRITERIA.stretch
 
 
 def suspect(effect: Effect, *nominal: float) -> list[Unknown]:
@@ -63,7 +63,7 @@ def search_minimum(fit: Linearisation, freed: set[str], scale: float, frozen: bo
     bounds = []
     for u, at in zip(UNKNOWNS, fit.at):
         p = u.parameter
-        reach = np.inf if u.effect.id in freed else MOST_TOLERATED * p.tolerance
+        reach = np.inf if u.effect.id in freed else CRITERIA.most_tolerated * p.tolerance
         bounds.append((max(p.low, u.nominal - reach), min(p.high, u.nominal + reach)))
         if frozen and u.effect.id in freed:
             bounds[-1] = (at, at)
@@ -115,7 +115,7 @@ def test_what_is_not_freed_stays_within_three_tolerances() -> None:
     fit = draw_problem([0.0, 0.5, 1.0, 0.0, 0.3], seed=5)
     held = solve_hypothesis(fit, UNKNOWNS, frozenset())
     freed = solve_hypothesis(fit, UNKNOWNS, frozenset({"c.bias"}))
-    assert fit.at[2] + held.deviation[2] == pytest.approx(MOST_TOLERATED * TOLERANCE)
+    assert fit.at[2] + held.deviation[2] == pytest.approx(CRITERIA.most_tolerated * TOLERANCE)
     assert fit.at[2] + freed.deviation[2] == pytest.approx(1.0, abs=0.2)
     assert held.cost - freed.cost > 100.0
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from vpptwin.actuators.layer import SUPPLY
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.effects import Stage
@@ -61,6 +62,7 @@ class Bench:
             are estimated from them anew where sensors are found wrong.
         causal: those states are estimated without looking ahead.
         progress: called with the number of simulated steps as they are done.
+        criteria: thresholds of the diagnosis that works on it.
     """
 
     def __init__(
@@ -72,9 +74,11 @@ class Bench:
         flights: Sequence[Measurements] = (),
         causal: bool = False,
         progress: Callable[[int], None] | None = None,
+        criteria: Criteria = CRITERIA,
     ) -> None:
         self.spec, self.windows, self.channels, self.segments = spec, windows, list(channels), segments
         self.flights, self.causal = list(flights), causal
+        self.criteria = criteria
         self._progress = progress
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._starts: dict[tuple[float, ...], Windows] = {}

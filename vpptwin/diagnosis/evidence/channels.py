@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
 from vpptwin.twin.sensors import Constants, age_of_pose, body_force, measure_coordinate, measure_rate
@@ -16,9 +17,6 @@ LEAD = 0.05
 """Start of a window in which poses are not compared: a delayed pose would reach back before it [s]."""
 TRAIL = 0.02
 """End of such a window likewise: a pose stamped too early shows what comes after it [s]."""
-MODEL_FLOOR = {"position": 0.0, "velocity": 0.02, "specific force": 0.1}
-"""Roughness below which no rigid-body twin is believed [m or rad, rad/s, m/s²], added to the sensors' noise: stick-slip
-that switches a few milliseconds early, vibration, blades between two samples."""
 MISSING = 1e6
 """Standard deviations given to a bin without samples, which takes it out of every sum."""
 
@@ -58,9 +56,13 @@ class Channel:
 
 
 def bin_channel(
-    windows: Windows, series: Series, value: np.ndarray, kind: str, axis: int, delayed: bool, lead: float, name: str
-) -> Channel:
-    """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start."""
+    windows: Windows, series: Series, value: np.ndarray, kind: str, axis: int, delayed: bool, lead: float, name: str,
+    floor: float = 0.0,
+) -> Channel:  # fmt: skip
+    """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start.
+
+    No rigid-body twin is believed below the roughness `floor`, which is added to the sensors' noise.
+    """
     length = windows.steps * windows.dt
     bins = round(length / BIN)
     edges = windows.start[:, None] + BIN * np.arange(bins + 1)
@@ -78,24 +80,27 @@ def bin_channel(
     weight = inside / np.maximum(number, 1)[..., None]
     mean = (value[index] * weight).sum(axis=2)
     averaging = np.sqrt(np.maximum(number, 1)) if series.white else 1.0
-    noise = np.hypot(series.std / averaging, MODEL_FLOOR[kind] if series.white else 0.0)
+    noise = np.hypot(series.std / averaging, floor if series.white else 0.0)
     std = np.where(number > 0, noise, MISSING * series.std)
     offset = np.where(inside, series.time[index] - windows.start[:, None, None], 0.5 * length)
     return Channel(name, series.unit, kind, axis, delayed, mean, std, offset, weight, series.std)
 
 
-def observe_windows(windows: Windows, measurements: Measurements, lead: float = LEAD) -> list[Channel]:
+def observe_windows(
+    windows: Windows, measurements: Measurements, lead: float = LEAD, criteria: Criteria = CRITERIA
+) -> list[Channel]:
     """All channels of one flight's windows; motion capture is compared from `lead` [s] on."""
     channels = []
     for dof, series in sorted(measurements.positions.items()):
         delayed = dof in measurements.delayed
         channels.append(bin_channel(windows, series, series.value, "position", dof, delayed, lead, series.name))
     for dof, series in sorted(measurements.velocities.items()):
-        channels.append(bin_channel(windows, series, series.value, "velocity", dof, False, 0.0, series.name))
+        floor = criteria.velocity_floor
+        channels.append(bin_channel(windows, series, series.value, "velocity", dof, False, 0.0, series.name, floor))
     if (force := measurements.specific_force) is not None:
         for axis, label in ((0, "body x"), (1, "body z")):
-            name = f"{force.name}, {label}"
-            channels.append(bin_channel(windows, force, force.value[:, axis], "specific force", axis, False, 0.0, name))
+            name, value, floor = f"{force.name}, {label}", force.value[:, axis], criteria.specific_force_floor
+            channels.append(bin_channel(windows, force, value, "specific force", axis, False, 0.0, name, floor))
     return channels
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import LEAD, join_channels, observe_windows
 from vpptwin.diagnosis.evidence.motor import observe_motor
@@ -110,6 +111,7 @@ def build_bench(
     length: float,
     causal: bool,
     progress: Callable[[int], None] | None = None,
+    criteria: Criteria = CRITERIA,
 ) -> Bench:
     """Windows and channels of several flights on one bench."""
     windows, channels = [], []
@@ -120,9 +122,10 @@ def build_bench(
         if len(times):
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
-            seen = observe_windows(cut, flight, 0.0 if causal and length > spec.robot.window else LEAD)
+            lead = 0.0 if causal and length > spec.robot.window else LEAD
+            seen = observe_windows(cut, flight, lead, criteria)
             if motors:
-                seen += observe_motor(cut, flight, spec.vehicle.motor)
+                seen += observe_motor(cut, flight, spec.vehicle.motor, criteria)
             channels.append(seen)
     names = [[c.name for c in part] for part in channels]
     if any(n != names[0] for n in names):
@@ -132,7 +135,8 @@ def build_bench(
             "diagnose logs of one kind together",
         )
     segments = max(round(length / SEGMENT), 1)
-    return Bench(spec, join_windows(windows), join_channels(channels), segments, measurements, causal, progress)
+    joined = join_windows(windows), join_channels(channels)
+    return Bench(spec, *joined, segments, measurements, causal, progress, criteria)
 
 
 def long_starts(starts: Sequence[np.ndarray], window: float) -> list[np.ndarray]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vpptwin.actuators.layer import SUPPLY, supply
 from vpptwin.actuators.motor import compute_current
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import MISSING, Channel
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
@@ -21,26 +22,26 @@ SPEED, CURRENT = "rotor speed", "current"
 MOTOR_BIN = 0.05
 """Samples are averaged over bins of about this length [s]: a motor answers in 52 ms, while a governor that feeds
 the noise of a single speed back makes current noisy from sample to sample."""
-SPEED_FLOOR, CURRENT_FLOOR = 0.3, 0.05
-"""Roughness below which no model of a motor is believed [rad/s, A], added to the sensors' noise: what the speed at a
-window's start is uncertain by, and 0.6 % of drag; 1 % of the current in hover."""
 
 
-def observe_motor(windows: Windows, measurements: Measurements, motor: Motor) -> list[Channel]:
+def observe_motor(
+    windows: Windows, measurements: Measurements, motor: Motor, criteria: Criteria = CRITERIA
+) -> list[Channel]:
     """Channels of rotor speeds and currents of one flight's windows; none without throttle and rotor speed.
 
     Args:
         windows: of the flight.
         measurements: of the flight.
         motor: constants by which current follows speed.
+        criteria: the roughness below which no model of a motor is believed.
     """
     speed, current = measurements.rotor_speed, measurements.current
     if windows.throttle is None or speed is None:
         return []
-    channels = [bin_rotor(windows, speed, SPEED, i, speed.std, SPEED_FLOOR) for i in range(2)]
+    channels = [bin_rotor(windows, speed, SPEED, i, speed.std, criteria.rotor_speed_floor) for i in range(2)]
     if current is not None:
         noise = float(np.hypot(current.std, speed.std / (motor.k_v * motor.resistance)))
-        channels += [bin_rotor(windows, current, CURRENT, i, noise, CURRENT_FLOOR) for i in range(2)]
+        channels += [bin_rotor(windows, current, CURRENT, i, noise, criteria.current_floor) for i in range(2)]
     return channels
 
 

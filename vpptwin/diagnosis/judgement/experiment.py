@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
 from vpptwin.diagnosis.judgement.verdict import Experiment
@@ -34,8 +35,6 @@ FLOWN = 12.0
 SHARE = 0.25
 """Of a flight's windows that is looked at: spread evenly, but in step with nothing that the manoeuvre repeats."""
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
-LEAST = 1.0
-"""A manoeuvre that separates less [sigma] is not worth flying."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Candidate:
 
 
 def propose_experiment(
-    spec: TwinSpec, hypotheses: Sequence[Hypothesis], unknowns: Sequence[Unknown]
+    spec: TwinSpec, hypotheses: Sequence[Hypothesis], unknowns: Sequence[Unknown], criteria: Criteria = CRITERIA
 ) -> Experiment | None:
     """The safe manoeuvre after which the named hypothesis and its rivals are furthest apart.
 
@@ -59,6 +58,7 @@ def propose_experiment(
         spec: the twin that was diagnosed.
         hypotheses: the named one first, then its rivals, with the values fitted to the flights so far.
         unknowns: parameters that may be wrong, of all effects.
+        criteria: those of the diagnosis.
 
     Returns:
         The experiment; None where there is none, for a reason that `explain_absence` gives.
@@ -69,10 +69,10 @@ def propose_experiment(
         candidates = fly_library(spec, hypotheses)
         if not candidates:
             return None
-        bench = observe_candidates(spec, candidates)
+        bench = observe_candidates(spec, candidates, criteria)
         times = np.array([c.manoeuvre.duration / spec.robot.window for c in candidates])
         sigma = separate(bench, hypotheses, unknowns, times)
-    told = [i for i in range(len(sigma)) if sigma[i].max() >= LEAST]
+    told = [i for i in range(len(sigma)) if sigma[i].max() >= criteria.worth_flying]
     if not told:
         return None
     nearest = sigma[told].min(axis=0)
@@ -137,10 +137,10 @@ def list_references(vehicle: Vehicle) -> tuple[list[Manoeuvre], list[Reference]]
     return library, references
 
 
-def observe_candidates(spec: TwinSpec, candidates: Sequence[Candidate]) -> Bench:
+def observe_candidates(spec: TwinSpec, candidates: Sequence[Candidate], criteria: Criteria = CRITERIA) -> Bench:
     """Windows of every candidate's flight; `windows.flight` tells whose."""
     measurements = [read_measurements(spec, candidate.flight) for candidate in candidates]
     length = spec.robot.window
     starts = [np.arange(m.start + SETTLE, m.end - length, length) for m in measurements]
     starts = [every[GOLDEN * np.arange(len(every)) % 1.0 < SHARE] for every in starts]
-    return build_bench(spec, measurements, starts, length, causal=False)
+    return build_bench(spec, measurements, starts, length, causal=False, criteria=criteria)

@@ -18,17 +18,9 @@ from vpptwin.diagnosis.search.likelihood import (
     Response,
     couple_gusts,
     measure_response,
-    rotary_dofs,
     whiten_with,
 )
 from vpptwin.estimation.windows import Windows
-
-BLOCK = 1.5
-"""Windows within this time [s] count as one when errors are resampled."""
-WATCHED = 0.25
-"""No cause may make the error up to this horizon [s] worse."""
-WORSE = 0.1
-"""Share by which an error may grow: of the effects that are there none costs more."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class HeldOut:
     """
 
     def __init__(self, short: Bench, long: Bench) -> None:
-        self.short, self.long = short, long
+        self.short, self.long, self.criteria = short, long, short.criteria
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
         self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
@@ -94,7 +86,7 @@ class HeldOut:
         for values in (self.short.without_dry_friction, fit.values) if sticks else ({},):
             likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
             square = (likelihood.whiten(residual) ** 2).sum(axis=1) / fit.frame.scale
-            usual = 3.0 * float(np.median(square))
+            usual = fit.frame.criteria.usual_misfit * float(np.median(square))
             # As in the fit, a window that goes astray must not outvote the others.
             square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
             found.append(square + likelihood.logdet)
@@ -116,14 +108,14 @@ class HeldOut:
             min((self.surprise(fit, sticks, gust) for gust in gusts), key=lambda surprise: float(surprise.sum()))
             for fit, sticks in (before, after)
         ]
-        return improvement(found[0], found[1])
+        return improvement(found[0], found[1], self.criteria.most_drop)
 
     def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether an error of the pose up to `WATCHED` ahead grows by more than `WORSE` and by a standard error."""
-        near = HORIZONS_S.index(WATCHED) + 1
+        """Whether an error of the pose up to `watched` ahead grows by more than `worse` and by a standard error."""
+        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
         ratios = self.error_ratios(before, after)
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
-        return any(bool(np.any((mean > np.log1p(WORSE)) & (mean > error))) for mean, error in grown)
+        return any(bool(np.any((mean > np.log1p(self.criteria.worse)) & (mean > error))) for mean, error in grown)
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`."""
@@ -137,7 +129,7 @@ class HeldOut:
         Root mean squares of blocks are compared, noise of the sensors added to both: no single slip decides.
         """
         first, second, noise = self.squares(before), self.squares(after), self._noise
-        blocks = blocks_of(self.long.windows)
+        blocks = blocks_of(self.long.windows, self.criteria.block)
         found = {}
         for name in first:
             measured = sum_blocks(np.isfinite(first[name]).astype(float), blocks)
@@ -149,7 +141,7 @@ class HeldOut:
     @cached_property
     def _noise(self) -> dict[str, float]:
         """Variance of the sensors as `squares` names them."""
-        rotary = rotary_dofs(self.long.spec)
+        rotary = self.long.spec.robot.rotary
         found: dict[str, float] = {}
         for channel in self.long.channels:
             if channel.kind in ("position", "velocity"):
@@ -201,7 +193,7 @@ class HeldOut:
 
     def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
-        rotary = rotary_dofs(self.long.spec)
+        rotary = self.long.spec.robot.rotary
         sensors = self.long.sensors(values)
         squares: dict[str, np.ndarray] = {}
         for channel in self.long.channels:
@@ -221,7 +213,7 @@ class HeldOut:
     def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
         """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
         first, second = self.squares(before), self.squares(after)
-        blocks = blocks_of(self.long.windows)
+        blocks = blocks_of(self.long.windows, self.criteria.block)
         named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
         result = {}
         for name, old in first.items():
@@ -239,7 +231,7 @@ class HeldOut:
         found = [self.chi2_by_window(values) for values in (without, after, before)]
         squares = np.stack([squares for squares, _ in found])
         number = found[0][1]
-        blocks = blocks_of(self.short.windows)
+        blocks = blocks_of(self.short.windows, self.criteria.block)
         sums = np.stack([sum_blocks(row[:, None], blocks) for row in (*squares, number)])
         drawn = resample(sums)[..., 0]
         drawn = np.concatenate([sums.sum(axis=1).T, drawn])
@@ -249,9 +241,9 @@ class HeldOut:
         return float(share[0]), (float(low), float(high))
 
 
-def blocks_of(windows: Windows) -> np.ndarray:
-    """Which block of flight every window belongs to, (K,): errors of neighbours are alike."""
-    block = np.floor(windows.start / BLOCK).astype(int) + 10**6 * windows.flight
+def blocks_of(windows: Windows, length: float) -> np.ndarray:
+    """Which block of flight, of so many seconds, every window belongs to, (K,): errors of neighbours are alike."""
+    block = np.floor(windows.start / length).astype(int) + 10**6 * windows.flight
     return np.unique(block, return_inverse=True)[1]
 
 
@@ -293,12 +285,12 @@ def tell_apart(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.where(number > 1, np.sqrt(square / np.maximum(number, 1)), np.inf)
 
 
-def improvement(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+def improvement(before: np.ndarray, after: np.ndarray, times: float) -> tuple[float, float]:
     """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
 
-    Drops beyond four times their root mean square count as that much: a window which goes astray does not decide.
+    Drops beyond so many times their root mean square count as that much: a window which goes astray does not decide.
     """
     drop = before - after
-    most = 4.0 * float(np.sqrt(np.mean(drop**2)))
+    most = times * float(np.sqrt(np.mean(drop**2)))
     drop = np.clip(drop, -most, most)
     return float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop))) if len(drop) > 1 else float("inf")

@@ -12,25 +12,11 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut, blocks_of
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, rotary_dofs
+from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std
 from vpptwin.diagnosis.search.search import Search
 
-NO_EFFECT = 0.72
-"""Mean square of the innovations of unmodelled force on sessions of tests/reality without an effect (0.68 to 0.75)."""
-FORCE_LEVEL = 1.2
-"""The same from which something is unexplained: those sessions, and flights of twins that lack nothing, are below."""
-CHANNEL_LEVEL = 1.6
-"""The same for the whitened residual of a channel."""
-ASTRAY = 6.0
-"""A window counts for at most this many times the median of its flight: a slip that comes early is no effect."""
 FITTED = 10**6
 """Tells fitted windows of a flight from its held-out ones."""
-DEPENDS = 0.1
-"""Share of the missing force's variance that a quantity must predict on other stretches of flight to be named."""
-STRUCTURE = 0.25
-"""Predicted share of the missing force from which a rig without known no-effect flights has something unexplained."""
-MATTERS = 0.05
-"""Share of what was missing before that must be left for it."""
 BINS = (4, 8, 16, 48)
 FOLDS = 4
 
@@ -109,30 +95,31 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         return judge_structure(parts[1], before[1], fit.likeliest)
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     names = np.unique(flights)
-    force = clip_astray(np.concatenate([part.squares_of_force() for part in parts]), flights)
+    criteria = search.criteria
+    force = clip_astray(np.concatenate([part.squares_of_force() for part in parts]), flights, criteria.astray)
     rows = np.concatenate([part.squares_of_channels() for part in parts], axis=1)
-    channels = np.array([clip_astray(row, flights) for row in rows])
+    channels = np.array([clip_astray(row, flights, criteria.astray) for row in rows])
     levels = np.array([force[flights == name].mean() for name in names])
     errors = np.array([force[flights == name].std() / np.sqrt((flights == name).sum()) for name in names])
     of_channels = np.array([[row[flights == name].mean() for name in names] for row in channels])
-    excess = np.concatenate([part.squares_of_force() for part in before]).mean() - NO_EFFECT
-    share = float(np.clip((force.mean() - NO_EFFECT) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
+    excess = np.concatenate([part.squares_of_force() for part in before]).mean() - criteria.no_effect
+    share = float(np.clip((force.mean() - criteria.no_effect) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
     worst = int(np.argmax(levels))
-    sigma = float(max((levels[worst] - NO_EFFECT) / max(errors[worst], 1e-9), 0.0))
-    quiet = levels[worst] <= FORCE_LEVEL and of_channels.max() <= CHANNEL_LEVEL
-    if quiet or (fit.effects and share < MATTERS):
+    sigma = float(max((levels[worst] - criteria.no_effect) / max(errors[worst], 1e-9), 0.0))
+    quiet = levels[worst] <= criteria.force_level and of_channels.max() <= criteria.channel_level
+    if quiet or (fit.effects and share < criteria.matters):
         return Leftover(Unexplained(False, share, None, [], sigma), None)
     loud, where = np.unravel_index(np.argmax(of_channels), of_channels.shape)
-    flight = names[worst if levels[worst] > FORCE_LEVEL else where]
+    flight = names[worst if levels[worst] > criteria.force_level else where]
     index = int(flight >= FITTED)
     found = find_dependence(parts[index], before[index], fit.likeliest)
     channel = search.bench.channels[int(loud)].name
     return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
 
 
-def clip_astray(squares: np.ndarray, flights: np.ndarray) -> np.ndarray:
-    """Squares of windows, (K,), none above so many times the median of its flight."""
-    most = {flight: ASTRAY * float(np.median(squares[flights == flight])) for flight in np.unique(flights)}
+def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.ndarray:
+    """Squares of windows, (K,), none above so many times the median of its flight: early slips are no effect."""
+    most = {flight: times * float(np.median(squares[flights == flight])) for flight in np.unique(flights)}
     return np.minimum(squares, [most[flight] for flight in flights])
 
 
@@ -151,7 +138,7 @@ def judge_structure(part: Part, before: Part, values: Mapping[Key, float]) -> Le
     channels = part.squares_of_channels().mean(axis=1)
     share = found.share * found.kept
     sigma = float(found.share / max(1.0 - found.share, 1e-6) * np.sqrt(len(part.bench.windows)))
-    if found.share < STRUCTURE or share < MATTERS:
+    if found.share < part.bench.criteria.structure or share < part.bench.criteria.matters:
         return Leftover(Unexplained(False, share, None, [], sigma), None)
     channel = part.bench.channels[int(np.argmax(channels))].name
     return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
@@ -179,18 +166,18 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     bench = part.bench
     missing, old = (missing_wrench(bench, p.response, p.residual) for p in (part, before))
     model = bench.spec.model
-    dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench.spec), 1e-30) ** 2))
+    dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench), 1e-30) ** 2))
     force = missing[:, :, dof].ravel()
-    fold = np.repeat(blocks_of(bench.windows) % FOLDS, bench.segments)
+    fold = np.repeat(blocks_of(bench.windows, bench.criteria.block) % FOLDS, bench.segments)
     found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in list_quantities(part, values)]
     found.sort(key=lambda item: -item[0])
     joint = model.joint(int(model.dof_jntid[dof])).name
-    unit = "N m" if rotary_dofs(bench.spec)[dof] else "N"
+    unit = "N m" if bench.spec.robot.rotary[dof] else "N"
     share, label, quantity = found[0]
     kept = float(np.clip((missing**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
     y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
     plot = WrenchPlot(quantity.ravel(), old[:, :, dof].ravel(), force, label, y_label)
-    named = [name.split(" [")[0] for part_of_it, name, _ in found if part_of_it > DEPENDS][:3]
+    named = [name.split(" [")[0] for part_of_it, name, _ in found if part_of_it > bench.criteria.depends][:3]
     return Dependence(named, share, kept, plot)
 
 
@@ -208,7 +195,7 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
         pieces = np.array_split(track, bench.segments, axis=1)
         named.append((label, np.stack([piece.mean(axis=1) for piece in pieces], axis=1) + missed))
 
-    rotary = rotary_dofs(bench.spec)
+    rotary = bench.spec.robot.rotary
     for dof in range(model.nv):
         joint, unit = model.joint(int(model.dof_jntid[dof])).name, "rad" if rotary[dof] else "m"
         add(f"{joint} position [{unit}]", pose[0, :, 1:, dof], part.missed_on_average("position", dof))

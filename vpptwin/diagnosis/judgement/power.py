@@ -11,9 +11,6 @@ from vpptwin.diagnosis.search.solution import scatter_by_stretch, solve_hypothes
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import Effect
 
-SEEN = 4.0
-"""Standard deviations by which a typical size must stand out for its absence to mean something."""
-
 
 def judge_power(search: Search, fit: Fit, accused: frozenset[str]) -> tuple[list[Cleared], list[Unseen]]:
     """Sort the effects that are not accused into those that would have shown and those that could not.
@@ -48,7 +45,7 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
     scatter = scatter_by_stretch(fit.about, solution, search.bench)
     std = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
     # The range that was looked through counts as prior knowledge; it must not pass for something seen.
-    if std > 0.5 * strength.width or parameter.size < SEEN * std:
+    if std > search.criteria.known_width * strength.width or parameter.size < search.criteria.seen * std:
         return Unseen(effect.id, describe_blindness(effect, parameter.size / max(std, 1e-12), search))
     value = float(fit.about.at[i] + solution.deviation[i])
     low, high = (float(parameter.clip(np.array(value + side * 1.645 * std))) for side in (-1.0, 1.0))
@@ -66,7 +63,7 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
             continue
         cross = about.columns @ column
         square = float(column @ column) / scale - float(cross @ base.covariance @ cross) / scale**2
-        if square > SEEN**2:
+        if square > search.criteria.seen**2:
             best = max(best, trial.values[limit.key])
     if best == 0.0:
         return Unseen(limit.effect.id, "nothing these flights did comes near a limit")

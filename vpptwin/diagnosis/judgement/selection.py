@@ -7,36 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
-from vpptwin.diagnosis.search.search import BAR, MAX_CAUSES, STARTS, Search, Step
+from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.effects import Effect
 from vpptwin.effects import Stage as EffectStage
-
-TEMPER = 1.5
-"""Differences in evidence are divided by this before they become probabilities: no noise model is exact."""
-RIVAL_SIGMA = 3.0
-"""A rival within so many sigma of the named cause is reported with it."""
-SIGMAS_HELD_OUT = 2.0
-"""Standard errors by which a cause must improve the held-out windows."""
-STRONG = 8.0 * BAR
-"""Evidence on fitted windows beyond which held-out ones must not speak against a cause by more than their standard
-error: whether a slider slips a little earlier decides much in a few windows, and those cannot outvote that."""
-POWERLESS = 25.0
-"""Whitened change of prediction, squared and summed, under which held-out windows cannot judge an effect at all; it is
-then named on twice the evidence, unless they speak against it."""
-HINT, BARS_TOGETHER = 0.8, 1.2
-"""Bars that fitted windows alone must bring, and that they and the held-out ones must bring together."""
-TOLERANCES = 2.5
-"""Build tolerances that a parameter must leave its nominal by before its effect is named."""
-KINSHIP = 0.05
-"""Share of a named cause's evidence that another effect of its kind must bring beside it."""
-BETTER = 2.0
-"""Evidence by which a rival must be better to take a cause's place."""
-MOST_SWAPS = 2
-MOST_STEPS = 9
-"""Steps of the search: flights that no known effect explains would keep it busy for ever."""
 
 Stage = Callable[[str], None]
 
@@ -61,14 +38,15 @@ class Selection:
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
-        doubt = float(np.exp(-0.5 * min(max(self.evidence[effect], 0.0), 1400.0) / TEMPER))
+        criteria = self.fit.frame.criteria
+        doubt = float(np.exp(-0.5 * min(max(self.evidence[effect], 0.0), 1400.0) / criteria.temper))
         others = sum(rival.confidence for rival in self.rivals[effect])
-        return float(min((1.0 - others) * (1.0 - 0.5 * doubt), 0.999))
+        return float(min((1.0 - others) * (1.0 - 0.5 * doubt), criteria.most_confident))
 
 
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
-    fit, barred, swaps, steps = search.start, frozenset[str](), 0, 0
+    fit, barred, swaps, steps, criteria = search.start, frozenset[str](), 0, 0, search.criteria
     earlier_drops: dict[str, float] = {}
     first: Step | None = None
     while True:
@@ -77,7 +55,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         step = search.extend(fit, barred)
         first, steps = first or step, steps + 1
         accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
-        if accepted is not None and len(fit.effects) < MAX_CAUSES and steps < MOST_STEPS:
+        if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
             fit = search.drop_superfluous(search.reframe(best))
             barred |= step.before.effects - fit.effects
@@ -88,9 +66,9 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             effect: {rival: evidence_against_rival(search, held_out, fit, tried) for rival, tried in step.tried.items()}
             for effect, step in replaced.items()
         }
-        better = find_better(search, evidence, earlier_drops) if swaps < MOST_SWAPS else None
+        better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
         if better is None:
-            rivals = {effect: weigh_rivals(row) for effect, row in evidence.items()}
+            rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             return Selection(fit, first, rivals, instead, beside)
@@ -113,9 +91,9 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
     """Free these effects one after the other, each from its best starts, all of them fitted together in the end."""
     fit = search.start
     for effect in effects:
-        starts = [start for start in search.rank(fit) if start.effect == effect][:STARTS]
+        starts = [start for start in search.rank(fit) if start.effect == effect]
         freed = fit.effects | {effect}
-        found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts]
+        found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts[: search.criteria.starts]]
         fit = search.reframe(find_cheapest(found))
     return fit
 
@@ -124,19 +102,21 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     """Whether a suspect clears the bar, leaves its build tolerance and predicts held-out windows better.
 
     Beside a cause that looks like it, it must bring a good part of what that cause brought: no law of friction is
-    exact, and what one leaves over another of its kind would mop up. `earlier_drops` are drops in cost of the frames in
-    which causes were added, in which noise was larger than it is now: a cautious yardstick, no difference is taken.
+    exact, and what one leaves over another of its kind would mop up. `earlier_drops` are each of the frame in
+    which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
     """
-    tried, drop = step.tried[effect], step.drop(effect)
-    alike = [e for e in earlier_drops if e in tried.effects and look_alike(search, effect, e)]
-    if drop < HINT * BAR + KINSHIP * max((earlier_drops[e] for e in alike), default=0.0):
+    tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
+    kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
+    if drop < criteria.bars_fitted * criteria.bar + criteria.kinship * max(kin, default=0.0):
         return False
     own = [u for u in search.unknowns if u.effect.id == effect]
-    if all(abs(tried.values[u.key] - u.nominal) < TOLERANCES * u.parameter.tolerance for u in own):
+    if all(abs(tried.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return False
     gain, error = compare(search, held_out, step.before, tried)
-    agreed = gain > (-1.0 if drop > STRONG else SIGMAS_HELD_OUT) * error and drop + gain > BARS_TOGETHER * BAR
-    undecided = drop > 2.0 * BAR and gain > -SIGMAS_HELD_OUT * error
+    strong = drop > criteria.bars_strong * criteria.bar
+    agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error
+    agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
+    undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
     if not agreed and not (undecided and is_powerless(held_out, step.before, tried)):
         return False
     if held_out.worsens(step.before.values, tried.values):
@@ -148,7 +128,7 @@ def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
     """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
     likelihood = held_out.likelihood({}, after.likelihood.gust)
     changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
-    return bool((changed**2).sum() < POWERLESS)
+    return bool((changed**2).sum() < after.frame.criteria.powerless)
 
 
 def trusts_errors(search: Search) -> bool:
@@ -168,7 +148,7 @@ def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple
 def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
     """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
 
-    Where errors have the last word, it is theirs if they differ by `SIGMAS_HELD_OUT` standard errors; and a rival that
+    Where errors have the last word, it is theirs if they differ by `sigmas_held_out` standard errors; and a rival that
     makes them grow is never better.
     """
     gain, error = compare(search, held_out, rival, fit)
@@ -176,7 +156,7 @@ def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: F
     if not trusts_errors(search):
         return evidence
     sigmas = held_out.prefer(rival.values, fit.values)
-    if abs(sigmas) > SIGMAS_HELD_OUT:
+    if abs(sigmas) > search.criteria.sigmas_held_out:
         evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
     return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
 
@@ -218,20 +198,23 @@ def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str
     laws are inexact, it is the one with fewer parameters that is named.
     """
     effects = {u.effect.id: u.effect for u in search.unknowns}
+    better = search.criteria.better
     richer = len(effects[rival].parameters) - len(effects[effect].parameters)
     if richer == 0 or not rub_together(effects[effect], effects[rival]):
-        return BETTER
-    inexact = max(BETTER, KINSHIP * earlier_drops.get(effect, 0.0))
+        return better
+    inexact = max(better, search.criteria.kinship * earlier_drops.get(effect, 0.0))
     return inexact if richer > 0 else -inexact
 
 
-def weigh_rivals(evidence: Mapping[str, float]) -> list[Rival]:
+def weigh_rivals(evidence: Mapping[str, float], criteria: Criteria) -> list[Rival]:
     """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
 
     Args:
         evidence: rival → evidence for the cause against it.
+        criteria: how far evidence is believed, and which rivals are near.
     """
-    close = {name: gap for name, found in evidence.items() if (gap := max(found, 0.0) / TEMPER) < RIVAL_SIGMA**2}
+    gaps = {name: max(found, 0.0) / criteria.temper for name, found in evidence.items()}
+    close = {name: gap for name, gap in gaps.items() if gap < criteria.rival_sigma**2}
     weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
     total = 1.0 + sum(weights.values())
     ordered = sorted(close, key=lambda name: close[name])

@@ -12,9 +12,6 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.likelihood import Response, gust_std, whiten_with
 from vpptwin.effects import Effect
 
-WIDE = 30.0
-"""The pulses may be this many times stronger than gusts: strong enough to show any effect, bounded where unseen."""
-
 
 @dataclass(frozen=True)
 class WrenchPlot:
@@ -39,9 +36,9 @@ def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np
     """Force pulses that explain the residuals (K, M) of a twin that responds so, (K, segments, nv) N, N m."""
     white = whiten_with(response.sensor_factor, residual)
     columns = whiten_with(response.sensor_factor, np.moveaxis(response.push, 2, 0))
-    gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / WIDE**2
+    gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / bench.criteria.missing_force**2
     share = np.linalg.solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
-    return share.reshape(len(residual), bench.segments, -1) * gust_std(bench.spec)
+    return share.reshape(len(residual), bench.segments, -1) * gust_std(bench)
 
 
 def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) -> WrenchPlot:
@@ -50,7 +47,7 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     model = bench.spec.model
     before, after = (missing_wrench(bench, held_out.response(v), held_out.residual(v)) for v in ({}, values))
     joints = {model.joint(i).name: int(model.joint(i).dofadr[0]) for i in range(model.njnt)}
-    drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench.spec) ** 2
+    drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
     joint = model.joint(int(model.dof_jntid[dof]))
     rotary = bool(bench.spec.robot.rotary[dof])

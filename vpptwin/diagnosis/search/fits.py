@@ -21,10 +21,6 @@ POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
-NONLINEAR = 0.1
-"""Share of what a twin misses in a window that no linearised gust or starting state is believed to explain."""
-YIELDING = 300.0
-"""Cost by which a looser response must be likelier to set the parameters: gusts then explain a part of friction."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +90,7 @@ class Fitter:
 
     def __init__(self, bench: Bench, unknowns: Sequence[Unknown]) -> None:
         self.bench, self.unknowns = bench, tuple(unknowns)
+        self.criteria = bench.criteria
         self.trials = list_trials(self.unknowns, bench)
         self.responses = Responses(bench)
         self._derivatives: dict[frozenset[str], Derivatives] = {}
@@ -153,7 +150,7 @@ class Fitter:
         if not sticking:
             return loose
         tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
-        chosen = tight if tight.evidence_against(loose) > -YIELDING else loose
+        chosen = tight if tight.evidence_against(loose) > -self.criteria.yielding else loose
         return replace(chosen, cost=find_cheapest([tight, loose]).cost)
 
     def reframe(self, fit: Fit) -> Fit:
@@ -176,7 +173,7 @@ class Fitter:
         self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray
     ) -> Fit:
         """A fit in a new frame, which is found from what the hypothesis misses; `floor` serves until then."""
-        plain = Frame(np.ones(self.bench.valid.size), 1.0, floor)
+        plain = Frame(np.ones(self.bench.valid.size), 1.0, floor, self.criteria)
         assumed = np.ones(self.bench.spec.model.nv)
         likelihood = couple_gusts(self.bench, self.responses.find(sticking, floor, values), assumed)
         about = self._linearise(values, effects, self._derive(effects, values, likelihood, plain))
@@ -185,7 +182,8 @@ class Fitter:
         likelihood = self._tune(about, effects, response)
         about = about.under(likelihood, floored)
         residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
-        weight = weigh_windows(residual.reshape(len(self.bench.windows), -1), self.bench.valid)
+        residuals = residual.reshape(len(self.bench.windows), -1)
+        weight = weigh_windows(residuals, self.bench.valid, self.criteria.usual_misfit)
         scale = max(1.0, float(((residual * weight) ** 2).sum()) / response.freedom)
         frame = replace(floored, weight=weight, scale=scale)
         return self.judge_alone(self.fit(effects, values, about.under(likelihood, frame)))
@@ -195,7 +193,8 @@ class Fitter:
         floor = np.empty_like(missed)
         for columns in self.bench.columns:
             number = np.maximum(self.bench.valid[:, columns].sum(axis=1, keepdims=True), 1)
-            floor[:, columns] = NONLINEAR * np.sqrt((missed[:, columns] ** 2).sum(axis=1, keepdims=True) / number)
+            rms = np.sqrt((missed[:, columns] ** 2).sum(axis=1, keepdims=True) / number)
+            floor[:, columns] = self.criteria.nonlinear * rms
         return floor
 
     def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.search.likelihood import Likelihood
 
 
@@ -18,11 +19,13 @@ class Frame:
         weight: of every whitened residual, (K M,); windows that go astray count less.
         scale: variance of the whitened residual; costs are divided by it.
         floor: standard deviation that is added to the sensors' noise, (K, M).
+        criteria: thresholds of the diagnosis.
     """
 
     weight: np.ndarray
     scale: float
     floor: np.ndarray
+    criteria: Criteria = CRITERIA
 
     def whiten(self, raw: np.ndarray, likelihood: Likelihood) -> np.ndarray:
         """Rows (V, K, M) whitened by a likelihood and weighted, (V, K M)."""
@@ -90,13 +93,13 @@ def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Li
     return Linearisation(frame, likelihood, at, slopes, missed, trials, columns, residual[0], tried)
 
 
-def weigh_windows(residual: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def weigh_windows(residual: np.ndarray, valid: np.ndarray, times: float) -> np.ndarray:
     """Square roots of Student-t weights, one a window, for whitened residuals (K, M); flat, (K M,).
 
-    A window that fits no better than three times the usual misfit counts less: a collision, a glitch, or a slip that
+    A window that fits no better than so many times the usual misfit counts less: a collision, a glitch, or a slip that
     came early there must not outvote all the others.
     """
     square = (residual**2).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
-    usual = 3.0 * float(np.median(square))
+    usual = times * float(np.median(square))
     weight = np.sqrt(2.0 * usual / (usual + np.maximum(square, usual)))
     return np.repeat(weight, residual.shape[1])

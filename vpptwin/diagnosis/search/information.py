@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.bench import Variation
 from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
 from vpptwin.diagnosis.search.suspects import Unknown, list_trials
@@ -14,10 +15,6 @@ from vpptwin.twin.spec import TwinSpec
 
 SAMPLE = 16
 """Windows of every flight that are looked at."""
-JUDGING = 0.5
-"""What it is worth that an effect shows where it is judged, against that it shows where it is fitted."""
-ENOUGH = 50.0
-"""Squared signal to noise of a typical size at which an effect counts as half seen."""
 
 
 def measure_information(
@@ -25,12 +22,13 @@ def measure_information(
     measurements: Sequence[Measurements],
     unknowns: tuple[Unknown, ...],
     progress: Callable[[int], None] | None,
+    criteria: Criteria,
 ) -> np.ndarray:
     """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
     window = spec.robot.window
     starts = list_starts(measurements, window)
     sample = [s[np.linspace(0, len(s) - 1, min(SAMPLE, len(s))).astype(int)] for s in starts]
-    bench = build_bench(spec, measurements, sample, window, False, progress)
+    bench = build_bench(spec, measurements, sample, window, False, progress, criteria)
     effects = list(dict.fromkeys(u.effect.id for u in unknowns))
     variations, rows = [Variation()], []
     for unknown in unknowns:
@@ -52,13 +50,14 @@ def measure_information(
     return found
 
 
-def choose_judges(information: np.ndarray) -> set[int]:
+def choose_judges(information: np.ndarray, criteria: Criteria) -> set[int]:
     """A third of the flights (at least one), chosen one by one so that what is left shows as many effects as possible.
 
     Of flights that the others can do without, those judge that show most themselves.
 
     Args:
         information: (flights, effects).
+        criteria: what counts as seen, and what it is worth.
     """
     count = len(information)
     kept = set(range(count))
@@ -66,7 +65,8 @@ def choose_judges(information: np.ndarray) -> set[int]:
 
         def seen_without(flight: int) -> float:
             left, own = information[sorted(kept - {flight})].sum(axis=0), information[flight]
-            return float((left / (left + ENOUGH)).sum() + JUDGING * (own / (own + ENOUGH)).sum())
+            seen = [float((part / (part + criteria.half_seen)).sum()) for part in (left, own)]
+            return seen[0] + criteria.judging_worth * seen[1]
 
         kept.discard(max(sorted(kept, reverse=True), key=seen_without))
     return set(range(count)) - kept

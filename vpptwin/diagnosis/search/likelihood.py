@@ -15,18 +15,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
-from vpptwin.twin.spec import TwinSpec
 
-START_POSE = {False: 0.02, True: 0.1}
-"""Prior on the starting pose [m], rotary [rad]: wide, the window itself pins it down."""
-START_VELOCITY = {False: 0.3, True: 1.0}
-"""Prior on the starting velocity [m/s], rotary [rad/s]."""
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
-LEAST_GUST, MOST_GUST = 0.2, 50.0
-"""Bounds of the gusts' strength as a multiple of what is assumed."""
-GUST_DOUBT = 2.0
-"""How well that is known beforehand: standard deviation of its logarithm."""
 MOST_COUPLED = 48
 """Windows in a stretch: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STEP_POSE = {False: 0.002, True: 0.005}
@@ -112,14 +103,9 @@ def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
     return result if residual.ndim == 3 else result[0]
 
 
-def gust_std(spec: TwinSpec) -> np.ndarray:
+def gust_std(bench: Bench) -> np.ndarray:
     """Standard deviation of an unmodelled force pulse per degree of freedom, (nv,) N, N m."""
-    return spec.robot.disturbance.std
-
-
-def rotary_dofs(spec: TwinSpec) -> np.ndarray:
-    """Which degrees of freedom are angles, (nv,) bool."""
-    return spec.robot.rotary
+    return bench.criteria.gust * bench.spec.robot.disturbance.std
 
 
 def likeness_of_gusts(bench: Bench, time: np.ndarray) -> np.ndarray:
@@ -178,7 +164,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     """
     if not bench.spec.robot.disturbance.known:
         return np.ones(bench.spec.model.nv)
-    along = response.along(residual)
+    along, criteria = response.along(residual), bench.criteria
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
     nv = bench.spec.model.nv
     one = np.eye(response.triangles.shape[1])
@@ -193,9 +179,9 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         square = (white**2).sum(axis=1) / scale
         # Student-t of 4 degrees of freedom for every value: a window that goes astray must not make a storm.
         heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
-        return float(heavy.sum() + logdet + ((log_gust / GUST_DOUBT) ** 2).sum())
+        return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
 
-    low, high = np.log(LEAST_GUST), np.log(MOST_GUST)
+    low, high = np.log(criteria.least_gust), np.log(criteria.most_gust)
     found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
 
@@ -206,7 +192,7 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
     """
     spec, nv = bench.spec, bench.spec.model.nv
-    rotary, assumed = rotary_dofs(spec), gust_std(spec)
+    rotary, assumed, criteria = spec.robot.rotary, gust_std(bench), bench.criteria
     variations = [Variation(values)]
     sizes = []
     for dof in range(nv):
@@ -225,7 +211,8 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     predicted = bench.predict(variations, values)
     slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
-    prior = np.array([START_POSE[bool(r)] for r in rotary] + [START_VELOCITY[bool(r)] for r in rotary])
+    pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
+    prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
     return assemble(bench, np.moveaxis(state, 0, -1), prior, np.moveaxis(push, 0, -1))
 
 

@@ -10,20 +10,6 @@ from vpptwin.diagnosis.search.fits import Fit, Fitter, find_cheapest
 from vpptwin.diagnosis.search.shortlist import Start, rank_effects, rank_trials, start_from_look_alikes
 from vpptwin.diagnosis.search.solution import solve_hypothesis
 
-SHORTLIST = 5
-"""Suspects that are refitted in the twin at every step of the search."""
-STARTS = 2
-"""Places of a shape or a limit from which a refit starts."""
-MAX_CAUSES = 5
-BAR = 10.0
-"""Drop in cost (twice the log of the evidence) that a cause must bring, beyond what build tolerances explain."""
-WORTH_A_REFIT = 8.0
-"""Drop in cost by linearisation from which a suspect is refitted."""
-HOPE = 0.4
-"""Share of a cause's drop in cost, by linearisation, from which a rival is refitted."""
-CHANCE = 0.25
-"""Share of the best suspect's drop in cost from which another is judged under its own likelihood."""
-
 
 @dataclass(frozen=True)
 class Step:
@@ -75,13 +61,13 @@ class Search(Fitter):
         starts: dict[str, list[Start]] = {}
         for start in self.rank(fit, barred):
             starts.setdefault(start.effect, []).append(start)
-        least = WORTH_A_REFIT
+        least = self.criteria.worth_a_refit
         if against in starts:
-            least = max(least, HOPE * starts.pop(against)[0].drop)
-        names = [name for name in starts if starts[name][0].drop > least][:SHORTLIST]
+            least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
+        names = [name for name in starts if starts[name][0].drop > least][: self.criteria.shortlist]
         found: dict[str, Fit] = {}
         for name in names:
-            self._refit(found, fit, starts[name][:STARTS])
+            self._refit(found, fit, starts[name][: self.criteria.starts])
         if found:
             best = find_cheapest(list(found.values()))
             (leader,) = best.effects - fit.effects
@@ -95,7 +81,7 @@ class Search(Fitter):
                 if start.effect in starts and (rest or start.effect not in found):
                     self._refit(found, fit, [start])
         drops = {name: refitted.evidence_against(fit) for name, refitted in found.items()}
-        least = max(CHANCE * max(drops.values(), default=0.0), 0.0)
+        least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         return Step(fit, {name: self.judge_alone(found[name]) for name, drop in drops.items() if drop >= least})
 
     def _refit(self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start]) -> None:
@@ -112,7 +98,7 @@ class Search(Fitter):
         """Leave out every effect without which the rest explains the data as well."""
         while len(fit.effects) > 1:
             weakened = find_cheapest([self.without(fit, effect) for effect in sorted(fit.effects)])
-            if fit.evidence_against(weakened) > BAR:
+            if fit.evidence_against(weakened) > self.criteria.bar:
                 return fit
             fit = self.reframe(weakened)
         return fit

@@ -11,11 +11,6 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.suspects import Unknown
 
-STRETCH = 1.2
-"""Windows within this time [s] count as one when the scatter of a parameter is judged: gusts outlast a window."""
-MOST_TOLERATED = 3.0
-"""An effect that is not freed stays within this many of its build tolerances."""
-
 
 @dataclass(frozen=True)
 class Solution:
@@ -37,14 +32,14 @@ def solve_hypothesis(
         freed: ids of effects whose parameters the data may move anywhere inside the bounds.
         frozen: the freed parameters stay where they are; only the others move.
     """
-    scale = about.frame.scale
+    scale, reach = about.frame.scale, about.frame.criteria.most_tolerated
     nominal = np.array([u.nominal for u in unknowns])
     free = np.array([u.effect.id in freed for u in unknowns])
     width = np.array([u.width if f else max(u.parameter.tolerance, 1e-12) for u, f in zip(unknowns, free)])
     low = np.array([u.parameter.low for u in unknowns])
     high = np.array([u.parameter.high for u in unknowns])
-    low = np.where(free, low, np.maximum(low, nominal - MOST_TOLERATED * width)) - about.at
-    high = np.where(free, high, np.minimum(high, nominal + MOST_TOLERATED * width)) - about.at
+    low = np.where(free, low, np.maximum(low, nominal - reach * width)) - about.at
+    high = np.where(free, high, np.minimum(high, nominal + reach * width)) - about.at
     # A freed parameter is not drawn anywhere: only its range is known.
     pull = np.where(free, 0.0, nominal - about.at)
     moving = ~(free & frozen)
@@ -90,7 +85,7 @@ def scatter_by_stretch(about: Linearisation, solution: Solution, bench: Bench) -
     scores = (about.columns * residual).reshape(len(about.columns), len(bench.windows), -1).sum(
         axis=2
     ) / about.frame.scale
-    stretch = np.floor(bench.windows.start / STRETCH).astype(int) + 10**6 * bench.windows.flight
+    stretch = np.floor(bench.windows.start / about.frame.criteria.stretch).astype(int) + 10**6 * bench.windows.flight
     _, index = np.unique(stretch, return_inverse=True)
     sums = np.zeros((index.max() + 1, len(scores)))
     np.add.at(sums, index, scores.T)

@@ -1,0 +1,62 @@
+"""The benchmark of criteria: what changes is counted against the same sessions, and the page is the current one."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from vpptwin.diagnosis.criteria import CRITERIA
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def criteria(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The benchmark."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    return importlib.import_module("criteria")
+
+
+def run(
+    number: int, name: str, change: str, *named: str, confidence: float = 0.95, left: bool = False
+) -> dict[str, Any]:
+    """A made-up diagnosis."""
+    causes = [{"effect": e, "confidence": confidence, "gain": 0.5, "parameters": {}, "rivals": {}} for e in named]
+    found = {"causes": causes, "unexplained": left, "channel": "", "chi2": [2.0, 1.0], "unseen": [], "experiment": "",
+             "seconds": 1.0}  # fmt: skip
+    return {"number": number, "name": name, "change": change, "found": found}
+
+
+def test_counts_stay_counts(criteria: ModuleType) -> None:
+    """Half of 5 suspects are 2, half of 1 is 1; 10 becomes 20; nothing else changes."""
+    assert criteria.vary(CRITERIA, "shortlist", 0.5).shortlist == 2
+    assert criteria.vary(criteria.vary(CRITERIA, "starts", 0.5), "starts", 0.5).starts == 1
+    doubled = criteria.vary(CRITERIA, "bar", 2.0)
+    assert (doubled.bar, doubled.temper) == (20.0, CRITERIA.temper)
+
+
+def test_changes_are_counted_on_the_same_sessions(criteria: ModuleType) -> None:
+    """Of seed 8001 session 3 hides nothing and 7 a torque: a low bar names in 3, a high one misses 7; 0 is left out.
+
+    Session 0 has no diagnosis with the criterion as it is.
+    """
+    runs = [
+        run(3, "", ""), run(7, "", "", "pitch.bias"),
+        run(3, "bar", "halved", "air.drag"), run(7, "bar", "halved", "pitch.bias"), run(0, "bar", "halved"),
+        run(3, "bar", "doubled"), run(7, "bar", "doubled"),
+        run(3, "temper", "halved"), run(7, "temper", "halved", "pitch.bias", confidence=0.96),
+    ]  # fmt: skip
+    table = criteria.compare(runs, 8001)
+    assert criteria.tell_change(table["bar", "halved"]) == "1 of 2 verdicts, wrong 0 → 1, false alarm 0 → 1"
+    assert criteria.tell_change(table["bar", "doubled"]) == "1 of 2 verdicts, detected 1 → 0, in a group 1 → 0"
+    assert criteria.tell_change(table["temper", "halved"]) == "none of 2 verdicts"
+    assert criteria.tell_change(table.get(("temper", "doubled"))) == "-"
+
+
+def test_the_page_is_current(criteria: ModuleType) -> None:
+    """docs/criteria.md is what `python benchmarks/criteria.py --page` prints."""
+    assert (ROOT / "docs/criteria.md").read_text(encoding="utf-8") == criteria.write_page() + "\n"

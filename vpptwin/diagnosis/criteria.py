@@ -1,0 +1,136 @@
+"""Every threshold that decides a verdict: what it is, in which unit, and where it comes from.
+
+`diagnose(..., criteria=Criteria(bar=20.0))` diagnoses under others; docs/criteria.md has all as a table, with what
+halving and doubling them does (benchmarks/criteria.py). What only costs time or accuracy (steps of differences, bins,
+iterations, how flights are cut) stays where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+
+def declare(kind: str) -> Callable[[float, str, str, str], Any]:
+    """How fields of one kind of origin are declared; units "" are shares, origins name commits and what they set."""
+
+    def add(default: float, unit: str, meaning: str, origin: str) -> Any:  # noqa: ANN401 (as dataclasses.field)
+        return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": f"{kind}: {origin}"})
+
+    return add
+
+
+assumed = declare("assumed")
+"""A belief about rigs, before any data."""
+proposed = declare("proposed")
+"""By DIAGNOSIS.md, the study that the diagnosis was designed on."""
+calibrated = declare("calibrated")
+"""On sessions that are named."""
+by_hand = declare("by hand")
+"""While sessions with hidden effects were looked at: which is not on record, those of seed 8001 among them."""
+
+
+# As a table.
+# fmt: off
+@dataclass(frozen=True)
+class Criteria:
+    """Thresholds of a diagnosis; `fields(Criteria)` tell unit, meaning and origin of each."""
+
+    # Evidence: below which roughness no twin is believed, added to the sensors' noise.
+    velocity_floor: float = assumed(0.02, "rad/s", "roughness of velocities: stick-slip that switches early", "85fc87b")
+    specific_force_floor: float = assumed(0.1, "m/s²", "roughness of specific forces: vibration, blades", "85fc87b")
+    rotor_speed_floor: float = assumed(0.3, "rad/s", "roughness of a motor's speed: 0.6 % of drag", "4221221")
+    current_floor: float = assumed(0.05, "A", "roughness of a motor's current: 1 % of that in hover", "4221221")
+
+    # Likelihood: what differs without blame.
+    start_pose: float = assumed(0.02, "m", "prior of a window's starting pose, which it pins down itself", "85fc87b")
+    start_angle: float = assumed(0.1, "rad", "the same of angles", "85fc87b")
+    start_velocity: float = assumed(0.3, "m/s", "prior of a window's starting velocity", "85fc87b")
+    start_rate: float = assumed(1.0, "rad/s", "the same of angular rates", "85fc87b")
+    gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
+        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.1 % of a typical force elsewhere (e0a0e3b)")
+    least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
+    most_gust: float = assumed(50.0, "", "the upper bound", "e1272d1")
+    gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
+    usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
+        "68f7aa5 (fitted), 668e32f (held out)")
+    nonlinear: float = by_hand(0.1, "", "share of a miss that linearisation is not believed to follow", "7ea694a")
+    yielding: float = by_hand(300.0, "cost", "by which a looser response must win to set parameters", "de2cf5a")
+    most_tolerated: float = assumed(3.0, "tolerance", "within which an effect stays that is not suspected", "68f7aa5")
+    stretch: float = by_hand(1.2, "s", "windows that count as one when the scatter of a parameter is judged",
+        "4 windows of 0.3 s at 2ae9ed6, 1.2 s since e1272d1")
+
+    # Search: who is refitted.
+    judging_worth: float = by_hand(0.5, "", "worth of an effect seen where it is judged, not fitted", "85407b0")
+    half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
+    shortlist: int = by_hand(5, "", "suspects refitted at every step", "4 at 85fc87b, 5 since e1272d1")
+    starts: int = by_hand(2, "", "places of a shape or a limit from which a refit starts", "e1272d1")
+    worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a suspect is refitted",
+        "2 at 85fc87b, 8 since e1272d1")
+    rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")
+    chance: float = by_hand(0.25, "", "share of the best drop from which another is judged", "b8eee32")
+    most_causes: int = by_hand(5, "", "causes at most", "4 at 85fc87b, 6 at 68f7aa5, 5 since e1272d1")
+    most_steps: int = by_hand(9, "", "steps of the search, which could go on for ever", "85407b0")
+    most_swaps: int = by_hand(2, "", "causes whose place a rival takes", "4 at e1272d1, 2 since 85407b0")
+
+    # Judgement: what becomes a cause.
+    bar: float = by_hand(10.0, "cost", "drop (twice the log of the evidence) that makes a cause",
+        "16 at 85fc87b, 10 since e1272d1; a family-wise 1 % over 44 effects, χ²(1), would be 13.6")
+    bars_fitted: float = by_hand(0.8, "bar", "that fitted windows alone must bring", "2fc0d73")
+    bars_together: float = by_hand(1.2, "bar", "that both must bring together", "2fc0d73")
+    bars_strong: float = by_hand(8.0, "bar", "evidence from which held-out windows need only not contradict",
+        "10 at b3e12e5, 8 since e1272d1")
+    sigmas_held_out: float = proposed(2.0, "sigma", "by which a cause must improve held-out windows",
+        "DIAGNOSIS.md, method 5, more than two standard errors (85fc87b)")
+    sigmas_against: float = by_hand(1.0, "sigma", "by which they may contradict strong evidence", "b3e12e5")
+    powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
+        "50 at 71b4e15, 25 since e1272d1")
+    bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
+    tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
+    kinship: float = by_hand(0.05, "", "share of a cause's evidence that another of its kind must bring beside it",
+        "b8eee32; taken for how inexact laws of friction are since 496fb2c")
+    watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
+        "2fc0d73; one of `HORIZONS_S`")
+    worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
+        "2fc0d73")
+    block: float = by_hand(1.5, "s", "windows that count as one when errors are resampled", "e1272d1 (5 gust times)")
+    most_drop: float = by_hand(4.0, "rms", "drop in surprise that a held-out window counts at most", "e1272d1")
+
+    # Rivals and confidence.
+    temper: float = by_hand(1.5, "", "divides evidence before it becomes a probability: no noise model is exact",
+        "4 at 85fc87b, 1.5 since e1272d1")
+    rival_sigma: float = proposed(3.0, "sigma", "within which a rival is reported with the cause",
+        "DIAGNOSIS.md, method 6, a rival that leaves less than 3 sigma (e1272d1)")
+    better: float = by_hand(2.0, "cost", "by which a rival must win to take a cause's place", "e1272d1")
+    most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
+    sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow", "e1272d1, b200008")
+    inexact: float = calibrated(0.02, "", "what the law of an effect may be wrong by, as a share of its strength",
+        "sessions of seed 8001 at 99e2077: nine in ten 90 % intervals held the truth")
+    inexact_friction: float = calibrated(0.05, "", "the same of laws of dry friction",
+        "sessions of seed 8001 at 99e2077")
+
+    # Leftover, power, the next experiment.
+    no_effect: float = calibrated(0.72, "", "mean square of force innovations where nothing is hidden",
+        "sessions of tests/reality without an effect (0.68 to 0.75), b8eee32; seeds not on record")
+    force_level: float = by_hand(1.2, "", "the same from which something is unexplained",
+        "above those sessions; 1.35 at e1272d1, 1.0 at b8eee32, 1.2 since 5844f9d")
+    channel_level: float = by_hand(1.6, "", "the same of a channel's whitened residual", "e1272d1")
+    astray: float = by_hand(6.0, "median", "which a window's square counts at most there", "5844f9d")
+    depends: float = by_hand(0.1, "", "share of a missing force that a quantity must predict to be named",
+        "0.2 at 85fc87b, 0.1 since e1272d1")
+    structure: float = by_hand(0.25, "", "the same for other rigs to have something unexplained", "85407b0")
+    matters: float = by_hand(0.05, "", "share of what was missing that must be left for it", "85407b0, 668e32f")
+    missing_force: float = assumed(30.0, "gust", "prior of the force that is missing: any effect, bounded if unseen",
+        "169bbb3")
+    seen: float = by_hand(4.0, "sigma", "by which a typical size must stand out to be cleared",
+        "e1272d1; a family-wise 1 % over 44 effects would be 3.7 sigma")
+    known_width: float = by_hand(0.5, "width", "of the range looked through that a parameter must be known to",
+        "e1272d1")
+    worth_flying: float = by_hand(1.0, "sigma", "that an experiment must separate", "ff3d8cb")
+
+
+# fmt: on
+
+
+CRITERIA = Criteria()
