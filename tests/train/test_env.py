@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
+from vpptwin.errors import InputError
 from vpptwin.train.snapshot import restore_snapshot, take_snapshot
 from vpptwin.train.tasks import Limits
 
@@ -171,6 +172,15 @@ def test_clocks_are_desynchronized() -> None:
     assert np.ptp(together.episodes.elapsed) == 0.0
     assert len(set(spread.episodes.elapsed)) == 4
     assert (spread.episodes.elapsed < spread.task.episode).all()
+
+
+def test_a_snapshot_of_a_version_that_kept_less_is_refused() -> None:
+    """What the effects of a simulation had come to can't be made up."""
+    env = tiny_env()
+    snapshot = take_snapshot(env)
+    del snapshot["state"]["effects"]
+    with pytest.raises(InputError, match="simulations lack effects; expected one of this version"):
+        restore_snapshot(env, snapshot)
 
 
 def test_snapshot_continues_bit_equal() -> None:

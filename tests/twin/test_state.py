@@ -45,7 +45,7 @@ def twin() -> Twin:
     twin = Twin(SPEC, 4, active=ACTIVE, num_threads=1)
     twin.set_parameter("rail_x.coulomb", "force", np.array([0.0, 0.1, 0.2, 0.3]))
     twin.set_parameter("command.delay", "delay", np.array([0.0, 0.001, 0.0025, 0.01]))
-    twin.set_parameter("rail_x.lugre", "compliance", np.array([0.0, 1e-3, 2e-3, 1e-2]))
+    twin.set_parameter("rail_x.lugre", "compliance", np.array([0.0, 1e-3, 2e-3, 5e-3]))
     twin.set_parameter("rail_x.elastic", "share", np.array([0.0, 0.1, 0.2, 0.3]))
     return twin
 

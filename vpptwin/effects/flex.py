@@ -14,28 +14,28 @@ ELASTIC = 0.9
 """Share of the friction up to which bristles bend and do not slip."""
 TINY = 1e-300
 """Stands for a deflection of zero, which would divide by zero [m, rad]."""
-GIVE, GIVE_ROTARY = 1e-3, 1e-2
+GIVE, GIVE_ROTARY = 5e-4, 1e-2
 """Deflection of the bristles under the typical force of a joint [m], [rad]."""
 
 
 def apply_lugre(
     motion: Motion, forward: float, backward: float, /, deflection: float, dt: float, compliance: float
 ) -> tuple[float, float]:
-    """Bristles that bend, and slip as they approach what the joint can muster, F(v): z/c + σ ż [N, N m].
+    """Bristles that bend, and slip as they approach what the joint can muster, F(v): z/c + σ v [N, N m].
 
     ż = v up to 0.9 F c, from there v (1 - (z - 0.9 F c)/(0.1 F c)), exact at constant v: LuGre's law with an elastic
-    range (Dupont and others), without which bristles creep under any load that trembles. Their damping σ = 2 √(M/c) is
-    critical for the inertia M on them. It raises no force above F, so that a joint reverses without a jolt.
+    range (Dupont and others), without which bristles creep under any load that trembles. Until they slip they are
+    damped, critically for the inertia M on them: σ = 2 √(M/c). If they were as they slip, a load that friction itself
+    changes would rattle. Damping raises no force above F, so that a joint reverses without a jolt.
     """
     soft = np.maximum(compliance, STIFFEST * dt * dt / motion.inertia)
     most = soft * ((motion.velocity > 0.0) * forward + (motion.velocity < 0.0) * backward)
     sense, way = np.sign(motion.velocity), np.abs(motion.velocity) * dt
     freely = np.minimum(np.maximum(ELASTIC * most - sense * deflection, 0.0), way)
     slipping = np.expm1((freely - way) / np.maximum((1.0 - ELASTIC) * most, TINY))
-    change = sense * (freely + (sense * deflection + freely - most) * slipping)
-    bent = deflection + change
+    bent = deflection + sense * (freely + (sense * deflection + freely - most) * slipping)
     held = bent / soft
-    wanted = held + 2.0 * np.sqrt(motion.inertia / soft) * change / dt
+    wanted = held + 2.0 * np.sqrt(motion.inertia / soft) * sense * freely / dt
     return -np.minimum(np.maximum(wanted, np.minimum(held, -backward)), np.maximum(held, forward)), bent
 
 
@@ -64,7 +64,7 @@ def lugre(
     return Effect(
         id=f"{place.joint}.lugre",
         summary=f"dry friction {place.where} that gives before it slips",
-        equation="-(z/compliance + σ dz/dt), dz/dt = v (1 - (|z|/(F compliance) - 0.9)/0.1) beyond 0.9, else v",
+        equation="-(z/compliance + σ v), dz/dt = v up to 0.9 F compliance, from there ever less and σ = 0",
         parameters=(parameter,),
         stage=Stage.SLIP,
         apply=apply_lugre,
