@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 from hidden.campaign import read_results  # noqa: E402
 from hidden.case import Case, Finding  # noqa: E402
 from hidden.draw import draw_plan  # noqa: E402
-from hidden.rates import count  # noqa: E402
+from hidden.rates import count, leaves_something  # noqa: E402
 from hidden.session import find, fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
@@ -53,9 +53,11 @@ benchmarks/hidden_effects.py --nightly` is, on sessions that nobody has looked a
 
 **What halving and doubling does**: how many verdicts change (a cause, its rivals, what is claimed with more than 0.9,
 or whether something is left unexplained), and the measures that move with them: *detected*, all hidden effects named;
-*in a group*, or among the rivals of what is named; *wrong*, claimed and not there; *false alarm*. "-" was not
-measured; the rest on sessions {sessions} of seed {seed} (`python benchmarks/criteria.py --seed {seed} --numbers
-{sessions} --names ...`). That is few, and not fresh: it tells what is touchy, not a rate.
+*in a group*, or among the rivals of what is named; *wrong*, claimed and not there; *false alarm*, something named
+where nothing is hidden; *false remainder*, something left unexplained though the catalogue has all that is hidden;
+*alien flagged*, the same where it has not. "-" was not measured; the rest on sessions {sessions} of seed {seed}
+(`python benchmarks/criteria.py --seed {seed} --numbers {sessions} --names ...`). That is few, and not fresh: it tells
+what is touchy, not a rate.
 """
 
 
@@ -123,6 +125,8 @@ def summarise(cases: Sequence[Case]) -> dict[str, int]:
         count("in a group", (case.all_suspected for case in known)),
         count("wrong", (bool(case.wrong) for case in cases)),
         count("false alarm", (bool(case.first) for case in cases if case.plan.kind == "none")),
+        count("false remainder", (leaves_something(case) for case in cases if case.plan.kind != "alien")),
+        count("alien flagged", (leaves_something(case) for case in cases if case.plan.kind == "alien")),
     )
     return {row.name: row.hits for row in rows}
 
