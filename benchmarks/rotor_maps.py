@@ -22,8 +22,7 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
 
-from vpptwin.identification.report import compare_maps  # noqa: E402
-from vpptwin.identification.thrust_map import CANDIDATES, ThrustMap  # noqa: E402
+from vpptwin.identification.thrust_map import CANDIDATES, ThrustMap, fit_map  # noqa: E402
 from vpptwin.viz.figure import name_axes, open_figure, write_svg  # noqa: E402
 from vpptwin.viz.palette import BLUE, GREEN, ORANGE, VERMILION  # noqa: E402
 
@@ -40,11 +39,17 @@ def read_rotor(file: Path) -> tuple[np.ndarray, np.ndarray]:
     return pitch, np.array([float(row["C_t_paper"]) for row in rows])
 
 
+def compare_maps(pitch: np.ndarray, thrust: np.ndarray) -> list[ThrustMap]:
+    """Maps of a rotor at one speed, fitted without an offset: pitch (L,) rad, thrust (L,) in any unit."""
+    one = np.ones((len(pitch), 1))
+    return [fit_map(c, one, pitch[:, None], thrust, np.arange(len(pitch)), shifted=False) for c in FORMS]
+
+
 def measure(file: Path) -> dict[str, dict[str, float]]:
     """Errors of every form on a rotor, as shares of its largest thrust: mean and largest, fitted and held out."""
     pitch, thrust = read_rotor(file)
     result = {}
-    for fitted in compare_maps(pitch, thrust, FORMS):
+    for fitted in compare_maps(pitch, thrust):
         wrong = np.abs(predict(fitted, pitch) - thrust) / thrust.max()
         relative = np.abs(predict(fitted, pitch) / thrust - 1.0)
         result[short(fitted)] = {
@@ -97,7 +102,7 @@ def draw(files: Sequence[Path], path: Path) -> None:
         for axes, file in zip(panels, files):
             pitch, thrust = read_rotor(file)
             fine = np.linspace(0.0, pitch.max(), 100)
-            for fitted in compare_maps(pitch, thrust, FORMS):
+            for fitted in compare_maps(pitch, thrust):
                 colour, dash = LOOKS.get(short(fitted), (BLUE, "-"))
                 axes.plot(np.degrees(fine), predict(fitted, fine), dash, color=colour, label=short(fitted))
             axes.plot(np.degrees(pitch), thrust, "o", color="#7F858C", label="measured")

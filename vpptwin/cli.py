@@ -9,20 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from vpptwin import __version__
-from vpptwin.commands import (
-    run_compare,
-    run_diagnose,
-    run_effects,
-    run_evaluate,
-    run_export,
-    run_fly,
-    run_identify,
-    run_layouts,
-    run_play,
-    run_plot,
-    run_train,
-)
+from vpptwin import __version__, commands
 from vpptwin.errors import InputError
 
 
@@ -45,14 +32,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     # Hydra's own grammar takes everything after `train`.
     if given[:1] == ["train"]:
-        return guard(lambda: run_train(given[1:]))
+        return guard(lambda: commands.run_train(given[1:]))
     options = parser.parse_args(given)
     return guard(lambda: options.run(options))
 
 
-def guard(action: object) -> int:
+def guard(action: Callable[[], object]) -> int:
     """Run an action; bad input becomes one line on stderr and exit code 2."""
-    assert callable(action)
     try:
         action()
     except InputError as error:
@@ -77,9 +63,9 @@ def build_parser() -> argparse.ArgumentParser:
     """The grammar of all commands."""
     parser = Parser(prog="vpptwin", description="The simulation twin that tells you what it gets wrong.")
     parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, (summary, run, describe) in COMMANDS.items():
-        command = commands.add_parser(name, help=summary, add_help=name != "train")
+        command = subparsers.add_parser(name, help=summary, add_help=name != "train")
         describe(command)
         command.set_defaults(run=run)
     return parser
@@ -220,17 +206,25 @@ def add_topic_map(parser: argparse.ArgumentParser) -> None:
 
 
 COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentParser], None]]] = {
-    "effects": ("list the catalogue of effects", run_effects, describe_effects),
-    "diagnose": ("find what a twin gets wrong, from flight logs", run_diagnose, describe_diagnose),
-    "compare": ("measure a twin's prediction error on flight logs", run_compare, describe_compare),
-    "play": ("watch a log in meshcat, the twin beside it", run_play, describe_play),
-    "plot": ("draw a log over time, the twin beside it, or training curves", run_plot, describe_plot),
-    "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", run_layouts, describe_layouts),
-    "fly": ("fly a manoeuvre or a policy in a twin and write its log", run_fly, describe_fly),
-    "identify": ("fit an actuator to thrust-stand runs, or a twin to flights", run_identify, describe_identify),
-    "train": ("train a policy with PPO", lambda options: run_train([]), lambda parser: None),
-    "export": ("write a policy and the cascade below it as C99 source, or as ONNX", run_export, describe_export),
-    "evaluate": ("measure a trained policy", run_evaluate, describe_evaluate),
+    "effects": ("list the catalogue of effects", commands.run_effects, describe_effects),
+    "diagnose": ("find what a twin gets wrong, from flight logs", commands.run_diagnose, describe_diagnose),
+    "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),
+    "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
+    "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
+    "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts, describe_layouts),
+    "fly": ("fly a manoeuvre or a policy in a twin and write its log", commands.run_fly, describe_fly),
+    "identify": (
+        "fit an actuator to thrust-stand runs, or a twin to flights",
+        commands.run_identify,
+        describe_identify,
+    ),
+    "train": ("train a policy with PPO", lambda options: commands.run_train([]), lambda parser: None),
+    "export": (
+        "write a policy and the cascade below it as C99 source, or as ONNX",
+        commands.run_export,
+        describe_export,
+    ),
+    "evaluate": ("measure a trained policy", commands.run_evaluate, describe_evaluate),
 }
 """The commands by name: in a line, what runs them, what adds their arguments. Hydra takes those of `train`."""
 

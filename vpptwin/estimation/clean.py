@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
@@ -21,10 +23,7 @@ RATE_JERK, FORCE_JERK = 2e5, 4e6
 def clean_poses(pose: Stream, imu: Stream | None, sensors: Sensors) -> tuple[Stream, list[str]]:
     """Poses without frozen and wild ones, the angle unwrapped anew: a wild one may have thrown it off by a turn.
 
-    Args:
-        pose: x, z, theta.
-        imu: whose rate tells how far the craft turned between two poses; None without one.
-        sensors: noise of a sample.
+    The rate of an IMU, where there is one, tells how far the craft turned between two poses.
 
     Returns:
         The poses left, and a warning for each kind left out.
@@ -69,7 +68,7 @@ def clean_series(series: Series, label: str) -> tuple[Series, list[str]]:
     wild = find_spikes(series.time, series.value, series.std, None)
     if not wild.any():
         return series, []
-    left = Series(series.name, series.unit, series.time[~wild], series.value[~wild], series.std, series.white)
+    left = replace(series, time=series.time[~wild], value=series.value[~wild])
     return left, tell_left_out(label, wild, "are outliers")
 
 

@@ -9,12 +9,7 @@ from vpptwin.twin.sensors import PERFECT, PITCH, Constants, age_of_pose
 
 
 def correct_measurements(measurements: Measurements, sensors: Constants) -> Measurements:
-    """What sensors without errors would have said, noise apart.
-
-    Args:
-        measurements: one flight of the drone.
-        sensors: constants of its sensors, (1,).
-    """
+    """What sensors without errors would have said on a drone's flight, noise apart; their constants are (1,)."""
     errors = {name: float(sensors[name][0]) for name in PERFECT}
     if errors == PERFECT:
         return measurements

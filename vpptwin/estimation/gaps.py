@@ -25,16 +25,7 @@ PROBE = 0.3
 
 
 def usable_starts(measurements: Measurements, starts: np.ndarray, length: float) -> np.ndarray:
-    """Whether windows touch no gap that would make them nonsense.
-
-    Args:
-        measurements: one flight.
-        starts: of the windows, (K,) s.
-        length: of the windows, s.
-
-    Returns:
-        (K,) bool.
-    """
+    """Whether windows of a length [s] from `starts` (K,) [s] touch no gap that would make them nonsense, (K,) bool."""
     spoilt = np.zeros(len(starts), dtype=bool)
     for _, rows in spoil_starts(measurements, starts, length):
         spoilt |= rows
@@ -72,18 +63,15 @@ def tell_gaps(measurements: Measurements) -> list[str]:
 def tell_cut(spans: Mapping[str, tuple[float, float]]) -> list[str]:
     """Which topics start late or end early, if that costs a notable share of the flight, in at most one line.
 
-    Args:
-        spans: topic → first and last sample [s].
+    The spans are topic → first and last sample [s].
     """
     begin, end = min(first for first, _ in spans.values()), max(last for _, last in spans.values())
     start, stop = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     allowed = 0.5 * MAX_CUT * (end - begin)
     if stop - start >= (1.0 - MAX_CUT) * (end - begin):
         return []
-    late = [
-        f"{topic} starts {first - begin:.1f} s late" for topic, (first, _) in spans.items() if first - begin > allowed
-    ]
-    early = [f"{topic} ends {end - last:.1f} s early" for topic, (_, last) in spans.items() if end - last > allowed]
+    late = [f"{name} starts {a - begin:.1f} s late" for name, (a, _) in spans.items() if a - begin > allowed]
+    early = [f"{name} ends {end - b:.1f} s early" for name, (_, b) in spans.items() if end - b > allowed]
     used = max(stop - start, 0.0)
     return [f"only {used:.1f} of {end - begin:.1f} s are common to all topics: {', '.join(late + early)}"]
 

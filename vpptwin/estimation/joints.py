@@ -53,9 +53,8 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    position = Series(
-        joint, length, stream.time, stream["position"], estimate_noise(stream["position"], POSITION_SHARE), white=False
-    )
+    noise = estimate_noise(stream["position"], POSITION_SHARE)
+    position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
     noise = estimate_noise(stream["velocity"], VELOCITY_SHARE)
@@ -96,11 +95,7 @@ def estimate_noise(value: np.ndarray, share: float) -> float:
     """Noise of one sample of somebody's estimator output, 1 sigma in its unit.
 
     Third differences remove what is smooth and leave the noise; but estimators smooth that away too, so nothing is
-    believed better than a `share` of the range in which the signal moves.
-
-    Args:
-        value: samples, (n,).
-        share: of the range between the 1st and the 99th percentile.
+    believed better than a `share` of the range in which the signal moves, 1st to 99th percentile of the samples (n,).
     """
     low, high = np.percentile(value, [1.0, 99.0])
     floor = max(share * float(high - low), 1e-9)

@@ -15,7 +15,7 @@ T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -76,10 +76,7 @@ class FilterNoise:
 
     def as_array(self) -> np.ndarray:
         """The numbers in order, (10,)."""
-        return np.array([
-            self.gyro, self.accel, self.position, self.angle, self.stamp, self.gyro_walk, self.accel_walk,
-            self.gyro_bias, self.accel_bias, self.speed,
-        ])  # fmt: skip
+        return np.array(astuple(self))
 
 
 class Crafts(NamedTuple):

@@ -27,11 +27,7 @@ CLEAR = 5.0
 
 
 def estimate_lag(angle: Series, rate: Series) -> Lag | None:
-    """Lag of an angle behind the integral of its rate.
-
-    Args:
-        angle: (n,) rad, unwrapped.
-        rate: (m,) rad/s.
+    """Lag of an angle (n,), rad, unwrapped, behind the integral of its rate (m,), rad/s.
 
     Returns:
         None if there was too little turning, or the two show different motions.

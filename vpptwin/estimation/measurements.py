@@ -75,7 +75,7 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
     measurements = Measurements(
         flight.path.name,
         sort_poses(pose, sensors),
-        sort_rate(imu, sensors),
+        {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)},
         sort_force(flight, imu, sensors),
         commands,
         None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
@@ -95,11 +95,6 @@ def sort_poses(pose: Stream, sensors: Sensors) -> dict[int, Series]:
     place, turn = sensors.mocap.position_std, sensors.mocap.angle_std
     columns = (("x", "x", "m", place), ("z", "z", "m", place), ("θ", "theta", "rad", turn))
     return {dof: Series(name, unit, pose.time, pose[c], std) for dof, (name, c, unit, std) in enumerate(columns)}
-
-
-def sort_rate(imu: Stream | None, sensors: Sensors) -> dict[int, Series]:
-    """Degree of freedom → velocity: the gyro's, or none."""
-    return {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)}
 
 
 def sort_force(flight: Flight, imu: Stream | None, sensors: Sensors) -> Series | None:
@@ -143,15 +138,11 @@ def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu:
             "/rotor/command, or both /cmd/rate_thrust and /imu/data to reconstruct it from",
             "record them, or name them in a topic map if they are recorded under other names",
         )
-    time, pitch = reconstruct_commands(
-        vehicle, (policy.time, policy["thrust"], policy["rate"]), (imu.time, imu["rate"])
-    )
+    given = policy.time, policy["thrust"], policy["rate"]
+    time, pitch = reconstruct_commands(vehicle, given, (imu.time, imu["rate"]))
     if len(time) < 2:
-        raise InputError(
-            f"{flight.path}: /cmd/rate_thrust and /imu/data are never there together",
-            "both over the whole flight, or /rotor/command",
-            "record them together",
-        )
+        found = f"{flight.path}: /cmd/rate_thrust and /imu/data are never there together"
+        raise InputError(found, "both over the whole flight, or /rotor/command", "record them together")
     return Series("blade pitch", "rad", time, pitch, 0.0)
 
 

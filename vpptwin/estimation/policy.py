@@ -17,9 +17,7 @@ MAX_GYRO_GAP = 0.02
 
 
 def reconstruct_commands(
-    vehicle: Vehicle,
-    policy: tuple[np.ndarray, np.ndarray, np.ndarray],
-    gyro: tuple[np.ndarray, np.ndarray],
+    vehicle: Vehicle, policy: tuple[np.ndarray, np.ndarray, np.ndarray], gyro: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run the inner loop of the flight controller over logged policy commands and gyro samples.
 
@@ -48,12 +46,7 @@ def reconstruct_commands(
 
 
 def lay_grid(time: np.ndarray, dt: float) -> np.ndarray:
-    """Instants about `dt` [s] apart that include the samples' own, or even ones where samples come much faster.
-
-    Args:
-        time: of the samples, (n,) s, increasing.
-        dt: s.
-    """
+    """Instants about `dt` [s] apart that include the samples' own, (n,) s, or even ones if those are much closer."""
     steps = np.diff(time)
     if np.median(steps) < 0.75 * dt:
         return np.arange(time[0], time[-1], dt)

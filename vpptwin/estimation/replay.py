@@ -57,11 +57,8 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     available = measurements.end - begin
     length = available if restart is None else restart
     if available < length or available < 0.1:
-        raise InputError(
-            f"{flight.path}: {measurements.duration:.2f} s of usable flight",
-            f"at least {length + 0.2:.2f} s",
-            "log longer",
-        )
+        found = f"{flight.path}: {measurements.duration:.2f} s of usable flight"
+        raise InputError(found, f"at least {length + 0.2:.2f} s", "log longer")
     starts = begin + length * np.arange(int(available / length + 1e-9))
     windows = cut_windows(spec, measurements, starts, length, causal=True)
     twin = Twin(spec, len(windows))
@@ -69,9 +66,9 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     every = max(round(1.0 / (rate * windows.dt)), 1)
     picked = slice(0, windows.steps, every)
     time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]
-    speed = (
-        np.full_like(windows.command, spec.robot.rotor_speed) if windows.rotor_speed is None else windows.rotor_speed
-    )
+    speed = windows.rotor_speed
+    if speed is None:
+        speed = np.full_like(windows.command, spec.robot.rotor_speed)
     nq, nv, nu = spec.model.nq, spec.model.nv, spec.model.nu
     return Prediction(
         time=time.reshape(-1),

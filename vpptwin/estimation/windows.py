@@ -96,12 +96,7 @@ def average_sampled(series: Series, edges: np.ndarray) -> np.ndarray:
 
 
 def cut_windows(
-    spec: TwinSpec,
-    measurements: Measurements,
-    starts: np.ndarray,
-    length: float,
-    causal: bool,
-    flight: int = 0,
+    spec: TwinSpec, measurements: Measurements, starts: np.ndarray, length: float, causal: bool, flight: int = 0
 ) -> Windows:
     """Cut windows out of one flight.
 
@@ -129,19 +124,10 @@ def cut_windows(
     if driven is not None:
         pose[:, driven.dofs], velocity[:, driven.dofs] = driven.pose[:, 0], driven.velocity[:, 0]
     return Windows(
-        flight=np.full(len(starts), flight),
-        start=starts,
-        steps=steps,
-        dt=dt,
-        warm=command[:, :warm],
-        command=command[:, warm:],
-        rotor_speed=speed,
-        pose=pose,
-        velocity=velocity,
-        driven=driven,
-        throttle=throttle,
+        flight=np.full(len(starts), flight), start=starts, steps=steps, dt=dt, warm=command[:, :warm],
+        command=command[:, warm:], rotor_speed=speed, pose=pose, velocity=velocity, driven=driven, throttle=throttle,
         spin=spin,
-    )
+    )  # fmt: skip
 
 
 def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:

@@ -85,10 +85,7 @@ class Actuator:
 
     def constant(self, name: str) -> Constant:
         """The constant of that name; KeyError if there is none."""
-        for constant in self.constants:
-            if constant.name == name:
-                return constant
-        raise KeyError(name)
+        return {constant.name: constant for constant in self.constants}[name]
 
 
 def identify(runs: Sequence[BenchRun], levels: Levels) -> Actuator:
@@ -181,14 +178,12 @@ def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Co
         error = leave_groups_out(inputs, current.ravel(), np.repeat(levels.group, speed.shape[1]))
         held_out = HeldOut("current at pitches left out", error, float(np.std(current)), "A")
         note = "as of an ideal motor, k_q = k_v: the stand has no torque channel"
-    constants = [
+    units = {"k_d1": "N m s^2", "k_d2": "N m s^2/rad^2", "k_d3": "N m s/rad"}
+    return (
         Constant("motor.k_q", float(k_q), float(k_q_std), "A/(N m)", note),
         Constant("motor.no_load_current", float(none), float(none_std), "A"),
-    ]
-    units = {"k_d1": "N m s^2", "k_d2": "N m s^2/rad^2", "k_d3": "N m s/rad"}
-    for (name, unit), value, spread in zip(units.items(), drag, drag_std):
-        constants.append(Constant(f"rotor.{name}", float(value), float(spread), unit))
-    return tuple(constants), held_out
+        *(Constant(f"rotor.{k}", float(v), float(s), unit) for (k, unit), v, s in zip(units.items(), drag, drag_std)),
+    ), held_out
 
 
 def lag_pitch(run: BenchRun, time_constant: float, delay: float) -> np.ndarray:
@@ -196,11 +191,8 @@ def lag_pitch(run: BenchRun, time_constant: float, delay: float) -> np.ndarray:
     time = run.time
     late = np.stack([np.interp(time - delay, time, run.pitch[:, i]) for i in range(run.pitch.shape[1])], axis=1)
     keep = float(np.exp(-run.dt / max(time_constant, 1e-6)))
-    begin = late[:1] * keep
-    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], late, axis=0, zi=begin)
-    shifted = np.concatenate([late[:1], filtered[:-1]])  # a command acts from its stamp on
-    result: np.ndarray = shifted
-    return result
+    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], late, axis=0, zi=late[:1] * keep)
+    return np.concatenate([late[:1], filtered[:-1]])  # a command acts from its stamp on
 
 
 def find_steps(run: BenchRun) -> np.ndarray:
@@ -278,9 +270,7 @@ def fit_inertia(
         load[1:] = 0.5 * (load[1:] + load[:-1])  # a current is that of the step before, and so is the mean load
         torque = (run.current - drag["motor.no_load_current"]) / k_q - load
         total = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque, axis=0)]) * run.dt
-        smooth = np.stack(
-            [np.convolve(run.speed[:, i], np.ones(5) / 5.0, "same") for i in range(run.speed.shape[1])], 1
-        )
+        smooth = np.stack([np.convolve(speed, np.ones(5) / 5.0, "same") for speed in run.speed.T], axis=1)
         for step in find_steps(run):
             for begin in range(step, step + round(WINDOW / run.dt) - span - 1, span // 2):
                 inputs.append(total[begin + span + 1] - total[begin + 1])
@@ -314,11 +304,8 @@ def fit_disturbance(
         tenth = np.arange(len(pitch)) * 10 // len(pitch) + 10 * number
         groups.append(np.repeat(tenth, pitch.shape[1]))
     pitch, change, group = (np.concatenate(parts) for parts in (pitches, changes, groups))
-    errors = {}
-    for order in DISTURBANCE_ORDERS:
-        inputs = np.stack([pitch**k for k in range(order + 1)], axis=1)
-        errors[order] = leave_groups_out(inputs, change, group)
-    best = min(errors, key=errors.__getitem__)
-    order = min(k for k in errors if errors[k] <= 1.002 * errors[best])
-    found = solve_linear(np.stack([pitch**k for k in range(order + 1)], axis=1), change)[0]
+    inputs = {order: np.stack([pitch**k for k in range(order + 1)], axis=1) for order in DISTURBANCE_ORDERS}
+    errors = {order: leave_groups_out(powers, change, group) for order, powers in inputs.items()}
+    order = min(k for k in errors if errors[k] <= 1.002 * min(errors.values()))
+    found = solve_linear(inputs[order], change)[0]
     return found, HeldOut("rotor speed, relative, left out", errors[order], float(np.std(change)), "1")

@@ -119,17 +119,14 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
     if battery is not None and "voltage" in battery.values:
         voltage = np.interp(time, battery.time, battery["voltage"])
     held = np.clip(np.searchsorted(command.time, time + 1e-9, side="right") - 1, 0, None)
+    pitch, throttle = (command[name][held][:, turning] for name in ("blade_pitch", "throttle"))
+    speed, current = (interpolate(time, state, name)[:, turning] for name in ("speed", "current"))
+    thrust = np.interp(time, wrench.time, wrench["force_z"])
+    torque = np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None
     return BenchRun(
-        path=path,
-        dt=dt,
-        pitch=command["blade_pitch"][held][:, turning],
-        throttle=command["throttle"][held][:, turning],
-        speed=interpolate(time, state, "speed")[:, turning],
-        current=interpolate(time, state, "current")[:, turning],
-        thrust=np.interp(time, wrench.time, wrench["force_z"]),
-        torque=np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None,
+        path=path, dt=dt, pitch=pitch, throttle=throttle, speed=speed, current=current, thrust=thrust, torque=torque,
         voltage=voltage,
-    )
+    )  # fmt: skip
 
 
 def check_topics(flight: Flight) -> None:

@@ -195,10 +195,8 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
         table.add_row(".".join(key), f"{e.value:.4g}", f"{low:.4g} to {high:.4g}", f"{e.nominal:.4g}", e.unit)
     console.print(table)
     for first, second, likeness in found.alike:
-        console.print(
-            f"can't be told apart: {'.'.join(first)} and {'.'.join(second)}, whose errors correlate by {likeness:+.2f}",
-            soft_wrap=True,
-        )
+        pair = f"{'.'.join(first)} and {'.'.join(second)}"
+        console.print(f"can't be told apart: {pair}, whose errors correlate by {likeness:+.2f}", soft_wrap=True)
     for key in found.vague:
         console.print(f"hardly seen in these flights: {'.'.join(key)}", soft_wrap=True)
     if found.drag is not None:
@@ -209,9 +207,8 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
             soft_wrap=True,
         )
     fitted, held_out = found.windows
-    console.print(
-        f"{fitted} windows fitted; on {held_out} held out chi² {found.before.chi2:.2f} -> {found.after.chi2:.2f}"
-    )
+    chi2 = f"chi² {found.before.chi2:.2f} -> {found.after.chi2:.2f}"
+    console.print(f"{fitted} windows fitted; on {held_out} held out {chi2}")
     if found.before.position_rmse_m is not None and found.after.position_rmse_m is not None:
         errors = (
             f"{1000 * before:.1f} -> {1000 * after:.1f} mm after {horizon:g} s"

@@ -96,12 +96,9 @@ def parse_parameters(spec: TwinSpec, text: str) -> list[str]:
 
 
 def fit_flights(
-    spec: TwinSpec,
-    flights: Sequence[Flight],
-    effects: Sequence[str],
-    stage: Callable[[str], None] = lambda text: None,
-    progress: Callable[[int], None] | None = None,
-) -> FlightFit:
+    spec: TwinSpec, flights: Sequence[Flight], effects: Sequence[str],
+    stage: Callable[[str], None] = lambda text: None, progress: Callable[[int], None] | None = None,
+) -> FlightFit:  # fmt: skip
     """Fit these effects, all others uncertain within their build tolerance, and measure the gain on held-out windows.
 
     Args:
@@ -165,9 +162,8 @@ def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | No
         speed = [np.convolve(v, np.ones(5) / 5.0, "same") for v in speed]
         theta = np.interp(time, pose.time, pose["theta"])
         calm = np.ones(10) / 10.0
-        force_x, force_z = (
-            np.interp(time, imu.time, np.convolve(imu[c], calm, "same")) for c in ("accel_x", "accel_z")
-        )
+        smooth = (np.convolve(imu[name], calm, "same") for name in ("accel_x", "accel_z"))
+        force_x, force_z = (np.interp(time, imu.time, force) for force in smooth)
         upward = np.cos(theta) * force_z + np.sin(theta) * force_x
         thrust = command["thrust"][np.clip(np.searchsorted(command.time, time, side="right") - 1, 0, None)]
         size = np.hypot(*speed)

@@ -5,23 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from vpptwin.diagnosis.report.page import open_templates
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.effects import SIGMAS_90
 from vpptwin.identification.actuator import WINDOW, Actuator, find_steps, lag_pitch
 from vpptwin.identification.bench import BenchRun
-from vpptwin.identification.thrust_map import ThrustMap, fit_map
+from vpptwin.identification.thrust_map import ThrustMap
 from vpptwin.viz.figure import name_axes, open_figure, write_svg
 from vpptwin.viz.palette import BLUE, GREEN, ORANGE, VERMILION
 
 
 def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -> str:
     """The page as HTML."""
-    environment = Environment(
-        loader=PackageLoader("vpptwin.identification"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True,
-    )  # fmt: skip
     rows = []
     for name, value, std in zip(("k_1", "k_2", "k_3"), found.thrust.values, found.thrust.std):
         interval = f"{value - SIGMAS_90 * std:.5g} to {value + SIGMAS_90 * std:.5g}"
@@ -31,7 +27,7 @@ def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -
         rows.append((c.name, f"{c.value:.5g}", f"{low:.5g} to {high:.5g}", c.unit, c.note))
     line = min((m for m in found.maps if len(m.values) == 1), key=lambda m: m.held_out)
     largest = float(np.abs(found.levels.thrust).max())
-    return environment.get_template("identify.html.j2").render(
+    return open_templates("vpptwin.identification").get_template("identify.html.j2").render(
         found=found, rows=rows, maps=sorted(found.maps, key=lambda m: m.held_out), largest=largest, line=line,
         figures=[draw_thrust(found), draw_misses(found, line), draw_current(found), draw_step(found, runs)],
         disturbance=describe_polynomial(found.disturbance), origin=origin,
@@ -80,11 +76,8 @@ def draw_current(found: Actuator) -> str:
     """Current of the levels against pitch, measured and by the constants."""
     levels, value = found.levels, {c.name: c.value for c in found.constants}
     alpha, speed = np.abs(levels.pitch - found.thrust.offset), levels.speed
-    drag = (
-        value["rotor.k_d1"] * speed**2
-        + value["rotor.k_d2"] * (speed * alpha) ** 2
-        + value["rotor.k_d3"] * speed * alpha
-    )
+    drag = value["rotor.k_d1"] * speed**2 + value["rotor.k_d2"] * (speed * alpha) ** 2
+    drag = drag + value["rotor.k_d3"] * speed * alpha
     fitted = value["motor.no_load_current"] + value["motor.k_q"] * drag
     with open_figure(4.6, 3.4) as figure:
         axes = figure.subplots()
@@ -113,9 +106,3 @@ def draw_step(found: Actuator, runs: Sequence[BenchRun]) -> str:
         name_axes(axes, "time after the command [ms]", "thrust [N]", "A step")
         axes.legend()
         return write_svg(figure, "Thrust after a step")
-
-
-def compare_maps(pitch: np.ndarray, thrust: np.ndarray, candidates: Sequence) -> list[ThrustMap]:
-    """Maps of a rotor at one speed, fitted without an offset: pitch (L,) rad, thrust (L,) in any unit."""
-    one = np.ones((len(pitch), 1))
-    return [fit_map(c, one, pitch[:, None], thrust, np.arange(len(pitch)), shifted=False) for c in candidates]

@@ -22,8 +22,7 @@ def bend(order: int) -> Shape:
 
     def shape(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
         k_t, k_t2, k_t3 = np.concatenate([values[:order], np.zeros(3 - order)])
-        bent: np.ndarray = shape_thrust(k_t, k_t2, k_t3, 0.0, pitch)
-        return bent
+        return np.asarray(shape_thrust(k_t, k_t2, k_t3, 0.0, pitch))
 
     return shape
 
@@ -31,8 +30,7 @@ def bend(order: int) -> Shape:
 def inflow(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Blade elements with momentum theory; of coefficients that a search made negative the size counts."""
     p, q = np.abs(values)
-    bent: np.ndarray = shape_thrust(p, 0.0, 0.0, q, pitch)
-    return bent
+    return np.asarray(shape_thrust(p, 0.0, 0.0, q, pitch))
 
 
 @dataclass(frozen=True)
@@ -125,9 +123,7 @@ def fit_map(
     def predict(given: np.ndarray, rows: np.ndarray) -> np.ndarray:
         offset = float(given[-1]) * wide if shifted else 0.0
         values = given[: len(scale)] * scale
-        each = predict_thrust(candidate, values, offset, reference, speed[rows], pitch[rows])
-        result: np.ndarray = each.sum(axis=1)
-        return result
+        return predict_thrust(candidate, values, offset, reference, speed[rows], pitch[rows]).sum(axis=1)
 
     def solve(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         start = np.array([*candidate.start, *([0.0] if shifted else [])])
@@ -146,9 +142,8 @@ def fit_map(
     std = np.sqrt(np.diag(covariance))
     squares = np.array([float((missed[group == g] ** 2).mean()) for g in np.unique(group)])
     held_out = float(np.sqrt((missed**2).mean()))
-    spread = (
-        float(squares.std(ddof=1) / np.sqrt(len(squares)) / max(2.0 * held_out, 1e-12)) if len(squares) > 1 else 0.0
-    )
+    error = squares.std(ddof=1) / np.sqrt(len(squares)) if len(squares) > 1 else 0.0
+    spread = float(error / max(2.0 * held_out, 1e-12))
     count = len(scale)
     return ThrustMap(
         candidate, found[:count] * scale, std[:count] * scale, float(found[-1]) * wide if shifted else 0.0,

@@ -74,16 +74,10 @@ class Channel:
 
 
 def _plain(
-    name: str,
-    unit: str,
-    path: str = "",
-    *,
-    limit: float = math.inf,
-    mistake: str = "",
-    width: int = 1,
-    optional: bool = False,
-) -> Column:
-    return Column(name, unit, Source((path or name,)), width, optional, limit, mistake)
+    name: str, unit: str, path: str = "", *, limit: float = math.inf, mistake: str = "", width: int = 1,
+    optional: bool = False, scale: float = 1.0,
+) -> Column:  # fmt: skip
+    return Column(name, unit, Source((path or name,), (scale,)), width, optional, limit, mistake)
 
 
 def _pose(topic: str, steady: bool) -> Channel:
@@ -105,13 +99,7 @@ CHANNELS: dict[str, Channel] = {
             "/imu/data",
             "sensor_msgs/msg/Imu",
             (
-                Column(
-                    "rate",
-                    "rad/s",
-                    Source(("angular_velocity.y",), scale=(-1.0,)),
-                    limit=200.0,
-                    mistake="degrees per second",
-                ),
+                _plain("rate", "rad/s", "angular_velocity.y", scale=-1.0, limit=200.0, mistake="degrees per second"),
                 _plain("accel_x", "m/s^2", "linear_acceleration.x", optional=True),
                 _plain("accel_z", "m/s^2", "linear_acceleration.z", optional=True),
             ),
@@ -154,10 +142,7 @@ CHANNELS: dict[str, Channel] = {
         Channel(
             "/thrust_stand/wrench",
             "geometry_msgs/msg/WrenchStamped",
-            (
-                _plain("force_z", "N", "wrench.force.z"),
-                _plain("torque_z", "N m", "wrench.torque.z", optional=True),
-            ),
+            (_plain("force_z", "N", "wrench.force.z"), _plain("torque_z", "N m", "wrench.torque.z", optional=True)),
             steady=False,
             frame_id="thrust_stand",
         ),

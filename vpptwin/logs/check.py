@@ -20,18 +20,12 @@ MIN_FORCE, MAX_FORCE = 2.5, 50.0  # m/s^2, median of any flight; at rest and in 
 
 
 def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) -> None:
-    """Refuse NaN and infinities.
-
-    Args:
-        label: file and topic.
-        time: (n,) s.
-        name: column or field.
-        values: (n,) or (n, k).
+    """Refuse NaN and infinities in a column or field, (n,) or (n, k), of a file's topic; time (n,) s.
 
     Raises:
         InputError: with count and time of the first.
     """
-    bad = _find_rows(~np.isfinite(values))
+    bad = np.flatnonzero(_any_component(~np.isfinite(values)))
     if len(bad):
         kind = "NaN" if np.isnan(values[bad[0]]).any() else "an infinity"
         raise InputError(
@@ -41,43 +35,26 @@ def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) ->
         )
 
 
-def find_wild(label: str, time: np.ndarray, column: Column, values: np.ndarray) -> np.ndarray:
-    """Rare messages whose values no rig of this kind reaches; if there are many, the values are in another unit.
-
-    Args:
-        label: file and topic.
-        time: (n,) s.
-        column: with its limit.
-        values: (n,) or (n, k).
-
-    Returns:
-        (n,) bool.
+def find_wild(label: str, column: Column, values: np.ndarray) -> np.ndarray:
+    """Rare messages, (n,) bool, whose values (n,) or (n, k) no rig of this kind reaches.
 
     Raises:
-        InputError: naming the unit that they look like.
+        InputError: if there are many, naming the unit that they look like.
     """
-    beyond = np.abs(values) > column.limit
-    rows = beyond if beyond.ndim == 1 else beyond.any(axis=1)
+    rows = _any_component(np.abs(values) > column.limit)
     if np.count_nonzero(rows) > RARE * len(values):
         raise InputError(
             f"{label}: {column.name} reaches {float(np.abs(values).max()):.4g} and looks like {column.mistake}",
             f"{column.unit}, at most {column.limit:g}",
             "convert it, for instance with `scale` in a topic map",
         )
-    return np.asarray(rows)
+    return rows
 
 
 def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rare messages whose quaternion is none, as trackers send them that have lost their body.
+    """Rare messages, (n,) bool, whose quaternion is none, as trackers send them that have lost their body.
 
-    Args:
-        label: file and topic.
-        time: (n,) s.
-        source: of the angle column.
-        fields: path -> (n,).
-
-    Returns:
-        (n,) bool.
+    The fields, (n,) each, are those of an angle column's source; time (n,) s.
 
     Raises:
         InputError: with the norm if many are none, with the tilt if they turn about another axis than the plane's.
@@ -85,7 +62,8 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
     quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
     with np.errstate(over="ignore"):  # an infinite norm is refused like any other
         norm = np.linalg.norm(quaternion, axis=1)
-    bad = np.flatnonzero(np.abs(norm - 1.0) > MAX_NORM_ERROR)
+    broken = np.asarray(np.abs(norm - 1.0) > MAX_NORM_ERROR)
+    bad = np.flatnonzero(broken)
     if len(bad) > RARE * len(norm):
         raise InputError(
             f"{label}: the orientation of {len(bad)} of {len(norm)} messages is no unit quaternion, "
@@ -103,15 +81,11 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
             "motion in the vertical plane of world x and z, turning about -y",
             "rotate the tracker's frame, or name the axis in a topic map (fields: {theta: {path: ..., axis: x}})",
         )
-    return np.asarray(np.abs(norm - 1.0) > MAX_NORM_ERROR)
+    return broken
 
 
 def check_accelerometer(label: str, force: np.ndarray) -> None:
-    """Refuse accelerations in another unit or without gravity: in flight and at rest the median is gravity's.
-
-    Args:
-        label: file and topic of the accelerometer.
-        force: magnitude of the specific force in the plane, (n,).
+    """Refuse specific forces (n,) in another unit or without gravity: in flight and at rest the median is gravity's.
 
     Raises:
         InputError: naming what the values look like.
@@ -155,18 +129,14 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
         factor, likeness = _compare(turned[calm[0] & calm[1]], measured[calm[0] & calm[1]])
     if likeness < MIN_LIKENESS:
         return
+    found = f"{label}: rate is {factor:.3g} times the turning"
+    advice = "convert it, for instance with `scale: 0.0174533`"
     if abs(factor) > 20.0:
-        raise InputError(
-            f"{label}: rate is {factor:.3g} times the turning seen on /mocap/pose and looks like degrees per second",
-            "rad/s",
-            "convert it, for instance with `scale: 0.0174533` in a topic map",
-        )
+        found += " seen on /mocap/pose and looks like degrees per second"
+        raise InputError(found, "rad/s", f"{advice} in a topic map")
     if abs(factor) < 1.0 / 20.0:
-        raise InputError(
-            f"{label}: rate is {factor:.3g} times the turning seen on /mocap/pose, which looks like degrees",
-            "rad on /mocap/pose",
-            "convert it, for instance with `scale: 0.0174533` for theta in a topic map",
-        )
+        found += " seen on /mocap/pose, which looks like degrees"
+        raise InputError(found, "rad on /mocap/pose", f"{advice} for theta in a topic map")
     if factor < -0.5:
         raise InputError(
             f"{label}: rate runs against the turning seen on /mocap/pose",
@@ -181,5 +151,5 @@ def _compare(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     return product / (own + 1e-300), product**2 / (own * others + 1e-300)
 
 
-def _find_rows(bad: np.ndarray) -> np.ndarray:
-    return np.flatnonzero(bad if bad.ndim == 1 else bad.any(axis=1))
+def _any_component(bad: np.ndarray) -> np.ndarray:
+    return np.asarray(bad if bad.ndim == 1 else bad.any(axis=1))

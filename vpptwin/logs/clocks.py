@@ -34,11 +34,7 @@ class Clock:
 
 
 def read_clock(samples: Samples) -> Clock | None:
-    """The clock of one topic; None where log times tell nothing of it.
-
-    Args:
-        samples: in order of stamps.
-    """
+    """The clock of one topic, from samples in order of stamps; None where log times tell nothing of it."""
     if len(samples.stamp) < 2 * BLOCKS:
         return None
     since, logged = ((times - times[0]) * 1e-9 for times in (samples.stamp, samples.log_time))
@@ -54,10 +50,6 @@ def read_clock(samples: Samples) -> Clock | None:
 
 def check_offsets(clocks: Mapping[str, Clock], path: str) -> None:
     """Refuse topics that were recorded together but stamped by clocks set to different times.
-
-    Args:
-        clocks: topic -> clock.
-        path: of the log, for the message.
 
     Raises:
         InputError: naming the two topics that are furthest apart.

@@ -6,6 +6,7 @@ import io
 import mmap
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -68,6 +69,15 @@ class _DamageError(Exception):
         super().__init__(reason)
 
 
+@contextmanager
+def _blame(offset: int, what: str) -> Iterator[None]:
+    """Say which record makes no sense where reading it fails."""
+    try:
+        yield
+    except _BROKEN:
+        raise _DamageError(offset, f"holds a broken {what}") from None
+
+
 class _Scan:
     """What has been read of a file so far."""
 
@@ -107,23 +117,14 @@ class _Scan:
         finally:
             self.store(data, found)
 
-    def take_header(self, stream: ReadDataStream, offset: int) -> None:
-        """Note the profile."""
-        try:
-            self.profile = Header.read(stream).profile
-        except _BROKEN:
-            raise _DamageError(offset, "holds a broken header") from None
-
     def take_declaration(self, opcode: int, stream: ReadDataStream, offset: int) -> None:
         """Note a schema or a channel."""
-        try:
+        with _blame(offset, "schema or channel"):
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
                 self.schemas[schema.id] = schema
                 return
             record = ChannelRecord.read(stream)
-        except _BROKEN:
-            raise _DamageError(offset, "holds a broken schema or channel") from None
         if record.id in self.channels:
             return
         known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
@@ -185,11 +186,13 @@ def _read_records(body: memoryview, scan: _Scan) -> None:
     expected = None
     for opcode, start, end in scan.take_records(body):
         if opcode == Opcode.HEADER:
-            scan.take_header(_open_stream(body, start, end), start)
+            with _blame(start, "header"):
+                scan.profile = Header.read(_open_stream(body, start, end)).profile
         elif opcode == Opcode.CHUNK:
             _read_chunk(_open_stream(body, start, end), start, scan)
         elif opcode == Opcode.STATISTICS:
-            expected = _count_expected(_open_stream(body, start, end), start)
+            with _blame(start, "summary"):
+                expected = Statistics.read(_open_stream(body, start, end)).message_count
         elif opcode == Opcode.FOOTER:
             break
     else:
@@ -200,22 +203,13 @@ def _read_records(body: memoryview, scan: _Scan) -> None:
         raise _DamageError(end, f"holds {scan.count} messages, not {expected} as its summary says,")
 
 
-def _count_expected(stream: ReadDataStream, offset: int) -> int:
-    try:
-        return Statistics.read(stream).message_count
-    except _BROKEN:
-        raise _DamageError(offset, "holds a broken summary") from None
-
-
 def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:
-    try:
+    with _blame(offset, "chunk"):
         chunk = Chunk.read(stream)
         if chunk.compression not in ("", "zstd", "lz4"):
             raise _DamageError(offset, f"holds a chunk compressed by '{chunk.compression}'")
         unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
         records = unpacked.read(length)
-    except _BROKEN:
-        raise _DamageError(offset, "holds a broken chunk") from None
     try:
         for _ in scan.take_records(records):
             pass

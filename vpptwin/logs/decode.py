@@ -70,19 +70,14 @@ def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:
         sizes = np.cumsum([block.payload.nbytes for block in same]) // MERGED
         for group in np.unique(sizes):
             members = [block for block, size in zip(same, sizes) if size == group]
-            yield Block(
-                *(np.concatenate(parts) for parts in zip(*((b.number, b.log_time, b.payload) for b in members)))
-            )
+            columns = zip(*((block.number, block.log_time, block.payload) for block in members))
+            yield Block(*(np.concatenate(parts) for parts in columns))
 
 
 def _decode_block(
-    name: str,
-    definitions: Definitions | None,
-    block: Block,
-    paths: Sequence[str],
-    texts: Sequence[str],
+    name: str, definitions: Definitions | None, block: Block, paths: Sequence[str], texts: Sequence[str],
     reference: _ReferenceDecoder,
-) -> Iterator[Batch]:
+) -> Iterator[Batch]:  # fmt: skip
     remaining = np.arange(len(block.number))
     shapes = 0
     while len(remaining):
@@ -179,17 +174,14 @@ class _ReferenceDecoder:
             yield Batch(block.number[row : row + 1], block.log_time[row : row + 1], values, strings)
 
     def _decode_message(self, payload: bytes) -> object:
+        channel = self.channel
         try:
             if self.function is None:
-                schema = Schema(
-                    1, self.channel.definition.encode(), self.channel.schema_encoding, self.channel.message_type
-                )
+                schema = Schema(1, channel.definition.encode(), channel.schema_encoding, channel.message_type)
                 with contextlib.redirect_stderr(io.StringIO()):  # the definition parser prints what it then raises
-                    self.function = DecoderFactory().decoder_for(self.channel.encoding, schema)
+                    self.function = DecoderFactory().decoder_for(channel.encoding, schema)
             if self.function is None:
-                raise ValueError(
-                    f"no decoder for {self.channel.encoding} with {self.channel.schema_encoding} definitions"
-                )
+                raise ValueError(f"no decoder for {channel.encoding} with {channel.schema_encoding} definitions")
             return self.function(payload)
         except Exception as error:  # the decoder raises whatever its struct calls raise
             raise DecodeError(f"{len(payload)} bytes that do not decode ({error})") from None

@@ -64,10 +64,7 @@ class Flight:
         return max((float(stream.time[-1]) for stream in every if len(stream)), default=0.0)
 
     def require(self, *topics: str) -> None:
-        """Check that the log holds these topics.
-
-        Args:
-            topics: canonical topics of SPEC 3, or topics of JointState messages.
+        """Check that the log holds these topics: canonical ones of SPEC 3, or topics of JointState messages.
 
         Raises:
             InputError: naming the missing topics and those that the log holds.
@@ -75,9 +72,7 @@ class Flight:
         present = {**self.streams, **self.joints}
         missing = [topic for topic in topics if topic not in present]
         if missing:
-            names = [
-                f"{topic} (mapped to {self.sources[topic]})" if topic in self.sources else topic for topic in missing
-            ]
+            names = [f"{t} (mapped to {self.sources[t]})" if t in self.sources else t for t in missing]
             raise InputError(
                 f"{self.path} has no messages on {', '.join(names)}, only on {', '.join(sorted(present))}",
                 f"a log with {', '.join(topics)}",

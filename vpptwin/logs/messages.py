@@ -7,20 +7,13 @@ _BATTERY_CONSTANTS = "\n".join(
     for group, names in {
         "STATUS": ("UNKNOWN", "CHARGING", "DISCHARGING", "NOT_CHARGING", "FULL"),
         "HEALTH": (
-            "UNKNOWN",
-            "GOOD",
-            "OVERHEAT",
-            "DEAD",
-            "OVERVOLTAGE",
-            "UNSPEC_FAILURE",
-            "COLD",
-            "WATCHDOG_TIMER_EXPIRE",
+            "UNKNOWN", "GOOD", "OVERHEAT", "DEAD", "OVERVOLTAGE", "UNSPEC_FAILURE", "COLD", "WATCHDOG_TIMER_EXPIRE",
             "SAFETY_TIMER_EXPIRE",
         ),
         "TECHNOLOGY": ("UNKNOWN", "NIMH", "LION", "LIPO", "LIFE", "NICD", "LIMN"),
     }.items()
     for value, name in enumerate(names)
-)
+)  # fmt: skip
 
 _MARKERS = (
     "ARROW CUBE SPHERE CYLINDER LINE_STRIP LINE_LIST CUBE_LIST SPHERE_LIST POINTS TEXT_VIEW_FACING MESH_RESOURCE "
@@ -105,7 +98,5 @@ def compose_definition(name: str) -> str:
         ordered.append(current)
         bases = (line.split()[0].partition("[")[0] for line in DEFINITIONS[current].splitlines())
         pending += [base for base in bases if base in DEFINITIONS]
-    sections = [DEFINITIONS[ordered[0]]] + [
-        f"MSG: {dependency}\n{DEFINITIONS[dependency]}" for dependency in ordered[1:]
-    ]
+    sections = [DEFINITIONS[ordered[0]], *(f"MSG: {other}\n{DEFINITIONS[other]}" for other in ordered[1:])]
     return f"\n{'=' * 80}\n".join(sections) + "\n"

@@ -127,9 +127,8 @@ def _add_new(warnings: list[str], found: Sequence[str]) -> None:
 def _refuse_foreign(recording: Recording) -> InputError:
     topics = [f"{topic} ({message_type})" for topic, message_type in recording.list_topics().items()]
     listed = ", ".join(topics[:8]) + (f" and {len(topics) - 8} more" if len(topics) > 8 else "")
-    if not recording.count_messages():
-        found = f"{recording.path} holds no messages"
-    else:
+    found = f"{recording.path} holds no messages"
+    if any(channel.count for file in recording.files for channel in file.channels):
         found = f"{recording.path} has none of our topics with messages, only {listed}"
     return InputError(
         found,

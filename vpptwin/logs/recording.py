@@ -42,10 +42,6 @@ class Recording:
         """Topic -> message type, of all channels."""
         return {channel.topic: channel.message_type for file in self.files for channel in file.channels}
 
-    def count_messages(self) -> int:
-        """Messages in all files, on all topics."""
-        return sum(channel.count for file in self.files for channel in file.channels)
-
     def check_type(self, topic: str) -> str:
         """Message type of a topic.
 
@@ -95,11 +91,7 @@ class Recording:
 
 
 def open_recording(path: PathLike | Sequence[PathLike], wanted: Callable[[RawChannel], bool]) -> Recording:
-    """Read the raw messages of a recording.
-
-    Args:
-        path: an .mcap file, a rosbag2 folder, or the split files of one recording.
-        wanted: tells whether a channel's messages are to be kept.
+    """Read the raw messages of a recording (file, rosbag2 folder or list of files) on the channels `wanted`.
 
     Raises:
         InputError: if there is no such file, or it is no MCAP file with ROS 2 messages.
@@ -133,10 +125,7 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
 
 
 def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
-    """Files of a recording.
-
-    Args:
-        path: a file, a rosbag2 folder, or a list of files.
+    """Files of a recording that is a file, a rosbag2 folder, or a list of files.
 
     Raises:
         InputError: if there are none.
@@ -157,9 +146,8 @@ def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
         raise InputError(f"folder {given} holds {held}", "a rosbag2 folder with .mcap files", "give an .mcap file")
     for file in found:
         if not file.exists():
-            raise InputError(
-                f"{given}/metadata.yaml names {file.name}, which is missing", "all files of the recording", "copy it"
-            )
+            absent = f"{given}/metadata.yaml names {file.name}, which is missing"
+            raise InputError(absent, "all files of the recording", "copy it")
     return found
 
 
@@ -178,16 +166,14 @@ def _read_file(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})", _EXPECTED, "check its permissions") from None
     if not start:
-        raise InputError(
-            f"{path} is empty (0 bytes)", _EXPECTED, "check that the recorder was stopped properly, and record again"
-        )
+        advice = "check that the recorder was stopped properly, and record again"
+        raise InputError(f"{path} is empty (0 bytes)", _EXPECTED, advice)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
     raw = read_container(path, wanted)
     if raw.profile not in ("ros2", ""):
-        raise InputError(
-            f"{path} has the MCAP profile '{raw.profile}'", "'ros2'", "record with ROS 2, or convert the log"
-        )
+        found = f"{path} has the MCAP profile '{raw.profile}'"
+        raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")
     return raw
 
 

@@ -40,10 +40,6 @@ class Samples:
 def read_samples(recording: Recording, route: Route) -> Samples:
     """Read a topic of the channel table.
 
-    Args:
-        recording: with the messages of the topic.
-        route: what to read, and where from.
-
     Raises:
         InputError: if the messages are of another type, or do not decode.
     """
@@ -93,12 +89,7 @@ class _Part:
 
 
 def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[str, Samples], list[str]]:
-    """Read all joints of one JointState topic.
-
-    Args:
-        recording: with the messages of the topic.
-        topic: name in the log.
-        canonical: name for labels.
+    """Read all joints of one JointState topic, which labels call by its canonical name.
 
     Returns:
         Joint or actuator name -> samples of position, velocity, effort; warnings. Columns that are absent from most

@@ -13,13 +13,9 @@ from vpptwin.logs.samples import Samples
 
 
 def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]) -> Stream:
-    """Stream of a topic of the channel table.
+    """Stream of a topic of the channel table, from samples in order of time; time zero is `start_ns` [ns].
 
-    Args:
-        samples: in order of time.
-        start_ns: stamp of time zero [ns].
-        path: of the log, for messages.
-        warnings: those found are appended.
+    Warnings found are appended to `warnings`.
 
     Raises:
         InputError: if values are not finite, not planar, or in the wrong unit.
@@ -48,12 +44,7 @@ def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]
 
 
 def build_joint_stream(samples: Samples, start_ns: int, path: str) -> Stream:
-    """Stream of one joint.
-
-    Args:
-        samples: in order of time.
-        start_ns: stamp of time zero [ns].
-        path: of the log, for messages.
+    """Stream of one joint, from samples in order of time; time zero is `start_ns` [ns].
 
     Raises:
         InputError: if values are not finite.
@@ -86,4 +77,4 @@ def _build_column(
             f"{column.width} for {column.name}",
             "name single fields or array elements in the topic map",
         )
-    return values, bad | find_wild(label, time, column, values)
+    return values, bad | find_wild(label, column, values)

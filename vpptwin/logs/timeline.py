@@ -13,12 +13,7 @@ _STAMP_ADVICE = "stamp each message with the time at which it was measured or co
 
 
 def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Order messages by their stamps.
-
-    Args:
-        stamps: (n,) ns, in record order.
-        path: of the log, for messages.
-        topic: for messages.
+    """Order messages by their stamps, (n,) ns in record order.
 
     Returns:
         Indices that sort the stamps and drop repeated ones (the first recorded stays), and warnings.
@@ -41,11 +36,8 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray,
     order = np.argsort(stamps, kind="stable")
     repeats = np.flatnonzero(np.diff(stamps[order]) == 0) + 1
     if 2 * len(repeats) > len(stamps):
-        raise InputError(
-            f"{path}: {topic}: {len(repeats)} of {len(stamps)} messages repeat a stamp",
-            "one stamp per message",
-            _STAMP_ADVICE,
-        )
+        found = f"{path}: {topic}: {len(repeats)} of {len(stamps)} messages repeat a stamp"
+        raise InputError(found, "one stamp per message", _STAMP_ADVICE)
     warnings = []
     if late:
         worst = lateness.max() * 1e-9
@@ -59,18 +51,12 @@ def _refuse_unset(stamps: np.ndarray, label: str) -> None:
     unset = int(np.count_nonzero(stamps == 0))
     # Among small stamps a zero is the start of a simulated clock, not a stamp left unset.
     if unset and (2 * unset > len(stamps) or stamps.max() > MAX_CLOCK_DISTANCE * 1e9):
-        raise InputError(
-            f"{label}: {unset} of {len(stamps)} messages have no header stamp (zero)", "header.stamp set", _STAMP_ADVICE
-        )
+        found = f"{label}: {unset} of {len(stamps)} messages have no header stamp (zero)"
+        raise InputError(found, "header.stamp set", _STAMP_ADVICE)
 
 
 def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
-    """Warn of gaps in a stream that should come at a constant rate.
-
-    Args:
-        time: (n,) s, increasing.
-        label: topic, for the warning.
-    """
+    """Warn of gaps in a stream that should come at a constant rate; time (n,) s, increasing."""
     if len(time) < 3:
         return ()
     steps = np.diff(time)
@@ -86,11 +72,7 @@ def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
 
 
 def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
-    """Refuse topics stamped by clocks that have nothing to do with each other.
-
-    Args:
-        spans: topic -> first and last stamp [ns].
-        path: of the log, for the message.
+    """Refuse topics stamped by clocks that have nothing to do with each other; spans: first and last stamp [ns].
 
     Raises:
         InputError: naming two topics that are hours apart.

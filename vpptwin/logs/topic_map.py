@@ -27,6 +27,11 @@ class Stamp:
     unit: str | None = None
 
 
+def _text_as(key: str) -> BeforeValidator:
+    """A text alone stands for an entry with this key only."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
+
+
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -45,17 +50,11 @@ class _StampEntry(_Entry):
 
 class _TopicEntry(_Entry):
     topic: str
-    fields: dict[str, Annotated[_FieldEntry, BeforeValidator(lambda v: {"path": v} if isinstance(v, str) else v)]] = (
-        Field(default_factory=dict)
-    )
-    stamp: Annotated[_StampEntry, BeforeValidator(lambda v: {"path": v} if isinstance(v, str) else v)] = _StampEntry(
-        path="header.stamp"
-    )
+    fields: dict[str, Annotated[_FieldEntry, _text_as("path")]] = Field(default_factory=dict)
+    stamp: Annotated[_StampEntry, _text_as("path")] = _StampEntry(path="header.stamp")
 
 
-_Document = TypeAdapter(
-    dict[str, Annotated[_TopicEntry, BeforeValidator(lambda v: {"topic": v} if isinstance(v, str) else v)]]
-)
+_Document = TypeAdapter(dict[str, Annotated[_TopicEntry, _text_as("topic")]])
 
 
 @dataclass(frozen=True)
@@ -122,16 +121,13 @@ def load_topic_map(path: str | os.PathLike[str] | None) -> TopicMap:
         where = f"{path}: {canonical}"
         if canonical in JOINT_TOPICS:
             if entry.fields:
-                raise InputError(
-                    f"{where}.fields", "only a topic, as JointState names its joints itself", "remove the fields"
-                )
+                expected = "only a topic, as JointState names its joints itself"
+                raise InputError(f"{where}.fields", expected, "remove the fields")
             joints[entry.topic] = canonical
         elif canonical in CHANNELS:
             channel = CHANNELS[canonical]
-            sources = {
-                name: _build_source(f"{where}.fields.{name}", channel, name, item)
-                for name, item in entry.fields.items()
-            }
+            given = entry.fields.items()
+            sources = {name: _build_source(f"{where}.fields.{name}", channel, name, item) for name, item in given}
             stamp = Stamp(entry.stamp.path, entry.stamp.unit)
             routes[canonical] = Route(channel, entry.topic, sources, stamp, str(path))
         else:
@@ -147,13 +143,11 @@ def _read_document(path: Path) -> dict[str, _TopicEntry]:
     except FileNotFoundError:
         raise InputError(f"no topic map {path}", "a YAML file", "check the path") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(
-            f"{path}: no readable YAML ({error})", f"entries like {_EXAMPLE}", "correct the file"
-        ) from None
+        found = f"{path}: no readable YAML ({error})"
+        raise InputError(found, f"entries like {_EXAMPLE}", "correct the file") from None
     if not isinstance(content, dict):
-        raise InputError(
-            f"{path}: {type(content).__name__} at top level", f"entries like {_EXAMPLE}", "correct the file"
-        )
+        found = f"{path}: {type(content).__name__} at top level"
+        raise InputError(found, f"entries like {_EXAMPLE}", "correct the file")
     try:
         return _Document.validate_python(content)
     except ValidationError as error:
@@ -172,14 +166,12 @@ def _build_source(where: str, channel: Channel, name: str, entry: _FieldEntry) -
     if len(paths) not in (1, column.width):
         raise InputError(f"{where}.path: {len(paths)} fields", f"1 or {column.width}", "name one field per component")
     if len(scale) not in (1, column.width):
-        raise InputError(
-            f"{where}.scale: {len(scale)} factors", f"1 or {column.width}", "give one factor per component"
-        )
+        expected, action = f"1 or {column.width}", "give one factor per component"
+        raise InputError(f"{where}.scale: {len(scale)} factors", expected, action)
     axis = entry.axis
     if axis is None and column.source.axis and paths[0].rsplit(".", 1)[-1] in ("orientation", "rotation"):
         axis = "-y"
     if axis is not None and column.source.axis is None:
-        raise InputError(
-            f"{where}.axis", f"no axis, as {name} is no angle", f"remove it; axes {', '.join(AXES)} are for theta"
-        )
+        action = f"remove it; axes {', '.join(AXES)} are for theta"
+        raise InputError(f"{where}.axis", f"no axis, as {name} is no angle", action)
     return Source(paths, scale, entry.offset, axis)

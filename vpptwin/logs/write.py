@@ -24,24 +24,14 @@ from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
 from vpptwin.logs.convert import Value, split_column
 from vpptwin.logs.decode import find_leaf
 from vpptwin.logs.flight import Stream
-from vpptwin.logs.layout import Layout, Leaf, compose_message, parse_definition
+from vpptwin.logs.layout import Layout, compose_message, parse_definition
 from vpptwin.logs.messages import compose_definition
 
-START_NS = (
-    1_700_000_000 * 10**9
-)  # time zero of logs that have no clock of their own: November 2023, and the same in every run
+# Time zero of logs that have no clock of their own: November 2023, and the same in every run.
+START_NS = 1_700_000_000 * 10**9
 STRUCT_CODES = {
-    "u1": "B",
-    "i1": "b",
-    "u2": "H",
-    "i2": "h",
-    "u4": "I",
-    "i4": "i",
-    "u8": "Q",
-    "i8": "q",
-    "f4": "f",
-    "f8": "d",
-}
+    "u1": "B", "i1": "b", "u2": "H", "i2": "h", "u4": "I", "i4": "i", "u8": "Q", "i8": "q", "f4": "f", "f8": "d",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,8 +59,11 @@ class _Template:
     layout: Layout
 
     def fill(self, path: str, value: Value) -> None:
+        """Put a number, or all elements of an array, into the little-endian message."""
         leaf = find_leaf(self.layout, path)
-        pack_leaf(self.message, leaf, value)
+        elements = (value,) if leaf.count is None else value
+        form = f"<{1 if leaf.count is None else leaf.count}{STRUCT_CODES[leaf.code]}"
+        struct.pack_into(form, self.message, leaf.offset, *elements)  # type: ignore[misc]
 
 
 class FlightWriter:
@@ -211,9 +204,8 @@ class FlightWriter:
         template.fill("header.stamp.nanosec", stamp % 10**9)
         logged = stamp if log_time is None else self.start_ns + round(float(log_time) * 1e9)
         self._sequence[topic] = self._sequence.get(topic, 0) + 1
-        self._writer.add_message(
-            self._find_channel(topic, message_type), logged, bytes(template.message), stamp, self._sequence[topic]
-        )
+        channel, content = self._find_channel(topic, message_type), bytes(template.message)
+        self._writer.add_message(channel, logged, content, stamp, self._sequence[topic])
 
     def _find_channel(self, topic: str, message_type: str, units: Mapping[str, str] | None = None) -> int:
         if topic not in self._channels:
@@ -224,10 +216,8 @@ class FlightWriter:
                 units = JOINT_COLUMNS
                 if message_type != JOINT_STATE:
                     units = {column.name: column.unit for column in find_channel(topic).columns}
-            metadata = {
-                "offered_qos_profiles": "",
-                "units": ", ".join(f"{name} {unit}" for name, unit in units.items()),
-            }
+            listed = ", ".join(f"{name} {unit}" for name, unit in units.items())
+            metadata = {"offered_qos_profiles": "", "units": listed}
             self._channels[topic] = self._writer.register_channel(
                 topic, MessageEncoding.CDR, self._schemas[message_type], metadata
             )
@@ -244,15 +234,6 @@ def find_channel(topic: str) -> Channel:
         if topic.endswith(canonical):
             return channel
     raise KeyError(topic)
-
-
-def pack_leaf(message: bytearray, leaf: Leaf, value: Value) -> None:
-    """Put a number, or all elements of an array, into a little-endian message."""
-    code = STRUCT_CODES[leaf.code]
-    if leaf.count is None:
-        struct.pack_into(f"<{code}", message, leaf.offset, value)
-    else:
-        struct.pack_into(f"<{leaf.count}{code}", message, leaf.offset, *value)  # type: ignore[misc]
 
 
 def write_flight(
@@ -277,7 +258,7 @@ def write_flight(
     entries = [(stream.time, topic, "", stream) for topic, stream in streams.items()]
     entries += [(s.time, topic, name, s) for topic, names in (joints or {}).items() for name, s in names.items()]
     with FlightWriter(path, start_ns, metadata) as writer:
-        for index, row in _merge_times([entry[0] for entry in entries]):
+        for index, row in merge_times([entry[0] for entry in entries]):
             time, topic, name, stream = entries[index]
             while waiting and waiting[0].time <= time[row]:
                 writer.write_message(waiting.popleft())
@@ -290,7 +271,8 @@ def write_flight(
             writer.write_message(message)
 
 
-def _merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:
+def merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:
+    """Place among `times` and row of every sample, in order of time [s]."""
     if not times:
         return
     which = np.concatenate([np.full(len(time), index) for index, time in enumerate(times)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,8 +51,8 @@ class Channel:
 
     def take(self, ids: np.ndarray) -> Channel:
         """The channel in some of the windows."""
-        arrays = (self.value[ids], self.std[ids], self.offset[ids], self.weight[ids])
-        return Channel(self.name, self.unit, self.kind, self.axis, self.delayed, *arrays, self.sensor_std)
+        value, std, offset, weight = (array[ids] for array in (self.value, self.std, self.offset, self.weight))
+        return replace(self, value=value, std=std, offset=offset, weight=weight)
 
 
 def bin_channel(
@@ -109,22 +109,10 @@ def join_channels(parts: list[list[Channel]]) -> list[Channel]:
     joined = []
     for same in zip(*parts, strict=True):
         samples = max(c.offset.shape[2] for c in same)
-        padded = [(pad_samples(c.offset, samples), pad_samples(c.weight, samples)) for c in same]
-        first = same[0]
-        joined.append(
-            Channel(
-                first.name,
-                first.unit,
-                first.kind,
-                first.axis,
-                first.delayed,
-                np.concatenate([c.value for c in same]),
-                np.concatenate([c.std for c in same]),
-                np.concatenate([offset for offset, _ in padded]),
-                np.concatenate([weight for _, weight in padded]),
-                first.sensor_std,
-            )
-        )
+        value, std = np.concatenate([c.value for c in same]), np.concatenate([c.std for c in same])
+        offset = np.concatenate([pad_samples(c.offset, samples) for c in same])
+        weight = np.concatenate([pad_samples(c.weight, samples) for c in same])
+        joined.append(replace(same[0], value=value, std=std, offset=offset, weight=weight))
     return joined
 
 

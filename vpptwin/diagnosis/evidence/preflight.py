@@ -76,9 +76,8 @@ class Preflight:
         parts += [f"{name} moves {share:.0%} of the time{self.tell_reach(name)}" for name, share in self.moving.items()]
         if self.inverted:
             parts.append(f"inverted {self.inverted:.0%} of the time")
-        parts += [
-            f"{name} at its limits {share:.0%} of the time" for name, share in self.saturated.items() if share >= 0.005
-        ]
+        limited = {name: share for name, share in self.saturated.items() if share >= 0.005}
+        parts += [f"{name} at its limits {share:.0%} of the time" for name, share in limited.items()]
         if self.lag is not None:
             drift = self.lag_drift or 0.0
             growing = f", growing by {1e3 * drift:.2g} ms/s" if abs(drift) * self.duration > RESOLUTION else ""
@@ -100,12 +99,7 @@ def tell_missing(check: StreamCheck) -> str:
 
 
 def inspect_flight(spec: TwinSpec, measurements: Measurements) -> Preflight:
-    """Look a flight over.
-
-    Args:
-        spec: the twin, which knows the actuators' limits.
-        measurements: the flight.
-    """
+    """Look a flight over; the twin knows the actuators' limits."""
     starts = np.arange(measurements.start + LOOK_BACK, measurements.end - PROBE, 0.1)
     speeds = {series.name: measure_speed(series) for series in measurements.positions.values()}
     moving, reversals = {}, {}

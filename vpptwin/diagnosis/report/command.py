@@ -14,7 +14,7 @@ from vpptwin.diagnosis.report.export import name_files, write_prediction
 from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json, stage_results
 from vpptwin.diagnosis.report.page import render_report
 from vpptwin.diagnosis.report.pictures import draw_pictures
-from vpptwin.diagnosis.report.prediction import FlightPrediction, predict_flight
+from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.ranking import rank_suspects
 from vpptwin.diagnosis.report.summary import Summary, summarise
@@ -70,25 +70,14 @@ def diagnose_logs(
 def write_results(
     folder: Path, out: Path, spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, origin: Provenance
 ) -> Summary:
-    """Write all results of a diagnosis.
-
-    Args:
-        folder: to write into.
-        out: where the files will lie in the end.
-        spec: the diagnosed twin.
-        flights: the logs.
-        diagnosis: what was found.
-        origin: where it comes from.
-
-    Returns:
-        The verdict in sentences.
-    """
+    """Write all results of a diagnosis into `folder`, to lie in `out` in the end; returns the verdict in sentences."""
     verdict = diagnosis.verdict
     effects = extend_effects(spec, diagnosis.values)
     twins = [spec, spec.with_effects(effects)] if verdict.causes else [spec]
     predictions = [predict_flight(twins, flight) for flight in flights]
+    traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
     for prediction, name in zip(predictions, name_files([f.path for f in flights]), strict=True):
-        write_prediction(folder / name, spec, prediction, describe_export(prediction, origin))
+        write_prediction(folder / name, spec, prediction, {"log": str(prediction.flight.path)} | traced)
     noise = find_noise_floor([read_measurements(spec, flight) for flight in flights])
     meanings = {effect.id: effect.summary for effect in spec.catalogue}
     summary = summarise(verdict, noise, meanings)
@@ -99,11 +88,6 @@ def write_results(
     write_whole(folder / TWIN, compose_twin(spec, effects, verdict, origin, out))
     write_whole(folder / REPORT, render_report(verdict, summary, ranking, pictures, preflight, origin, meanings))
     return summary
-
-
-def describe_export(prediction: FlightPrediction, origin: Provenance) -> dict[str, str]:
-    """What the metadata record of an exported prediction says."""
-    return {"log": str(prediction.flight.path), "command": origin.command, "date": origin.date, "twin": origin.twin}
 
 
 def list_stale(out: Path) -> list[str]:

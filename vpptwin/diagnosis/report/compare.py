@@ -46,11 +46,8 @@ def compare_logs(
         console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")
     if json is not None:
         content = {
-            "logs": [str(log) for log in logs],
-            "twin": twin,
-            "samples": {"windows": len(held_out.short.windows)},
-            "horizons_s": list(HORIZONS_S),
-            "error": score.as_dict(),
-        }
+            "logs": [str(log) for log in logs], "twin": twin, "samples": {"windows": len(held_out.short.windows)},
+            "horizons_s": list(HORIZONS_S), "error": score.as_dict(),
+        }  # fmt: skip
         give_json(content, json)
     return score

@@ -40,11 +40,9 @@ class ErrorTable:
 
 
 def tabulate_errors(
-    before: Score,
-    after: Score | None,
-    noise: NoiseFloor,
+    before: Score, after: Score | None, noise: NoiseFloor,
     changes: Mapping[str, Sequence[tuple[float, float]]] | None = None,
-) -> list[ErrorTable]:
+) -> list[ErrorTable]:  # fmt: skip
     """Errors over the horizon as tables.
 
     Args:

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
 from vpptwin.logs.flight import Flight
-from vpptwin.logs.write import FlightWriter
+from vpptwin.logs.write import FlightWriter, merge_times
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
@@ -75,23 +75,17 @@ def write_prediction(
     rigs have `/twin/before/joint_states`. `/twin/before/residual/x` is a JointState of one name, whose position (or
     velocity) is measured minus predicted.
 
-    Args:
-        path: file to write.
-        spec: the diagnosed twin.
-        prediction: of that twin and, second, the extended one if there is one.
-        metadata: stored in the file.
+    The prediction is that of the diagnosed twin `spec` and, second, of the extended one if there is one.
     """
     tracks = [thin_track(track) for track in prediction.tracks]
     topics: list[Topic] = []
     for i, twin in enumerate(TWINS[: len(tracks[0].predicted)]):
         topics += list_topics(spec.robot, twin, tracks, i)
         topics += [list_residual(twin, track, i) for track in tracks]
-    which = np.concatenate([np.full(len(topic.time), i) for i, topic in enumerate(topics)])
-    rows = np.concatenate([np.arange(len(topic.time)) for topic in topics])
     offset = find_offset(prediction.flight)
     with FlightWriter(path, prediction.flight.start_ns, metadata) as writer:
-        for place in np.argsort(np.concatenate([topic.time for topic in topics]), kind="stable"):
-            topics[which[place]].write(writer, int(rows[place]), offset)
+        for index, row in merge_times([topic.time for topic in topics]):
+            topics[index].write(writer, row, offset)
 
 
 def find_offset(flight: Flight) -> float:

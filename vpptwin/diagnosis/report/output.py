@@ -43,10 +43,8 @@ def stage_results(out: Path, names: Collection[str], stale: Collection[str] = ()
                 raise InputError(f"{out / taken[0]} is a folder", "a folder to write to", "choose another --out")
             staged = Path(tempfile.mkdtemp(prefix=".diagnose.", dir=out))
         except OSError as error:
-            reason = error.strerror or str(error)
-            raise InputError(
-                f"cannot write to {out} ({reason})", "a folder to write to", "choose another --out"
-            ) from error
+            found = f"cannot write to {out} ({error.strerror or error})"
+            raise InputError(found, "a folder to write to", "choose another --out") from error
         yield staged
         exchange(staged, out, stale)
     except BaseException:
@@ -89,10 +87,8 @@ def check_target(path: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"cannot write --json {path} ({reason})", "a file in an existing folder, or - for stdout", "choose another"
-        ) from error
+        found = f"cannot write --json {path} ({error.strerror or error})"
+        raise InputError(found, "a file in an existing folder, or - for stdout", "choose another") from error
 
 
 def give_json(content: object, target: Path) -> None:

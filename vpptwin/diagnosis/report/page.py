@@ -20,14 +20,9 @@ FEW = 6
 
 
 def render_report(
-    verdict: Verdict,
-    summary: Summary,
-    ranking: Sequence[Suspect],
-    pictures: Pictures,
-    preflight: Sequence[str],
-    origin: Provenance,
-    meanings: Mapping[str, str],
-) -> str:
+    verdict: Verdict, summary: Summary, ranking: Sequence[Suspect], pictures: Pictures, preflight: Sequence[str],
+    origin: Provenance, meanings: Mapping[str, str],
+) -> str:  # fmt: skip
     """The report of a diagnosis as one HTML page.
 
     Args:
@@ -39,26 +34,18 @@ def render_report(
         origin: where all that comes from.
         meanings: effect id → summary of the catalogue.
     """
-    environment = Environment(
-        loader=PackageLoader("vpptwin.diagnosis.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = open_templates("vpptwin.diagnosis.report")
     environment.filters["tie"] = tie_units
     return environment.get_template("report.html.j2").render(
-        verdict=verdict,
-        summary=summary,
-        ranking=ranking,
-        first_suspects=FIRST_SUSPECTS,
-        few=FEW,
-        pictures=pictures,
-        preflight=preflight,
-        origin=origin,
-        meanings=meanings,
-        format_value=format_value,
-        format_plain=format_plain,
+        verdict=verdict, summary=summary, ranking=ranking, first_suspects=FIRST_SUSPECTS, few=FEW, pictures=pictures,
+        preflight=preflight, origin=origin, meanings=meanings, format_value=format_value, format_plain=format_plain,
+    )  # fmt: skip
+
+
+def open_templates(package: str) -> Environment:
+    """The HTML templates of a package, in which an undefined name is an error."""
+    return Environment(
+        loader=PackageLoader(package), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
 
 

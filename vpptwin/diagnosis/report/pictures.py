@@ -96,17 +96,8 @@ def draw_track(track: Track, part: np.ndarray, restarts: np.ndarray) -> list[str
     time, after = track.time[part], len(track.predicted) > 1
     cuts = restarts[(restarts >= time[0]) & (restarts <= time[-1])].tolist()
     predicted, residual = track.predicted[:, part], track.residual[:, part]
-    label = f"{track.name} [{track.unit}]"
+    twins, left = ((both[0], both[1] if after else None) for both in (predicted, residual))
     return [
-        plots.prediction_overlay(
-            time, track.measured[part], predicted[0], predicted[1] if after else None, label, cuts
-        ),
-        plots.residual_over_time(
-            time,
-            residual[0],
-            residual[1] if after else None,
-            track.noise,
-            f"{track.name} residual [{track.unit}]",
-            cuts,
-        ),
+        plots.prediction_overlay(time, track.measured[part], *twins, f"{track.name} [{track.unit}]", cuts),
+        plots.residual_over_time(time, *left, track.noise, f"{track.name} residual [{track.unit}]", cuts),
     ]

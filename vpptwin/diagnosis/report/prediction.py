@@ -78,10 +78,8 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
         for dof, series in sorted(quantities.items()):
             late = dof in measurements.delayed and kind == "position"
             predicted = [read_sensor(r, c, series, dof, kind, late) for r, c in zip(replays, constants, strict=True)]
-            noise = float(series.std)
-            tracks.append(
-                Track(series.name, series.unit, kind, dof, series.time, series.value, noise, np.array(predicted))
-            )
+            logged = (series.time, series.value, float(series.std))
+            tracks.append(Track(series.name, series.unit, kind, dof, *logged, np.array(predicted)))
     return FlightPrediction(flight, tracks, replays[0].restarts)
 
 

@@ -43,13 +43,8 @@ def trace_origin(arguments: Sequence[str], twin: str, logs: Sequence[Path]) -> P
     """
     versions = {"vpptwin": __version__, "python": platform.python_version()}
     versions |= {package: version(package) for package in ("mujoco", "numpy")}
-    return Provenance(
-        shlex.join(["vpptwin", *arguments]),
-        datetime.now(UTC).isoformat(timespec="seconds"),
-        twin,
-        versions,
-        {str(log): hash_log(log) for log in logs},
-    )
+    command, date = shlex.join(["vpptwin", *arguments]), datetime.now(UTC).isoformat(timespec="seconds")
+    return Provenance(command, date, twin, versions, {str(log): hash_log(log) for log in logs})
 
 
 def hash_log(log: Path) -> str:

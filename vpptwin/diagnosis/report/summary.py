@@ -56,13 +56,7 @@ class Summary:
 
 
 def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) -> Summary:
-    """Put a verdict into sentences.
-
-    Args:
-        verdict: the verdict.
-        noise: what the sensors' noise alone makes of the errors.
-        meanings: effect id → summary of the catalogue.
-    """
+    """Put a verdict into sentences; meanings: effect id → summary of the catalogue."""
     tables = tabulate_errors(verdict.before, verdict.after if verdict.causes else None, noise, verdict.improvement)
     cleared: dict[str, list[str]] = {}
     for suspect in verdict.cleared:

@@ -27,15 +27,7 @@ def extend_effects(spec: TwinSpec, values: Mapping[Key, float]) -> EffectValues:
 
 
 def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin: Provenance, folder: Path) -> str:
-    """The extended twin as YAML.
-
-    Args:
-        spec: the diagnosed twin.
-        effects: of the extended one.
-        verdict: whose causes give the intervals.
-        origin: where the values come from.
-        folder: that the file will lie in, from which it names model and vehicle.
-    """
+    """The diagnosed twin with the effects of the extended one as YAML, which names its files from `folder`."""
     content = name_twin(spec, folder) | {"effects": effects}
     intervals = {
         f"{cause.effect}.{name}": [round_digits(e.value + side * SIGMAS_90 * e.std) for side in (-1.0, 1.0)]
@@ -43,13 +35,9 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
         for name, e in cause.parameters.items()
     }
     content["provenance"] = {
-        "command": origin.command,
-        "date": origin.date,
-        "diagnosed_twin": origin.twin,
-        "versions": origin.versions,
-        "logs": origin.logs,
-        "intervals_90_percent": intervals,
-    }
+        "command": origin.command, "date": origin.date, "diagnosed_twin": origin.twin, "versions": origin.versions,
+        "logs": origin.logs, "intervals_90_percent": intervals,
+    }  # fmt: skip
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
 
 
