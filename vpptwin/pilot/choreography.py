@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,14 @@ SWEEP_TIME = 10.0
 """From the slowest swing to the fastest [s]."""
 
 
+def alternate(plan: Plan) -> Iterator[float]:
+    """The sides of what comes next, 1 and -1 in turn, until the plan is full."""
+    side = 1.0
+    while plan.left > 0:
+        yield side
+        side = -side
+
+
 def hover(plan: Plan, height: float) -> None:
     """Hold still."""
     plan.step(z=height)
@@ -28,42 +37,35 @@ def x_steps(plan: Plan, amplitude: float, period: float, height: float) -> None:
     """Jump along x from side to side."""
     plan.step(z=height)
     plan.wait(1.0)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.step(x=side * amplitude)
         plan.wait(period)
-        side = -side
 
 
 def z_steps(plan: Plan, amplitude: float, period: float, height: float) -> None:
     """Jump up and down."""
     plan.step(z=height)
     plan.wait(1.0)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.step(z=height + side * amplitude)
         plan.wait(period)
-        side = -side
 
 
 def low_pass(plan: Plan, height: float, amplitude: float, period: float) -> None:
     """Come down at one end, pass near the floor, climb at the other end."""
     plan.step(x=-amplitude)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.move(1.2, z=height)
         plan.wait(0.3)
         plan.move(period, x=side * amplitude)
         plan.move(1.0, z=1.2)
-        side = -side
 
 
 def aggressive_x(plan: Plan, amplitude: float, climb: float, period: float) -> None:
     """Large jumps along x, every second one along z too, a doublet of the angle now and then."""
     plan.step(z=1.35)
     plan.wait(0.8)
-    side, count = 1.0, 0
-    while plan.left > 0:
+    for count, side in enumerate(alternate(plan)):
         plan.step(x=side * amplitude)
         if count % 2:
             plan.step(z=1.35 + (climb if count % 4 == 1 else -climb))
@@ -71,7 +73,6 @@ def aggressive_x(plan: Plan, amplitude: float, climb: float, period: float) -> N
         if count % 3 == 2:
             plan.nudge(0.4 * side, 0.15)
             plan.wait(0.5)
-        side, count = -side, count + 1
 
 
 def light_glide(plan: Plan, speed: float, lightness: float, amplitude: float) -> None:
@@ -89,11 +90,9 @@ def light_glide(plan: Plan, speed: float, lightness: float, amplitude: float) ->
         height = np.where(from_top < 0.5 * LIGHT_TIME, peak - 0.5 * drop * from_top**2, 0.5 * PUSH * from_end**2)
         return np.column_stack([side * speed * (t - 0.5 * total), 1.1 + height])
 
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.move(1.5, x=-0.5 * side * speed * total, z=1.1)
         plan.follow(total, partial(glide, side))
-        side = -side
 
 
 def sweep(plan: Plan, axis: int, acceleration: float, slow: float, fast: float) -> None:
@@ -118,49 +117,40 @@ def sweep(plan: Plan, axis: int, acceleration: float, slow: float, fast: float) 
 def pitch_doublets(plan: Plan, angle: float, width: float, period: float) -> None:
     """Lean one way, then the other, and come to rest again."""
     plan.wait(1.0)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.nudge(side * angle, width)
         plan.wait(period)
-        side = -side
 
 
 def inverted(plan: Plan, amplitude: float, height: float, period: float) -> None:
     """Turn over, jump along x and z upside down, turn back, and jump upright for comparison."""
     plan.step(z=height)
     plan.wait(1.2)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.turn(side * np.pi, TURN_TIME)
         plan.wait(1.2)
         for x, z in ((amplitude, 0.0), (-amplitude, 0.2), (0.0, 0.0)):
             plan.step(x=x, z=height + z)
             plan.wait(period)
-        side = -side
 
 
 def flip(plan: Plan, period: float, height: float) -> None:
     """Half turns, and a whole one after every second of them."""
     plan.step(z=height)
     plan.wait(1.2)
-    count = 0
-    while plan.left > 0:
+    for count, side in enumerate(alternate(plan)):
         whole = count % 3 == 2
-        side = 1.0 if count % 2 else -1.0
-        plan.turn(side * (2.0 if whole else 1.0) * np.pi, (1.7 if whole else 1.0) * TURN_TIME)
+        plan.turn(-side * (2.0 if whole else 1.0) * np.pi, (1.7 if whole else 1.0) * TURN_TIME)
         plan.wait(period)
-        count += 1
 
 
 def rail_sweep(plan: Plan, speed: float, amplitude: float, height: float) -> None:
     """Creep along the whole rail and back."""
     plan.step(x=-amplitude, z=height)
     plan.wait(0.5)
-    side = 1.0
-    while plan.left > 0:
+    for side in alternate(plan):
         plan.cruise(side * amplitude, speed, LEVELLING)
         plan.wait(0.3)
-        side = -side
 
 
 def figure(plan: Plan, width: float, height: float, period: float) -> None:

@@ -72,11 +72,9 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
     twin = Twin(spec, 1, active=CARRIERS if gusts is not None else (), num_threads=1)
     tracks = fly(twin, pilot, sortie.seed, gusts)
     if np.isfinite(tracks.diverged[0]):
-        raise InputError(
-            f"twin {spec.name} diverges {max(float(tracks.diverged[0]), 0.0):.2f} s into the flight",
-            "a twin whose numbers stay finite",
-            "look at the values of its effects, or fly something tamer",
-        )
+        found = f"twin {spec.name} diverges {max(float(tracks.diverged[0]), 0.0):.2f} s into the flight"
+        advice = "look at the values of its effects, or fly something tamer"
+        raise InputError(found, "a twin whose numbers stay finite", advice)
     metadata = {
         "vpptwin": __version__, "twin": spec.name, "effects": json.dumps(spec.effects), "seed": str(sortie.seed),
         "gusts": str(sortie.gusts).lower(), "controller": spec.controller, **sortie.about,
@@ -129,9 +127,6 @@ def print_library() -> None:
         console.print(f"{manoeuvre.name}: {manoeuvre.summary}", style="bold", markup=False)
         console.print(f"    shows {', '.join(manoeuvre.reveals)}", markup=False, soft_wrap=True)
         for s in manoeuvre.settings:
-            unit = f" {s.unit}" if s.unit else ""
-            console.print(
-                f"    --set {s.name}={s.default:g}  {s.low:g} to {s.high:g}{unit}, {s.meaning}",
-                markup=False,
-                soft_wrap=True,
-            )
+            bounds = f"{s.low:g} to {s.high:g} {s.unit}".rstrip()
+            text = f"    --set {s.name}={s.default:g}  {bounds}, {s.meaning}"
+            console.print(text, markup=False, soft_wrap=True)

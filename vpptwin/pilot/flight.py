@@ -83,11 +83,6 @@ class Tracks:
     diverged: np.ndarray
     actuators: np.ndarray
 
-    @property
-    def logged_pose(self) -> np.ndarray:
-        """True poses from the log's start on, (N, K', 3) m, m, rad."""
-        return self.pose[:, self.lead[0] :]
-
 
 def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:
     """Errors of `count` flights; those of the first few do not depend on how many there are."""

@@ -30,9 +30,8 @@ class Gusts:
     def __init__(self, spec: TwinSpec, count: int, ticks: int, seed: int) -> None:
         missing = set(CARRIERS) - {e.id for e in spec.catalogue}
         if missing:
-            raise InputError(
-                f"{spec.name} has no effect {min(missing)}", "a model that gusts can push", "leave out --gusts"
-            )
+            found = f"{spec.name} has no effect {min(missing)}"
+            raise InputError(found, "a model that gusts can push", "leave out --gusts")
         wind = spec.robot.disturbance
         decay = np.exp(-1.0 / (spec.vehicle.control.policy_rate * wind.memory))
         kicks = np.stack([np.random.default_rng([seed, i, 1]).standard_normal((ticks, 3)) for i in range(count)])

@@ -69,11 +69,9 @@ class Manoeuvre:
                 raise InputError(f"{self.name} has no setting {name!r}", f"one of {', '.join(known)}", "rename it")
             setting = known[name]
             if not setting.low <= value <= setting.high:
-                raise InputError(
-                    f"{self.name}: {name} = {value:g} {setting.unit}".rstrip(),
-                    f"{setting.low:g} to {setting.high:g} {setting.unit}".rstrip() + f" ({setting.meaning})",
-                    "correct --set",
-                )
+                found = f"{self.name}: {name} = {value:g} {setting.unit}".rstrip()
+                bounds = f"{setting.low:g} to {setting.high:g} {setting.unit}".rstrip()
+                raise InputError(found, f"{bounds} ({setting.meaning})", "correct --set")
         return {s.name: float(given.get(s.name, s.default)) for s in self.settings}
 
     def plan(self, vehicle: Vehicle, given: Mapping[str, float], duration: float | None = None) -> Reference:
@@ -88,26 +86,21 @@ class Manoeuvre:
             InputError: on settings or a duration that are not allowed, or rails that are too short.
         """
         settings = self.choose(given)
-        plan = Plan(
-            check_duration(self.duration if duration is None else duration),
-            1.0 / vehicle.control.policy_rate,
-            vehicle.gravity,
-        )
+        duration = check_duration(self.duration if duration is None else duration)
+        plan = Plan(duration, 1.0 / vehicle.control.policy_rate, vehicle.gravity)
         self.fill(plan, **settings)
         reference = plan.finish()
         self._check_room(reference, vehicle)
         return reference
 
     def _check_room(self, reference: Reference, vehicle: Vehicle) -> None:
-        travel = np.array([vehicle.rig.travel_x, vehicle.rig.travel_z])
-        low, high = reference.pose[:, :2].min(axis=0), reference.pose[:, :2].max(axis=0)
-        for axis, name in enumerate(("x", "z")):
-            if low[axis] < travel[axis, 0] + ROOM - 1e-9 or high[axis] > travel[axis, 1] - ROOM + 1e-9:
-                raise InputError(
-                    f"{self.name} goes from {name} = {low[axis]:.2f} to {high[axis]:.2f} m",
-                    f"{travel[axis, 0] + ROOM:.2f} to {travel[axis, 1] - ROOM:.2f} m, {ROOM:g} m off the stops",
-                    "choose smaller settings",
-                )
+        for axis, (name, travel) in enumerate((("x", vehicle.rig.travel_x), ("z", vehicle.rig.travel_z))):
+            low, high = reference.pose[:, axis].min(), reference.pose[:, axis].max()
+            first, last = travel[0] + ROOM, travel[1] - ROOM
+            if low < first - 1e-9 or high > last + 1e-9:
+                found = f"{self.name} goes from {name} = {low:.2f} to {high:.2f} m"
+                expected = f"{first:.2f} to {last:.2f} m, {ROOM:g} m off the stops"
+                raise InputError(found, expected, "choose smaller settings")
 
 
 def check_duration(duration: float) -> float:
@@ -127,12 +120,10 @@ def find_manoeuvre(library: Sequence[Manoeuvre], name: str) -> Manoeuvre:
     Raises:
         InputError: listing those that exist.
     """
-    for manoeuvre in library:
-        if manoeuvre.name == name:
-            return manoeuvre
-    raise InputError(
-        f"unknown manoeuvre {name!r}", f"one of {', '.join(m.name for m in library)}", "see `vpptwin fly --list`"
-    )
+    known = {manoeuvre.name: manoeuvre for manoeuvre in library}
+    if name not in known:
+        raise InputError(f"unknown manoeuvre {name!r}", f"one of {', '.join(known)}", "see `vpptwin fly --list`")
+    return known[name]
 
 
 def parse_settings(given: Sequence[str]) -> dict[str, float]:

@@ -34,25 +34,18 @@ def record_streams(tracks: Tracks, row: int = 0) -> dict[str, Stream]:
     full = vehicle.motor.battery * supply(constants, time)
     voltage = tracks.throttle[row, lead - 1 : -2] * full[:, None]
     current = compute_current(record_vehicle(vehicle)[0].motor, voltage, speed[lead:-1])
+    current = current + sensors.rotor.current_std * noise[:, 5:7]
+    turning = speed[lead:-1] + sensors.rotor.speed_std * noise[:, 3:5]
+    blade_pitch, command = tracks.blade_pitch[row, lead:-1], tracks.command[row, lead_ticks:]
     target = tracks.target[row, lead_ticks:]
     changed = np.append(True, (np.diff(target, axis=0) != 0.0).any(axis=1))
     seconds = np.arange(0, len(time), max(round(BATTERY_PERIOD / tracks.step), 1))
     return {
         "/mocap/pose": record_mocap(tracks, row),
         "/imu/data": Stream(time, {"rate": rate, "accel_x": force[:, 0], "accel_z": force[:, 1]}),
-        "/cmd/rate_thrust": Stream(
-            ticks, {"thrust": tracks.command[row, lead_ticks:, 0], "rate": tracks.command[row, lead_ticks:, 1]}
-        ),
-        "/rotor/command": Stream(
-            time, {"blade_pitch": tracks.blade_pitch[row, lead:-1], "throttle": tracks.throttle[row, lead:-1]}
-        ),
-        "/rotor/state": Stream(
-            time,
-            {
-                "speed": speed[lead:-1] + sensors.rotor.speed_std * noise[:, 3:5],
-                "current": current + sensors.rotor.current_std * noise[:, 5:7],
-            },
-        ),
+        "/cmd/rate_thrust": Stream(ticks, {"thrust": command[:, 0], "rate": command[:, 1]}),
+        "/rotor/command": Stream(time, {"blade_pitch": blade_pitch, "throttle": tracks.throttle[row, lead:-1]}),
+        "/rotor/state": Stream(time, {"speed": turning, "current": current}),
         "/setpoint/pose": Stream(ticks[changed], name_pose(target[changed])),
         "/battery": Stream(time[seconds], {"voltage": full[seconds]}),
     }

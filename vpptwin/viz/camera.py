@@ -45,9 +45,8 @@ def place_camera(vis: Visualizer, view: View) -> None:
     vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
     aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
     vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
-    vis[CAMERA].set_property(
-        "position", [view.distance * c for c in (aside, above, float(np.cos(AZIMUTH) * np.cos(ELEVATION)))]
-    )
+    before = float(np.cos(AZIMUTH) * np.cos(ELEVATION))
+    vis[CAMERA].set_property("position", [view.distance * c for c in (aside, above, before)])
 
 
 def set_backdrop(vis: Visualizer) -> None:

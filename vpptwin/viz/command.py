@@ -18,14 +18,9 @@ from vpptwin.viz.video import check_video, write_video
 
 
 def play_log(
-    logs: Sequence[Path],
-    twin: str | None,
-    html: Path | None,
-    restart: float | None = 0.5,
-    topic_map: Path | None = None,
-    effects: Sequence[Path] = (),
-    video: Path | None = None,
-) -> None:
+    logs: Sequence[Path], twin: str | None, html: Path | None, restart: float | None = 0.5,
+    topic_map: Path | None = None, effects: Sequence[Path] = (), video: Path | None = None,
+) -> None:  # fmt: skip
     """Play one recording.
 
     Args:
@@ -71,14 +66,9 @@ def read_both(
 
 
 def plot(
-    sources: Sequence[Path],
-    twin: str | None,
-    out: Path | None,
-    restart: float | None = 0.5,
-    theme: str = "light",
-    topic_map: Path | None = None,
-    effects: Sequence[Path] = (),
-) -> None:
+    sources: Sequence[Path], twin: str | None, out: Path | None, restart: float | None = 0.5,
+    theme: str = "light", topic_map: Path | None = None, effects: Sequence[Path] = (),
+) -> None:  # fmt: skip
     """Draw one recording, or training runs.
 
     Args:
@@ -109,8 +99,5 @@ def plot(
 def check_craft(flight: Flight) -> None:
     """Refuse a log of another rig that comes without the twin that would describe it."""
     if "/mocap/pose" not in flight.streams and flight.joints:
-        raise InputError(
-            f"{flight.path}: joints on {', '.join(flight.joints)} and no /mocap/pose",
-            "a log of our craft, or the twin of another rig",
-            "name that rig's twin with --twin",
-        )
+        found = f"{flight.path}: joints on {', '.join(flight.joints)} and no /mocap/pose"
+        raise InputError(found, "a log of our craft, or the twin of another rig", "name that rig's twin with --twin")

@@ -22,26 +22,12 @@ AFTER = BLUE  # the twin with the named causes
 INK = "#fe01fe"  # stands for the page's text colour until the SVG is written
 STYLE: dict[Any, object] = {  # keys: rcParams, which matplotlib types as one long literal
     "svg.fonttype": "none",  # text stays text: selectable, searchable, in the page's colour
-    "svg.hashsalt": "vpptwin",
-    "font.family": "sans-serif",
-    "font.size": 10.0,
-    "text.color": INK,
-    "axes.facecolor": "none",
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlesize": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": INK,
-    "grid.alpha": 0.15,
-    "grid.linewidth": 0.8,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "legend.frameon": False,
-    "lines.linewidth": 1.6,
-}
+    "svg.hashsalt": "vpptwin", "font.family": "sans-serif", "font.size": 10.0, "text.color": INK,
+    "axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK, "axes.titlesize": 10.0,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
+    "grid.color": INK, "grid.alpha": 0.15, "grid.linewidth": 0.8, "xtick.color": INK, "ytick.color": INK,
+    "legend.frameon": False, "lines.linewidth": 1.6,
+}  # fmt: skip
 
 
 @contextmanager

@@ -133,12 +133,8 @@ def compare(twin: Twin, without: TwinState, having: TwinState) -> Iterator[Trace
     pose, velocity = without.qpos, without.qvel
     late = pose - age_of_pose(twin.constants, without.time)[:, None] * velocity
     seen = 1000 * (measure_pose(twin.constants, late) - pose)
-    for axis, name, noise in (
-        (0, "measured\nx [mm]", 0.4),
-        (1, "measured\nz [mm]", 0.4),
-        (2, "measured\nθ [mrad]", 3.0),
-    ):
-        yield Trace(name, axis, seen[:, axis], noise)
+    for axis, name, noise in ((0, "x [mm]", 0.4), (1, "z [mm]", 0.4), (2, "θ [mrad]", 3.0)):
+        yield Trace(f"measured\n{name}", axis, seen[:, axis], noise)
     yield Trace("measured\nq [rad/s]", 2, measure_rate(twin.constants, velocity[:, 2]) - velocity[:, 2], 0.02)
 
 

@@ -14,21 +14,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.vehicle import Vehicle
+from vpptwin.viz import rotors
 from vpptwin.viz.camera import View
 from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import BLADE, GREY, NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
-from vpptwin.viz.rotors import (
-    ARROW_LENGTH,
-    CHORD,
-    HEAD_HEIGHT,
-    HEAD_RADIUS,
-    PITCH_EXAGGERATION,
-    ROOT_RADIUS,
-    SHAFT_RADIUS,
-    TURN_SIGNS,
-    TURN_SLOWDOWN,
-    find_rotor,
-)
 from vpptwin.viz.scene import FIRST_HIDDEN_GROUP, GRID_STEP, find_craft
 from vpptwin.viz.shapes import PLANE_HALF_SIZE, PLANE_THICKNESS, read_paint
 
@@ -45,21 +34,16 @@ Colour = tuple[int, int, int, int]
 class Painter:
     """Draws one rig.
 
-    Attributes:
+    Args:
+        model: the rig.
+        rotorcraft: numbers of the rotors that are drawn; None where there are none.
+        view: what part of the x-z plane is seen.
         size: of a frame, width and height in pixels.
     """
 
     def __init__(
         self, model: mujoco.MjModel, rotorcraft: Vehicle | None, view: View, size: tuple[int, int] = (640, 400)
     ) -> None:
-        """Set up a canvas.
-
-        Args:
-            model: the rig.
-            rotorcraft: numbers of the rotors that are drawn; None where there are none.
-            view: what part of the x-z plane is seen.
-            size: of a frame, width and height in pixels.
-        """
         self.model, self.rotorcraft, self.size = model, rotorcraft, size
         self._data = mujoco.MjData(model)
         self._scale = FINER * 0.5 * size[1] / view.half_height  # pixels per metre
@@ -72,15 +56,9 @@ class Painter:
         self._still = self._draw_surroundings()
 
     def draw(
-        self,
-        qpos: np.ndarray,
-        *,
-        spin: Rotors | None = None,
-        twin: np.ndarray | None = None,
-        target: np.ndarray | None = None,
-        trail: np.ndarray | None = None,
-        text: Sequence[str] = (),
-    ) -> np.ndarray:
+        self, qpos: np.ndarray, *, spin: Rotors | None = None, twin: np.ndarray | None = None,
+        target: np.ndarray | None = None, trail: np.ndarray | None = None, text: Sequence[str] = (),
+    ) -> np.ndarray:  # fmt: skip
         """One frame, (height, width, 3) uint8.
 
         Args:
@@ -174,27 +152,28 @@ class Painter:
 
         mark = np.stack([0.03 * np.cos(ROUND), 0.0 * ROUND, 0.018 + 0.014 * np.sin(ROUND)], -1)
         self._fill(pen, place(mark), to_colour(TOP_MARK))
-        for i, sign in enumerate(TURN_SIGNS):
-            hub, radius = find_rotor(self.model, vehicle, i + 1)
-            mast = hub + ROOT_RADIUS * np.array([[-1, 0, 0], [1, 0, 0], [1, 0, 0], [-1, 0, 0]])
+        for i, sign in enumerate(rotors.TURN_SIGNS):
+            hub, radius = rotors.find_rotor(self.model, vehicle, i + 1)
+            mast = hub + rotors.ROOT_RADIUS * np.array([[-1, 0, 0], [1, 0, 0], [1, 0, 0], [-1, 0, 0]])
             mast[:2, 2] -= hub[2]
             self._fill(pen, place(mast), to_colour(BLADE))
             for side in (1.0, -1.0):
-                about = sign * spin.angle[i] / TURN_SLOWDOWN
+                about = sign * spin.angle[i] / rotors.TURN_SLOWDOWN
                 along = side * np.array([np.cos(about), np.sin(about), 0.0])
                 across = side * np.array([-np.sin(about), np.cos(about), 0.0])
-                pitch = sign * PITCH_EXAGGERATION * spin.blade_pitch[i]
-                chord = 0.5 * CHORD * (across * np.cos(pitch) + np.array([0.0, 0.0, np.sin(pitch)]))
+                pitch = sign * rotors.PITCH_EXAGGERATION * spin.blade_pitch[i]
+                chord = 0.5 * rotors.CHORD * (across * np.cos(pitch) + np.array([0.0, 0.0, np.sin(pitch)]))
                 thick = np.array([0.0, 0.0, 0.5 * THINNEST])
                 edges = [edge + skin for edge in (chord, -chord) for skin in (thick, -thick)]
-                corners = np.array([hub + r * along + edge for r in (ROOT_RADIUS, radius) for edge in edges])
+                corners = np.array([hub + r * along + edge for r in (rotors.ROOT_RADIUS, radius) for edge in edges])
                 self._fill(pen, place(corners), to_colour(BLADE))
-            length = spin.thrust[i] / max_thrust(vehicle.rotor) * ARROW_LENGTH
+            length = spin.thrust[i] / max_thrust(vehicle.rotor) * rotors.ARROW_LENGTH
             if abs(length) > 0.01:
                 colour = to_colour(POSITIVE_THRUST if length > 0.0 else NEGATIVE_THRUST)
-                tip = length + np.sign(length) * HEAD_HEIGHT
-                shaft = hub + np.array([[s * SHAFT_RADIUS, 0.0, z] for s in (-1, 1) for z in (0.0, length)])
-                head = hub + np.array([[-HEAD_RADIUS, 0.0, length], [HEAD_RADIUS, 0.0, length], [0.0, 0.0, tip]])
+                tip = length + np.sign(length) * rotors.HEAD_HEIGHT
+                shaft = hub + np.array([[s * rotors.SHAFT_RADIUS, 0.0, z] for s in (-1, 1) for z in (0.0, length)])
+                barbs = [[s * rotors.HEAD_RADIUS, 0.0, length] for s in (-1, 1)]
+                head = hub + np.array([*barbs, [0.0, 0.0, tip]])
                 self._fill(pen, place(shaft), colour)
                 self._fill(pen, place(head), colour)
 

@@ -19,26 +19,10 @@ from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust, max_thrust
 from vpptwin.vehicle import Vehicle
+from vpptwin.viz import rotors
 from vpptwin.viz.camera import View, set_backdrop
 from vpptwin.viz.page import TEMPLATES
-from vpptwin.viz.rotors import (
-    ARROW_LENGTH,
-    PITCH_EXAGGERATION,
-    SHORTEST_ARROW,
-    TURN_SIGNS,
-    TURN_SLOWDOWN,
-    draw_arrows,
-    draw_rotors,
-)
-from vpptwin.viz.scene import (
-    ROOT,
-    draw_bodies,
-    draw_surroundings,
-    find_craft,
-    fit_craft,
-    make_matrix,
-    name_body,
-)
+from vpptwin.viz.scene import ROOT, draw_bodies, draw_surroundings, find_craft, fit_craft, make_matrix, name_body
 from vpptwin.viz.stage import aim_at, draw_ghost
 
 if TYPE_CHECKING:
@@ -73,8 +57,8 @@ class LiveStage:
         set_backdrop(vis)
         draw_surroundings(vis[f"{ROOT}/world"], self._model)
         draw_bodies(self._node, self._model)
-        draw_rotors(self._craft, self._model, vehicle)
-        draw_arrows(self._craft)
+        rotors.draw_rotors(self._craft, self._model, vehicle)
+        rotors.draw_arrows(self._craft)
         draw_ghost(self._ghost, self._model, vehicle)
         aim_at(vis, VIEW)
 
@@ -99,16 +83,16 @@ class LiveStage:
         turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
         self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
         full = max_thrust(self._vehicle.rotor)
-        for i, sign in enumerate(TURN_SIGNS):
+        for i, sign in enumerate(rotors.TURN_SIGNS):
             rotor = self._craft[f"rotor_{i + 1}"]
-            rotor["spin"].set_transform(tf.rotation_matrix(sign * angle[i] / TURN_SLOWDOWN, [0, 0, 1]))
+            rotor["spin"].set_transform(tf.rotation_matrix(sign * angle[i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
             for blade in ("blade_a", "blade_b"):
-                feather = tf.rotation_matrix(sign * PITCH_EXAGGERATION * pitch[i], [1, 0, 0])
+                feather = tf.rotation_matrix(sign * rotors.PITCH_EXAGGERATION * pitch[i], [1, 0, 0])
                 rotor["spin"][blade]["feather"].set_transform(feather)
             for name, factor in (("positive", 1.0), ("negative", -1.0)):
-                length = float(max(factor * thrust[i] / full * ARROW_LENGTH, SHORTEST_ARROW))
+                length = float(max(factor * thrust[i] / full * rotors.ARROW_LENGTH, rotors.SHORTEST_ARROW))
                 arrow = rotor[f"{name}_thrust"]
-                arrow.set_property("visible", length > SHORTEST_ARROW)
+                arrow.set_property("visible", length > rotors.SHORTEST_ARROW)
                 arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
                 arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
 
@@ -177,10 +161,8 @@ def fly_live(flight: LiveFlight) -> None:
     panel = Panel(vis.url(), flight.commands)
     try:
         stage = LiveStage(vis, env.twin.spec.model, vehicle)
-        print(
-            f"{panel.address} shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end.",
-            flush=True,
-        )
+        about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
+        print(f"{panel.address} {about}", flush=True)
         angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
         while True:
             while True:

@@ -64,14 +64,12 @@ def describe_scene(
             place = np.array([target["x"][rows[k]], 0.0, target["z"][rows[k]]])
             half = -0.5 * target["theta"][rows[k]]  # θ turns about -y
             frames[GHOST] = place, np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        header = {"stamp": stamp, "frame_id": WORLD}
         transforms = [
-            {
-                "header": {"stamp": stamp, "frame_id": WORLD},
-                "child_frame_id": name,
-                "transform": {"translation": name_axes(place), "rotation": name_turn(turn)},
-            }
+            {"header": header, "child_frame_id": name,
+             "transform": {"translation": name_axes(place), "rotation": name_turn(turn)}}
             for name, (place, turn) in frames.items()
-        ]
+        ]  # fmt: skip
         messages.append(Message(TRANSFORMS, "tf2_msgs/msg/TFMessage", time, {"transforms": transforms}))
     return messages
 

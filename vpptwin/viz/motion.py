@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import singledispatch
 from typing import TYPE_CHECKING
@@ -76,7 +75,7 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
         InputError: if the log holds no position of our craft, or of any of the joints that the twin's signals name.
     """
     model, topics = robot.model, robot.signals.joints
-    found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    found: Positions = {}
     for joint, topic in topics.items():
         stream = flight.joints.get(topic, {}).get(joint)
         if stream is not None and "position" in stream.values:
@@ -84,11 +83,9 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
     if not found:
         named = " or ".join(f"{joint} on {topic}" for joint, topic in topics.items())
         present = ", ".join([*flight.streams, *flight.joints]) or "none"
-        raise InputError(
-            f"{flight.path}: no joint position to draw, topics {present}",
-            f"the position of {named or 'a joint'}",
-            "correct `signals` of the twin or use a topic map",
-        )
+        advice = "correct `signals` of the twin or use a topic map"
+        wanted = f"the position of {named or 'a joint'}"
+        raise InputError(f"{flight.path}: no joint position to draw, topics {present}", wanted, advice)
     return found
 
 
@@ -140,17 +137,12 @@ def turn_rotors(time: np.ndarray, speed: np.ndarray, pitch: np.ndarray, at: np.n
     """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]."""
     step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)[:, None]
     angle = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-    return Rotors(
-        interpolate(time, angle, at), pitch, compute_thrust(vehicle.rotor, interpolate(time, speed, at), pitch)
-    )
+    thrust = compute_thrust(vehicle.rotor, interpolate(time, speed, at), pitch)
+    return Rotors(interpolate(time, angle, at), pitch, thrust)
 
 
 def sample_flight(
-    flight: Flight,
-    model: mujoco.MjModel,
-    rotorcraft: Vehicle | None,
-    positions: Mapping[int, tuple[np.ndarray, np.ndarray]],
-    at: np.ndarray,
+    flight: Flight, model: mujoco.MjModel, rotorcraft: Vehicle | None, positions: Positions, at: np.ndarray
 ) -> Motion:
     """The log at the frame times at (T,) [s], with rotors if any; joints that it lacks stay where they start."""
     qpos = np.tile(model.qpos0, (len(at), 1))

@@ -109,17 +109,9 @@ def describe_show(show: Show, title: str, caption: str) -> PageText:
         legend.append(LegendEntry(palette.NEGATIVE_THRUST, "solid", "negative thrust"))
         notes.append(f"Rotors turn {TURN_SLOWDOWN:g} times slower and pitch {PITCH_EXAGGERATION:g} times further.")
         notes.append("Thrust: k_T × speed × commanded pitch.")
-    return PageText(
-        title,
-        tuple(legend),
-        " ".join(notes),
-        float(show.frames[0]),
-        len(show.frames),
-        float(show.time[-1]),
-        views,
-        log_node,
-        twin_node,
-    )
+    start, duration = float(show.frames[0]), float(show.time[-1])
+    note = " ".join(notes)
+    return PageText(title, tuple(legend), note, start, len(show.frames), duration, views, log_node, twin_node)
 
 
 def lower_view(view: View) -> tuple[float, float, float]:
@@ -140,19 +132,11 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
         text: what the page says around the scene.
         out: the page.
     """
-    html = TEMPLATES.get_template("play.html").render(
-        text=text,
-        viewer=VIEWER.read_text(encoding="utf-8"),
-        commands=json.dumps([base64.b64encode(command).decode() for command in commands]),
-        readout=json.dumps(
-            {
-                "start": text.start,
-                "frame": text.duration / (text.frames - 1),
-                "log": text.log_node,
-                "twin": text.twin_node,
-                "views": text.views,
-                "trail": round(TRAIL_DURATION * text.frames / text.duration),
-            }
-        ),
-    )
-    return write_whole(out, html)
+    readout = {
+        "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
+        "views": text.views, "trail": round(TRAIL_DURATION * text.frames / text.duration),
+    }  # fmt: skip
+    drawing = json.dumps([base64.b64encode(command).decode() for command in commands])
+    viewer = VIEWER.read_text(encoding="utf-8")
+    page = TEMPLATES.get_template("play.html")
+    return write_whole(out, page.render(text=text, viewer=viewer, commands=drawing, readout=json.dumps(readout)))

@@ -101,11 +101,9 @@ def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
     panels = tell_robot(spec.robot, flight, prediction)
     if not panels:
         present = ", ".join([*flight.streams, *flight.joints]) or "none"
-        raise InputError(
-            f"{flight.path}: nothing to plot, topics {present}",
-            "a log of our craft, or of the joints that the twin's signals name",
-            "name the rig's twin with --twin, or use a topic map",
-        )
+        expected = "a log of our craft, or of the joints that the twin's signals name"
+        advice = "name the rig's twin with --twin, or use a topic map"
+        raise InputError(f"{flight.path}: nothing to plot, topics {present}", expected, advice)
     return Story(flight.path.name, panels, find_triggers(flight))
 
 

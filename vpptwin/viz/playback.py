@@ -24,13 +24,9 @@ FOREVER = float("inf")  # repetitions of a looping animation
 
 
 def play_page(
-    flight: Flight,
-    prediction: Prediction | None = None,
-    out: Path = Path("flight.html"),
-    *,
-    spec: TwinSpec | None = None,
-    caption: str | None = None,
-) -> Path:
+    flight: Flight, prediction: Prediction | None = None, out: Path = Path("flight.html"), *,
+    spec: TwinSpec | None = None, caption: str | None = None,
+) -> Path:  # fmt: skip
     """Write one HTML page that plays a flight in a loop, offline, with play, pause, speed and scrubbing.
 
     Args:
@@ -64,12 +60,7 @@ def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
     return f"twin {name}, set back to the log every {np.median(np.diff(restarts)):.3g} s"
 
 
-def play_live(
-    flight: Flight,
-    prediction: Prediction | None = None,
-    *,
-    spec: TwinSpec | None = None,
-) -> None:
+def play_live(flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None) -> None:
     """Serve a flight with meshcat, which prints its address, and play it in a loop until Ctrl-C.
 
     The arguments are those of play_page.

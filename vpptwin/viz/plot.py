@@ -154,12 +154,10 @@ def render_page(story: Story, theme: Theme) -> str:
     faint = "rgba(127,127,127,0.25)"
     figure.update_xaxes(gridcolor=faint, zeroline=False).update_yaxes(gridcolor=faint, zeroline=False)
     style: dict[str, object] = {
-        "template": "none",
-        "paper_bgcolor": theme.paper,
-        "plot_bgcolor": theme.paper,
+        "margin": {"l": 80, "r": 20}, "template": "none", "paper_bgcolor": theme.paper, "plot_bgcolor": theme.paper,
         "font": {"color": theme.ink},
-    }
+    }  # fmt: skip
     height = (190 if story.columns == 1 else 420) * rows + 120
-    figure.update_layout(title=story.title, height=height, hovermode="x unified", margin={"l": 80, "r": 20}, **style)
+    figure.update_layout(title=story.title, height=height, hovermode="x unified", **style)
     text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
     return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)

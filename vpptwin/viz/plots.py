@@ -19,14 +19,10 @@ MOST_SAMPLES = 800  # of a line
 
 
 def error_by_horizon(
-    horizons_s: Sequence[float],
-    before: Sequence[float],
-    after: Sequence[float] | None = None,
-    noise: float | None = None,
-    interval: Sequence[tuple[float, float]] | None = None,
-    label: str = "error",
+    horizons_s: Sequence[float], before: Sequence[float], after: Sequence[float] | None = None,
+    noise: float | None = None, interval: Sequence[tuple[float, float]] | None = None, label: str = "error",
     noise_label: str = "sensor noise",
-) -> str:
+) -> str:  # fmt: skip
     """Prediction error against horizon, before and after, on logarithmic axes.
 
     Args:
@@ -64,13 +60,9 @@ def widen_to_decades(axes: Axes) -> None:
 
 
 def residual_against(
-    x: np.ndarray,
-    residual_before: np.ndarray,
-    residual_after: np.ndarray | None,
-    x_label: str,
-    y_label: str,
+    x: np.ndarray, residual_before: np.ndarray, residual_after: np.ndarray | None, x_label: str, y_label: str,
     subject: str = "residual",
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """What the twin leaves unexplained against a quantity: samples, running median and the band of 80 % of them.
 
     Args:
@@ -147,13 +139,9 @@ def cover_bulk(values: np.ndarray) -> tuple[float, float]:
 
 
 def prediction_overlay(
-    time: np.ndarray,
-    measured: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray | None,
-    label: str,
+    time: np.ndarray, measured: np.ndarray, before: np.ndarray, after: np.ndarray | None, label: str,
     restarts: Sequence[float] = (),
-) -> str:
+) -> str:  # fmt: skip
     """A stretch of flight: the log, and the twin before and after.
 
     Args:
@@ -174,13 +162,9 @@ def prediction_overlay(
 
 
 def residual_over_time(
-    time: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray | None,
-    noise: float,
-    label: str,
+    time: np.ndarray, before: np.ndarray, after: np.ndarray | None, noise: float, label: str,
     restarts: Sequence[float] = (),
-) -> str:
+) -> str:  # fmt: skip
     """Measured minus predicted over a stretch of flight, and the band of two sigma of sensor noise.
 
     Args:

@@ -77,12 +77,7 @@ def prepare_show(flight: Flight, prediction: Prediction | None, spec: TwinSpec) 
     if rotorcraft is not None:
         fit_craft(model, rotorcraft)
     frames = choose_frames(start, end, most=count_frames(model, 1 if prediction is None else 2))
-    return Show(
-        model,
-        rotorcraft,
-        mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, spec.robot.followed),
-        frames,
-        sample_flight(flight, model, rotorcraft, positions, frames),
-        None if prediction is None else sample_prediction(prediction, rotorcraft, frames),
-        read_target(flight, start, end),
-    )
+    followed = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, spec.robot.followed)
+    log = sample_flight(flight, model, rotorcraft, positions, frames)
+    twin = None if prediction is None else sample_prediction(prediction, rotorcraft, frames)
+    return Show(model, rotorcraft, followed, frames, log, twin, read_target(flight, start, end))

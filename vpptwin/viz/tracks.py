@@ -72,11 +72,6 @@ class Animation:
 
     tracks: list[Track] = field(default_factory=list)
 
-    @property
-    def duration(self) -> float:
-        """Time of the last key [s]."""
-        return max((float(t.time[-1]) for t in self.tracks), default=0.0)
-
     def lower(self) -> list[dict[str, object]]:
         """One clip per animated node, in the order in which the nodes appear."""
         clips: dict[str, list[dict[str, object]]] = {}

@@ -42,12 +42,7 @@ def check_video(out: Path) -> None:
 
 
 def write_video(
-    flight: Flight,
-    prediction: Prediction | None,
-    out: Path,
-    *,
-    spec: TwinSpec,
-    size: tuple[int, int] = (640, 400),
+    flight: Flight, prediction: Prediction | None, out: Path, *, spec: TwinSpec, size: tuple[int, int] = (640, 400)
 ) -> Path:
     """Write a flight, and the twin beside it, as an animation in real time that repeats.
 
@@ -106,16 +101,7 @@ def paint_show(painter: Painter, show: Show, times: np.ndarray) -> Iterator[np.n
             asked = np.concatenate([hold(target.time, values, at) for values in (target.x, target.z, target.theta)])
         twin = None if show.twin is None or not show.twin.shown[row] else show.twin.qpos[row]
         past = show.log.qpos[(show.time > time - TRAIL_DURATION) & (show.time <= time)]
-        yield painter.draw(
-            show.log.qpos[row],
-            spin=None if show.log.rotors is None else pick(show.log.rotors, row),
-            twin=twin,
-            target=asked,
-            trail=past[:, :2] if show.followed >= 0 else None,
-            text=[f"{time + show.frames[0]:5.2f} s"],
-        )
-
-
-def pick(rotors: Rotors, row: int) -> Rotors:
-    """Both rotors at one frame."""
-    return Rotors(rotors.angle[row], rotors.blade_pitch[row], rotors.thrust[row])
+        both = show.log.rotors
+        spin = None if both is None else Rotors(both.angle[row], both.blade_pitch[row], both.thrust[row])
+        trail, text = past[:, :2] if show.followed >= 0 else None, [f"{time + show.frames[0]:5.2f} s"]
+        yield painter.draw(show.log.qpos[row], spin=spin, twin=twin, target=asked, trail=trail, text=text)
