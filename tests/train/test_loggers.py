@@ -9,7 +9,8 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from tests.train.conftest import read_log
-from vpptwin.train.loggers import CHOICES, make_logger
+from vpptwin.train.config import LOGGERS
+from vpptwin.train.loggers import make_logger
 
 
 def read_events(run: Path) -> dict[str, np.ndarray]:
@@ -29,7 +30,7 @@ def test_both_loggers_get_the_same(tiny_run: Path) -> None:
         np.testing.assert_allclose(read_log(tiny_run, name), rows, rtol=1e-6, err_msg=name)  # float32
 
 
-@pytest.mark.parametrize("chosen", [*[[name] for name in CHOICES], list(CHOICES), []])
+@pytest.mark.parametrize("chosen", [*[[name] for name in LOGGERS], list(LOGGERS), []])
 def test_only_the_chosen_ones_write(chosen: list[str], tmp_path: Path) -> None:
     """CSV files, TensorBoard's events, both or nothing."""
     logger = make_logger(chosen, tmp_path)

@@ -34,9 +34,8 @@ def write_c(content: Content, folder: Path) -> list[Path]:
         InputError: if they cannot be written.
     """
     values = describe(content)
-    return [
-        write_whole(folder / name, TEMPLATES.get_template(f"controller{name[-2:]}.j2").render(values)) for name in FILES
-    ]
+    texts = {name: TEMPLATES.get_template(f"controller{name[-2:]}.j2").render(values) for name in FILES}
+    return [write_whole(folder / name, text) for name, text in texts.items()]
 
 
 def describe(content: Content) -> dict[str, object]:

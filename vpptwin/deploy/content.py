@@ -114,7 +114,5 @@ def hash_twin(spec: TwinSpec) -> str:
     model = spec.model
     parts = [np.ascontiguousarray(getattr(model, name)).tobytes() for name in
              ("body_mass", "body_inertia", "body_pos", "body_ipos", "jnt_range", "geom_pos", "geom_size")]  # fmt: skip
-    said = json.dumps(
-        [spec.vehicle.model_dump_json(), spec.effects, spec.controller], sort_keys=True, default=str
-    ).encode()
-    return sha256(b"".join([*parts, said])).hexdigest()
+    said = json.dumps([spec.vehicle.model_dump_json(), spec.effects, spec.controller], sort_keys=True, default=str)
+    return sha256(b"".join([*parts, said.encode()])).hexdigest()

@@ -38,6 +38,10 @@ class Exported(ABC):
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path}: metadata that cannot be read", EXPECTED, AGAIN) from error
 
+    def _refuse_failures(self, wrong: int) -> None:
+        if wrong:
+            raise InputError(f"{self.path}: {wrong} of its test vectors fail", "a controller that is whole", AGAIN)
+
     @abstractmethod
     def decide(
         self, pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray
@@ -68,7 +72,8 @@ class OnnxController(Exported):
             raise
         except Exception as error:  # onnxruntime raises kinds of its own that share no base
             raise InputError(f"{path}: no ONNX model", EXPECTED, AGAIN) from error
-        check_vectors(path, self._retrace(seen), wanted)
+        right = np.abs(self._retrace(seen) - wanted).max(axis=1) <= TOLERANCE
+        self._refuse_failures(int(np.count_nonzero(~right)))
 
     def _retrace(self, observations: np.ndarray) -> np.ndarray:
         """Actions of observations: the states that would have given them go in."""
@@ -80,8 +85,7 @@ class OnnxController(Exported):
         pose = np.stack([zero, zero, target_angle - angle_of(column, "delta_theta", zero)], -1)
         velocity = np.stack([column["velocity_x"], column["velocity_z"], column["rate"]], -1)
         grown = np.stack([column.get("integral_x", zero), column.get("integral_z", zero)], -1)
-        given = (pose, velocity, target, (grown - target[:, :2]) / INTEGRAL_DECAY)
-        return self._run(*given)[0]
+        return self._run(pose, velocity, target, (grown - target[:, :2]) / INTEGRAL_DECAY)[0]
 
     def _run(self, *given: np.ndarray) -> list[np.ndarray]:
         feeds = {name: np.asarray(values, np.float32) for name, values in zip(INPUTS, given)}
@@ -114,8 +118,7 @@ class CompiledController(Exported):
         except (OSError, ValueError, AttributeError) as error:
             raise InputError(f"{path}: no controller of ours ({error})", EXPECTED, AGAIN) from error
         super().__init__(path, text)
-        if wrong:
-            raise InputError(f"{path}: {wrong} of its test vectors fail", "a controller that is whole", AGAIN)
+        self._refuse_failures(wrong)
 
     def decide(
         self, pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray
@@ -163,14 +166,3 @@ def angle_of(column: dict[str, np.ndarray], name: str, otherwise: np.ndarray) ->
     if f"sin_{name}" in column:
         return np.arctan2(column[f"sin_{name}"], column[f"cos_{name}"])
     return column.get(name, otherwise)
-
-
-def check_vectors(path: Path, found: np.ndarray, wanted: np.ndarray) -> None:
-    """Refuse a controller whose actions are not those of its test vectors.
-
-    Raises:
-        InputError: telling how many differ.
-    """
-    wrong = ~(np.abs(found - wanted).max(axis=1) <= TOLERANCE)
-    if wrong.any():
-        raise InputError(f"{path}: {wrong.sum()} of its test vectors fail", "a controller that is whole", AGAIN)

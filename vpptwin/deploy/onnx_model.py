@@ -50,9 +50,8 @@ class WholePolicy(nn.Module):
             if name in plain:
                 columns.append(plain[name])
             elif name in angles:
-                columns.append(
-                    angles[name] - 2.0 * torch.pi * torch.floor((angles[name] + torch.pi) / (2.0 * torch.pi))
-                )
+                turns = torch.floor((angles[name] + torch.pi) / (2.0 * torch.pi))
+                columns.append(angles[name] - 2.0 * torch.pi * turns)
             else:
                 kind, _, angle = name.partition("_")
                 columns.append(torch.sin(angles[angle]) if kind == "sin" else torch.cos(angles[angle]))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torchrl.trainers import Trainer, TrainerHookBase
 
 import vpptwin
 from vpptwin.errors import InputError
@@ -17,6 +16,7 @@ from vpptwin.files import write_whole
 from vpptwin.resources import models_dir
 from vpptwin.train.config import TrainConfig, to_config, to_plain
 from vpptwin.train.env import VppEnv
+from vpptwin.train.hook import Hook
 from vpptwin.train.networks import Policy
 from vpptwin.train.snapshot import take_snapshot
 
@@ -132,7 +132,7 @@ def make_policy(config: TrainConfig) -> Policy:
     return Policy(config.sight, (config.hidden[0], config.hidden[1]))
 
 
-class SaveCheckpoint(TrainerHookBase):
+class SaveCheckpoint(Hook):
     """Writes a checkpoint every so many steps and after the last one.
 
     Args:
@@ -143,14 +143,14 @@ class SaveCheckpoint(TrainerHookBase):
             are elsewhere, and new episodes begin.
     """
 
+    place, name = "post_steps_log", "save_checkpoint"  # the last of them that is registered
+
     def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: VppEnv | None) -> None:
         self.path, self.config, self.policy, self.env = path, config, policy, env
-        self.trainer: Trainer | None = None
         self.saved = 0
 
     def __call__(self, batch: object = None) -> None:
         """Save if it is time."""
-        assert self.trainer is not None
         steps = self.trainer.collected_frames
         if steps - self.saved < self.config.checkpoint_every and steps < self.trainer.total_frames:
             return
@@ -158,12 +158,6 @@ class SaveCheckpoint(TrainerHookBase):
         env = None if self.env is None else take_snapshot(self.env)
         training = {"trainer": self.trainer.state_dict(), "env": env, "torch_random": torch.get_rng_state()}
         write_checkpoint(self.path, self.config, self.policy, steps, training)
-
-    def register(self, trainer: Trainer, name: str = "save_checkpoint") -> None:
-        """Run as the last thing of every batch."""
-        self.trainer = trainer
-        trainer.register_op("post_steps_log", self)
-        trainer.register_module(name, self)
 
     def state_dict(self) -> dict[str, Any]:
         """When it last saved."""

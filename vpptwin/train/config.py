@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,7 @@ from vpptwin.train.tasks import Task, check_task
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""
+LOGGERS = ("csv", "tensorboard")
 HELP = "`vpptwin train --help` lists every option"
 
 
@@ -239,13 +241,17 @@ def check_values(config: TrainConfig) -> None:
     Raises:
         InputError: naming the first.
     """
+
+    def check(names: Sequence[str], holds: Callable[[Any], bool], expected: str) -> None:
+        for name in names:
+            value = getattr(config, name)
+            if not holds(value):
+                raise InputError(f"{name}={value}", expected, HELP)
+
     positive = ("total_steps", "num_envs", "rollout", "epochs", "minibatch", "max_grad_norm", "checkpoint_every")
-    for name in (*positive, "exam_tracks", "advantage_groups", "critic_lstm", "workers"):
-        if getattr(config, name) <= 0:
-            raise InputError(f"{name}={getattr(config, name)}", "a number above 0", HELP)
-    for name in ("sim_threads", "torch_threads"):
-        if not 1 <= getattr(config, name) <= 1024:
-            raise InputError(f"{name}={getattr(config, name)}", "1 to 1024", HELP)
+    counts = ("exam_tracks", "advantage_groups", "critic_lstm", "workers")
+    check((*positive, *counts), lambda value: not value <= 0, "a number above 0")
+    check(("sim_threads", "torch_threads"), lambda value: 1 <= value <= 1024, "1 to 1024")
     for name, share in (("gamma", config.discount), ("lmbda", config.lmbda)):
         if not 0.0 <= share <= 1.0:
             raise InputError(f"{name}={share}", "a number between 0 and 1", HELP)
@@ -253,31 +259,20 @@ def check_values(config: TrainConfig) -> None:
         ramp = getattr(config, name)
         if not (ramp.start > 0.0 and ramp.end > 0.0):
             raise InputError(f"{name} from {ramp.start} to {ramp.end}", "numbers above 0", HELP)
-    if not 0.0 <= config.average < 1.0:
-        raise InputError(f"average={config.average}", "from 0 to below 1", HELP)
+    check(("average",), lambda value: 0.0 <= value < 1.0, "from 0 to below 1")
     for name in ("nominal", "again"):
-        value = getattr(config.curriculum, name)
-        if value is not None and not 0.0 <= value <= 1.0:
-            found = f"curriculum.{name}={value}"
-            raise InputError(found, "a share from 0 to 1", HELP)
-    if config.lipschitz is not None and not config.lipschitz > 0.0:
-        raise InputError(f"lipschitz={config.lipschitz}", "a number above 0, or null", HELP)
+        share = getattr(config.curriculum, name)
+        if share is not None and not 0.0 <= share <= 1.0:
+            raise InputError(f"curriculum.{name}={share}", "a share from 0 to 1", HELP)
+    check(("lipschitz",), lambda value: value is None or value > 0.0, "a number above 0, or null")
     choices = {
-        "estimator": ESTIMATORS,
-        "setup": SETUPS,
-        "critic": ("mlp", "lstm"),
-        "collector": ("local", "ray"),
+        "estimator": ESTIMATORS, "setup": SETUPS, "critic": ("mlp", "lstm"), "collector": ("local", "ray"),
         "preset": tuple(PRESETS),
-    }
+    }  # fmt: skip
     for name, known in choices.items():
-        if getattr(config, name) not in known:
-            raise InputError(f"{name}={getattr(config, name)}", f"one of {', '.join(known)}", HELP)
-    unknown = set(config.loggers) - {"csv", "tensorboard"}
-    if unknown:
-        raise InputError(f"loggers={config.loggers}", "csv, tensorboard or both", HELP)
-    for name in ("noise", "seed", "exam_every"):
-        if not getattr(config, name) >= 0:
-            raise InputError(f"{name}={getattr(config, name)}", "0 or more", HELP)
+        check((name,), known.__contains__, f"one of {', '.join(known)}")
+    check(("loggers",), set(LOGGERS).issuperset, "csv, tensorboard or both")
+    check(("noise", "seed", "exam_every"), lambda value: value >= 0, "0 or more")
     if len(config.hidden) != 2 or not config.critic_hidden or min(config.hidden + config.critic_hidden) < 1:
         found = f"hidden={config.hidden} critic_hidden={config.critic_hidden}"
         raise InputError(found, "two and one or more layer sizes", HELP)

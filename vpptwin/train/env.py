@@ -81,21 +81,10 @@ class VppEnv(EnvBase):
     batch_locked = True
 
     def __init__(
-        self,
-        twin: Twin,
-        task: Task,
-        seed: int = 0,
-        noise: float = 0.0,
-        randomized: Sequence[str] = (),
-        sight: Sight | None = None,
-        desynchronize: bool = False,
-        lesson: Lesson | None = None,
-        memory: int = 0,
-        privileged: bool = True,
-        fault_folder: Path | None = None,
-        estimator: str = "sensors",
-        narrowed: bool = False,
-    ) -> None:
+        self, twin: Twin, task: Task, seed: int = 0, noise: float = 0.0, randomized: Sequence[str] = (),
+        sight: Sight | None = None, desynchronize: bool = False, lesson: Lesson | None = None, memory: int = 0,
+        privileged: bool = True, fault_folder: Path | None = None, estimator: str = "sensors", narrowed: bool = False,
+    ) -> None:  # fmt: skip
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
         self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
         self.noise, self.randomized, self.sight = noise, tuple(randomized), sight or Sight()
@@ -127,17 +116,15 @@ class VppEnv(EnvBase):
         return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.twin.num_sims)
 
     def _make_specs(self, n: int) -> None:
-        def scalar(dtype: torch.dtype) -> Unbounded:
-            return Unbounded(shape=(n, 1), dtype=dtype)
-
+        number = Unbounded(shape=(n, 1), dtype=torch.float32)
         shapes = {"observation": self.episodes.observation.shape}
         if self.episodes.seen.size:
             shapes["critic_observation"] = self.episodes.seen.shape
         shown = {key: Unbounded(shape=shape, dtype=torch.float32) for key, shape in shapes.items()}
-        told = {key: scalar(torch.float32) for key in ("position_error", "success", "surprised", "episode_return")}
+        told = {key: number.clone() for key in ("position_error", "success", "surprised", "episode_return")}
         self.observation_spec = Composite(**shown, **told, shape=(n,))
         self.action_spec = Bounded(-1.0, 1.0, shape=(n, 2), dtype=torch.float32)
-        self.reward_spec = scalar(torch.float32)
+        self.reward_spec = number
         flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(**flags, shape=(n,))
 
@@ -246,11 +233,9 @@ class VppEnv(EnvBase):
         if episodes.seen.size:
             # One step on: what was the second becomes the first.
             episodes.seen[rows, :-1] = episodes.seen[rows, 1:]
-            now = (
-                see_everything(state, episodes, self.twin.vehicle, rows)
-                if self.privileged
-                else episodes.observation[rows]
-            )
+            now = episodes.observation[rows]
+            if self.privileged:
+                now = see_everything(state, episodes, self.twin.vehicle, rows)
             episodes.seen[rows, -1] = now
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:

@@ -18,8 +18,9 @@ from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
 from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
+from vpptwin.train.pilot import check_task_name, choose_task
 from vpptwin.train.randomize import PAPER
-from vpptwin.train.tasks import TASKS, check_task
+from vpptwin.train.tasks import check_task
 
 
 def load_policy(checkpoint: Path | str) -> Policy:
@@ -106,9 +107,8 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
     """
     if given.estimator not in (None, *ESTIMATORS):
         raise InputError(f"unknown estimator {given.estimator!r}", f"one of {', '.join(ESTIMATORS)}", "check the name")
-    if given.task is not None and given.task not in TASKS:
-        raise InputError(f"unknown task {given.task!r}", f"one of {', '.join(TASKS)}", "check the name")
-    task = trained.task if given.task in (None, trained.task.name) else TASKS[str(given.task)]
+    check_task_name(given.task)
+    task = choose_task(trained, given.task)
     if given.thrust_to_weight is not None:
         task = replace(task, thrust_to_weight=given.thrust_to_weight)
         check_task(task)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from torchrl.trainers import Trainer, TrainerHookBase
 
 from vpptwin.train.checkpoint import BEST_NAME, write_checkpoint
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.flights import Flights, fly_tracks
+from vpptwin.train.hook import Hook
 from vpptwin.train.networks import Policy
 
 SEED = 2_000_003
@@ -22,7 +22,7 @@ LOST = 0.5
 """What a failed flight counts as in the score, m."""
 
 
-class Exam(TrainerHookBase):
+class Exam(Hook):
     """Flies a fixed set at full difficulty every so many steps and keeps the best policy as best.pt.
 
     Logs `exam_score_m` (mean position error, failed flights counted as `LOST`), `exam_error_m` (of those that did not
@@ -38,15 +38,15 @@ class Exam(TrainerHookBase):
         best: lowest score so far, m.
     """
 
+    place, name = "post_steps_log", "exam"  # after the updates of a batch, before the checkpoint is written
+
     def __init__(self, config: TrainConfig, policy: Policy, folder: Path) -> None:
         self.config, self.policy, self.path = config, policy, folder / BEST_NAME
         self.best, self.taken = float("inf"), 0
-        self.trainer: Trainer | None = None
         self._env: VppEnv | None = None
 
     def __call__(self, batch: object = None) -> dict[str, float] | None:
         """Fly if it is time, and after the last update."""
-        assert self.trainer is not None
         steps = self.trainer.collected_frames
         over = steps >= self.trainer.total_frames
         early = steps < self.config.exam_from * self.trainer.total_frames
@@ -71,12 +71,6 @@ class Exam(TrainerHookBase):
         self._env.set_seed(SEED)
         with torch.random.fork_rng():
             return fly_tracks(self._env, self.policy)
-
-    def register(self, trainer: Trainer, name: str = "exam") -> None:
-        """Run after the updates of a batch, before the checkpoint is written."""
-        self.trainer = trainer
-        trainer.register_op("post_steps_log", self)
-        trainer.register_module(name, self)
 
     def state_dict(self) -> dict[str, Any]:
         """When it last flew and how well."""

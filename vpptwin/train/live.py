@@ -46,25 +46,19 @@ class LiveFlight:
         task = trained.task
         self._angles = task.target.angles
         calm = replace(task, episode=HOUR, target=replace(task.target, dwell=None, hold=None, turns=1.0))
-        self.env = make_env(
-            replace(trained, task=calm, num_envs=1, seed=seed, randomize=[], desynchronize=False, sim_threads=1)
-        )
+        config = replace(trained, task=calm, num_envs=1, seed=seed, randomize=[], desynchronize=False, sim_threads=1)
+        self.env = make_env(config)
         self.begun = 1
         self._now = self.env.reset()
         self.commands: dict[str, Callable[[], None]] = {
             "flip": self._flip,
-            "turn left": lambda: self._turn(2.0 * math.pi),
-            "turn right": lambda: self._turn(-2.0 * math.pi),
-            "push left": lambda: self._push(-KICK, 0.0, 0.0),
-            "push right": lambda: self._push(KICK, 0.0, 0.0),
-            "push up": lambda: self._push(0.0, KICK, 0.0),
-            "push down": lambda: self._push(0.0, -KICK, 0.0),
+            "turn left": lambda: self._turn(2.0 * math.pi), "turn right": lambda: self._turn(-2.0 * math.pi),
+            "push left": lambda: self._push(-KICK, 0.0, 0.0), "push right": lambda: self._push(KICK, 0.0, 0.0),
+            "push up": lambda: self._push(0.0, KICK, 0.0), "push down": lambda: self._push(0.0, -KICK, 0.0),
             "spin": lambda: self._push(0.0, 0.0, SPIN),
-            "target left": lambda: self._move(-STEP, 0.0),
-            "target right": lambda: self._move(STEP, 0.0),
-            "target up": lambda: self._move(0.0, STEP),
-            "target down": lambda: self._move(0.0, -STEP),
-        }
+            "target left": lambda: self._move(-STEP, 0.0), "target right": lambda: self._move(STEP, 0.0),
+            "target up": lambda: self._move(0.0, STEP), "target down": lambda: self._move(0.0, -STEP),
+        }  # fmt: skip
         """What may be asked for, by name."""
 
     @property

@@ -8,9 +8,6 @@ from pathlib import Path
 from torchrl.record import CSVLogger
 from torchrl.record.loggers import Logger, TensorboardLogger
 
-CHOICES = ("csv", "tensorboard")
-"""Names of `make_logger`."""
-
 
 class Loggers(Logger):
     """Several of TorchRL's loggers as one.

@@ -70,9 +70,7 @@ class Policy(nn.Module):
             last.weight.mul_(0.1)
             last.bias.zero_()
         scale, inputs = ScaleInputs(sight.names), len(sight.names)
-        self.body = nn.Sequential(
-            scale, nn.Linear(inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last
-        )  # fmt: skip
+        self.body = nn.Sequential(scale, nn.Linear(inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Action in [-1, 1]."""
@@ -155,14 +153,11 @@ class Exploration(nn.Module):
 
 def make_actor(exploration: Exploration) -> ProbabilisticActor:
     """Stochastic actor for collection and loss: `observation` to `action` and its log-probability."""
+    module = TensorDictModule(exploration, in_keys=["observation"], out_keys=["loc", "scale"])
     return ProbabilisticActor(
-        TensorDictModule(exploration, in_keys=["observation"], out_keys=["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        out_keys=["action"],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": -1.0, "high": 1.0},
-        return_log_prob=True,
-    )
+        module, in_keys=["loc", "scale"], out_keys=["action"], distribution_class=TanhNormal,
+        distribution_kwargs={"low": -1.0, "high": 1.0}, return_log_prob=True,
+    )  # fmt: skip
 
 
 class Critic(nn.Module):

@@ -37,14 +37,12 @@ class Training:
         trainer: TorchRL's trainer, ready to `train()`.
         simulations: what it collects from.
         policy: what it trains.
-        statistics: running means of finished episodes.
         bar: the progress bar.
     """
 
     trainer: PPOTrainer
     simulations: Simulations
     policy: Policy
-    statistics: EpisodeStatistics
     bar: ProgressBar
 
 
@@ -108,18 +106,16 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     statistics = EpisodeStatistics(collection.simulations)
     bar = ProgressBar(statistics, batches * batch, config.progress)
     averaging = Averaging(policy, config.average)
-    exam = Exam(config, averaging.averaged, folder)
-    Minibatches(config.minibatch).register(trainer)
-    LipschitzBound(policy, config.lipschitz).register(trainer)
-    statistics.register(trainer)
-    LRSchedulerHook(scheduler).register(trainer)
-    ExplorationRamp(exploration, config.exploration).register(trainer)
-    averaging.register(trainer)
-    bar.register(trainer)
-    exam.register(trainer)
-    SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, collection.env).register(trainer)
+    hooks = (
+        Minibatches(config.minibatch), LipschitzBound(policy, config.lipschitz), statistics,
+        LRSchedulerHook(scheduler), ExplorationRamp(exploration, config.exploration), averaging, bar,
+        Exam(config, averaging.averaged, folder),
+        SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, collection.env),
+    )  # fmt: skip
+    for hook in hooks:
+        hook.register(trainer)
     if saved is not None:
         trainer.load_state_dict(saved["training"]["trainer"])
         exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))
         torch.set_rng_state(saved["training"]["torch_random"])
-    return Training(trainer, collection.simulations, policy, statistics, bar)
+    return Training(trainer, collection.simulations, policy, bar)

@@ -7,10 +7,11 @@ from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.trainers import Trainer, TrainerHookBase
+from torchrl.trainers import Trainer
 from tqdm import tqdm
 
 from vpptwin.progress import open_bar
+from vpptwin.train.hook import Hook
 
 MEMORY = 200
 """Episodes that the running statistics cover."""
@@ -32,7 +33,7 @@ class Simulations(Protocol):
         """Level of the curriculum, 0 to 1."""
 
 
-class EpisodeStatistics(TrainerHookBase):
+class EpisodeStatistics(Hook):
     """Running means over the last finished episodes, logged with every batch.
 
     Logs `reward` (per step of the batch), `return` (sum over an episode), `error_m` (distance at the end of episodes
@@ -43,12 +44,11 @@ class EpisodeStatistics(TrainerHookBase):
         simulations: whose faults and difficulty are reported.
     """
 
+    place, name = "pre_steps_log", "episode_statistics"  # of every collected batch
+
     def __init__(self, simulations: Simulations) -> None:
         self.simulations = simulations
-        self.returns: deque[float] = deque(maxlen=MEMORY)
-        self.errors: deque[float] = deque(maxlen=MEMORY)
-        self.failed: deque[float] = deque(maxlen=MEMORY)
-        self.success: deque[float] = deque(maxlen=MEMORY)
+        self.returns, self.errors, self.failed, self.success = (deque[float](maxlen=MEMORY) for _ in range(4))
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
         """Statistics up to and including the batch (N, T)."""
@@ -68,11 +68,6 @@ class EpisodeStatistics(TrainerHookBase):
             "faults": float(self.simulations.faults),
         }
 
-    def register(self, trainer: Trainer, name: str = "episode_statistics") -> None:
-        """Run on every collected batch."""
-        trainer.register_op("pre_steps_log", self)
-        trainer.register_module(name, self)
-
     def state_dict(self) -> dict[str, Any]:
         """The episodes remembered."""
         return {key: list(getattr(self, key)) for key in ("returns", "errors", "failed", "success")}
@@ -83,7 +78,7 @@ class EpisodeStatistics(TrainerHookBase):
             setattr(self, key, deque(values, maxlen=MEMORY))
 
 
-class ProgressBar(TrainerHookBase):
+class ProgressBar(Hook):
     """One line on stderr: steps, steps per second, time left, return, success, position error, difficulty.
 
     Args:
@@ -92,21 +87,20 @@ class ProgressBar(TrainerHookBase):
         shown: whether to show it.
     """
 
+    place, name = "post_steps", "progress_bar"
+
     def __init__(self, statistics: EpisodeStatistics, total: int, shown: bool = True) -> None:
         self.statistics, self.total, self.shown = statistics, total, shown
-        self.trainer: Trainer | None = None
         self.bar: tqdm | None = None
 
     def open(self) -> None:
         """Start at the steps already collected, which a resumed run has."""
-        assert self.trainer is not None
         start = self.trainer.collected_frames
         self.bar = open_bar(total=self.total, initial=start, delay=0.0, disable=not self.shown, bar_format=LAYOUT)
 
     def __call__(self) -> None:
         """Advance to the trainer's count."""
         assert self.bar is not None
-        assert self.trainer is not None
         known = self.statistics
         shown = f"return {mean(known.returns):.0f}, success {mean(known.success):.0%}"
         shown += f", error {mean(known.errors) * 100.0:.1f} cm, difficulty {known.simulations.difficulty:.2f}"
@@ -118,20 +112,11 @@ class ProgressBar(TrainerHookBase):
         if self.bar is not None:
             self.bar.close()
 
-    def register(self, trainer: Trainer, name: str = "progress_bar") -> None:
+    def register(self, trainer: Trainer, name: str | None = None) -> None:
         """Hook into start, batches and end of training."""
-        self.trainer = trainer
         trainer.register_op("setup", self.open)
-        trainer.register_op("post_steps", self)
+        super().register(trainer, name)
         trainer.register_op("shutdown", self.close)
-        trainer.register_module(name, self)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing: the count is the trainer's."""
-        return {}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Nothing to restore."""
 
 
 def mean(values: deque[float]) -> float:

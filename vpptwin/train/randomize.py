@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from vpptwin.effects import Effect, Parameter, Prior
 from vpptwin.errors import InputError
+from vpptwin.twin import Twin
 
 ALL = "all"
 """Stands for every effect of the twin's catalogue."""
@@ -23,15 +23,6 @@ PAPER_EFFECTS = (
     "gyro.bias", "rail_x.coulomb", "rail_z.coulomb", "rail_x.viscous", "rail_z.viscous", "pitch.viscous",
 )  # fmt: skip
 """What the paper identifies and then randomizes (Domain Randomization): vehicle, actuators, latencies, air, the rig."""
-
-
-class Parametrized(Protocol):
-    """What randomization needs of a twin."""
-
-    def set_parameters(
-        self, keys: Sequence[tuple[str, str]], values: np.ndarray, ids: np.ndarray | None = None
-    ) -> None:
-        """Set K parameters of the simulations `ids` (n,) to values (n, K)."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +51,9 @@ class Priors:
 
     @classmethod
     def of(
-        cls,
-        effects: Sequence[Effect],
-        values: Mapping[str, Mapping[str, float]] | None = None,
+        cls, effects: Sequence[Effect], values: Mapping[str, Mapping[str, float]] | None = None,
         intervals: Mapping[str, tuple[float, float]] | None = None,
-    ) -> Priors:
+    ) -> Priors:  # fmt: skip
         """Those of every parameter of some effects.
 
         Args:
@@ -151,7 +140,7 @@ def list_identified(intervals: Mapping[str, tuple[float, float]], catalogue: Seq
 
 
 def randomize(
-    twin: Parametrized, priors: Priors, ids: np.ndarray, rng: np.random.Generator, level: np.ndarray | float = 1.0
+    twin: Twin, priors: Priors, ids: np.ndarray, rng: np.random.Generator, level: np.ndarray | float = 1.0
 ) -> np.ndarray:
     """Give the simulations `ids` (n,) fresh parameters.
 

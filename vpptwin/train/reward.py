@@ -40,12 +40,9 @@ BOTH, POSITION, ANGLE = 0, 1, 2
 
 
 def compute_reward(
-    weights: RewardWeights,
-    delta: np.ndarray,
-    velocity: np.ndarray,
-    integral: np.ndarray,
+    weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray,
     criterion: np.ndarray | None = None,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i + w_n r_n, r_n = r_o / (1 + d² / width²).
 
     The last term is ours. As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.

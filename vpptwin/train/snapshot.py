@@ -19,10 +19,8 @@ from vpptwin.twin.past import SensorState
 
 def take_snapshot(env: VppEnv) -> dict[str, Any]:
     """Everything that evolves in an environment, as tensors and plain data."""
-    drawn = {
-        effect: {p.name: env.twin.parameter(effect, p.name) for p in env.twin.effects[effect].parameters}
-        for effect in env.randomized
-    }
+    twin = env.twin
+    drawn = {id_: {p.name: twin.parameter(id_, p.name) for p in twin.effects[id_].parameters} for id_ in env.randomized}
     return {
         "state": to_tensors(env.state.arrays()),
         "sensors": to_tensors(env.sensors.arrays()),
@@ -31,9 +29,8 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
         "parameters": {effect: to_tensors(values) for effect, values in drawn.items()},
         "random": json.dumps(env.rng.bit_generator.state),
         "onboard": None if env.onboard is None else to_tensors(env.onboard.filter.save()),
-        "faults": env.faults,
-        "flown": env.flown,
-    }
+        "faults": env.faults, "flown": env.flown,
+    }  # fmt: skip
 
 
 def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:

@@ -195,32 +195,19 @@ WIDE = Start(
 
 HOVER = Task("hover")
 FLIP = Task(
-    "flip",
-    episode=6.0,
-    training_episode=2.5,
-    again=0.2,
-    start=WIDE,
+    "flip", episode=6.0, training_episode=2.5, again=0.2, start=WIDE,
     target=Target(angles=[0.0, math.pi], dwell=(0.8, 3.0), turns=0.2),
-)
+)  # fmt: skip
 WALL_BACKTRACK = Task(
-    "wall-backtrack",
-    episode=6.0,
-    gamma=0.99,
-    thrust_to_weight=2.5,
+    "wall-backtrack", episode=6.0, gamma=0.99, thrust_to_weight=2.5,
     start=Start(x=(0.95, 1.3), z=(1.0, 1.5), theta=(-0.5, 0.5)),
     target=Target(
-        x=(1.15, 1.25),
-        z=(1.2, 1.3),
-        angles=[0.0, 0.5 * math.pi, 0.0],
-        in_order=True,
-        expected=True,
-        dwell=(1.0, 2.0),
-        hold=(0.4, 0.7),
+        x=(1.15, 1.25), z=(1.2, 1.3), angles=[0.0, 0.5 * math.pi, 0.0], in_order=True, expected=True,
+        dwell=(1.0, 2.0), hold=(0.4, 0.7),
     ),
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
-    limits=Limits(ends=False),
-    success=Success(reach=math.radians(15.0)),
-)
+    limits=Limits(ends=False), success=Success(reach=math.radians(15.0)),
+)  # fmt: skip
 TASKS: dict[str, Task] = {task.name: task for task in (HOVER, FLIP, WALL_BACKTRACK)}
 """Every task by name."""
 

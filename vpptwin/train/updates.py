@@ -9,9 +9,10 @@ from tensordict import TensorDictBase
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives.value.functional import generalized_advantage_estimate
-from torchrl.trainers import Trainer, TrainerHookBase
+from torchrl.trainers import Trainer
 
 from vpptwin.errors import InputError
+from vpptwin.train.hook import Hook
 from vpptwin.train.networks import Exploration, Policy, bound_layers
 from vpptwin.train.ramp import Ramp
 
@@ -84,7 +85,7 @@ def normalize(advantage: torch.Tensor, value: torch.Tensor, groups: int) -> torc
     return result.reshape(advantage.shape)
 
 
-class Minibatches(TrainerHookBase):
+class Minibatches(Hook):
     """Shuffles the batch before every epoch and hands out minibatches until it is used up.
 
     It stands in for TorchRL's replay buffer, which copies the batch every epoch and, for (N, T, 1) flags, marks every
@@ -93,6 +94,8 @@ class Minibatches(TrainerHookBase):
     Args:
         size: samples per minibatch; a remainder smaller than half of it is left out.
     """
+
+    name = "minibatches"
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -115,59 +118,41 @@ class Minibatches(TrainerHookBase):
             raise StopIteration
         return self._parts.pop()
 
-    def register(self, trainer: Trainer, name: str = "minibatches") -> None:
+    def register(self, trainer: Trainer, name: str | None = None) -> None:
         """Hook into epochs and optimization steps."""
         trainer.register_op("pre_epoch", self.shuffle)
         trainer.register_op("process_optim_batch", self.take)
-        trainer.register_module(name, self)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing survives a batch."""
-        return {}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Nothing to restore."""
+        trainer.register_module(name or self.name, self)
 
 
-class ExplorationRamp(TrainerHookBase):
-    """Schedules the standard deviation of the exploring actor.
+class ExplorationRamp(Hook):
+    """Schedules the standard deviation of the exploring actor, so that a batch has one value.
 
     Args:
         exploration: module whose `std` is set.
         ramp: the schedule.
     """
 
+    place, name = "post_steps", "exploration_ramp"  # after the updates of a batch
+
     def __init__(self, exploration: Exploration, ramp: Ramp) -> None:
         self.exploration, self.ramp = exploration, ramp
-        self.trainer: Trainer | None = None
 
     def __call__(self) -> None:
         """Set the value that belongs to the steps collected so far."""
-        assert self.trainer is not None
         progress = self.trainer.collected_frames / self.trainer.total_frames
         self.exploration.std.fill_(self.ramp.at(progress))
 
-    def register(self, trainer: Trainer, name: str = "exploration_ramp") -> None:
-        """Run after the updates of every batch, so that a batch is collected and learned from with one value."""
-        self.trainer = trainer
-        trainer.register_op("post_steps", self)
-        trainer.register_module(name, self)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing: the value follows from the trainer's step count."""
-        return {}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Nothing to restore."""
-
-
-class LipschitzBound(TrainerHookBase):
+class LipschitzBound(Hook):
     """Keeps the actor within its Lipschitz bound after every gradient step (paper, Spectral Normalization).
 
     Args:
         policy: what is bound.
         lipschitz: for scaled inputs; None for no bound.
     """
+
+    place, name = "post_optim", "lipschitz_bound"
 
     def __init__(self, policy: Policy, lipschitz: float | None) -> None:
         self.policy, self.lipschitz = policy, lipschitz
@@ -177,21 +162,13 @@ class LipschitzBound(TrainerHookBase):
         if self.lipschitz is not None:
             bound_layers(self.policy, self.lipschitz)
 
-    def register(self, trainer: Trainer, name: str = "lipschitz_bound") -> None:
-        """Run after every gradient step."""
+    def register(self, trainer: Trainer, name: str | None = None) -> None:
+        """Run now and after every gradient step."""
         self()
-        trainer.register_op("post_optim", self)
-        trainer.register_module(name, self)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing to remember."""
-        return {}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Nothing to restore."""
+        super().register(trainer, name)
 
 
-class Averaging(TrainerHookBase):
+class Averaging(Hook):
     """Averages the policy's weights over updates: the average flies better, and differs less from one to the next.
 
     An average of layers within a norm is within it too, so that it keeps the Lipschitz bound.
@@ -200,6 +177,8 @@ class Averaging(TrainerHookBase):
         policy: what is trained.
         share: of the average that stays at every update.
     """
+
+    place, name = "post_steps", "averaging"  # after the updates of a batch
 
     def __init__(self, policy: Policy, share: float) -> None:
         self.policy = policy
@@ -222,11 +201,6 @@ class Averaging(TrainerHookBase):
             expected = "finite ones; the last checkpoint is sound"
             raise InputError("weights that are not finite", expected, "lower learning_rate.start or max_grad_norm")
         self.model.update_parameters(self.policy)
-
-    def register(self, trainer: Trainer, name: str = "averaging") -> None:
-        """Run after the updates of every batch."""
-        trainer.register_op("post_steps", self)
-        trainer.register_module(name, self)
 
     def state_dict(self) -> dict[str, Any]:
         """The average."""

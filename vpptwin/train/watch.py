@@ -22,13 +22,12 @@ class Watcher:
 
     Args:
         twin: that is flown.
-        size: of a frame, width and height in pixels.
     """
 
-    def __init__(self, twin: Twin, size: tuple[int, int] = (640, 400)) -> None:
+    def __init__(self, twin: Twin) -> None:
         model, self._vehicle = copy.copy(twin.spec.model), twin.vehicle
         fit_craft(model, self._vehicle)
-        self._painter = Painter(model, self._vehicle, VIEW, size)
+        self._painter = Painter(model, self._vehicle, VIEW)
 
     def draw(self, state: TwinState, target: np.ndarray, elapsed: float) -> np.ndarray:
         """A frame, (height, width, 3) uint8, with target (3,) [m, m, rad], rotors, thrust and time [s]."""

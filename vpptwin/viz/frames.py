@@ -195,9 +195,8 @@ def outline_geom(model: mujoco.MjModel, geom: int) -> np.ndarray:
         mesh = int(model.geom_dataid[geom])
         first = model.mesh_vertadr[mesh]
         return np.asarray(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], dtype=float)
-    ball = np.concatenate(
-        [np.roll(np.stack([np.cos(ROUND), np.sin(ROUND), 0.0 * ROUND], -1), k, axis=1) for k in range(3)]
-    )
+    circle = np.stack([np.cos(ROUND), np.sin(ROUND), 0.0 * ROUND], -1)
+    ball = np.concatenate([np.roll(circle, k, axis=1) for k in range(3)])
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return size[0] * ball
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
@@ -205,6 +204,5 @@ def outline_geom(model: mujoco.MjModel, geom: int) -> np.ndarray:
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         return np.concatenate([size[0] * ball + [0.0, 0.0, s * size[1]] for s in (-1, 1)])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        ring = np.stack([size[0] * np.cos(ROUND), size[0] * np.sin(ROUND), 0.0 * ROUND], -1)
-        return np.concatenate([ring + np.array([0.0, 0.0, s * size[1]]) for s in (-1, 1)])
+        return np.concatenate([size[0] * circle + [0.0, 0.0, s * size[1]] for s in (-1, 1)])
     return signs * size

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import meshcat.transformations as tf
@@ -165,11 +165,8 @@ def fly_live(flight: LiveFlight) -> None:
         print(f"{panel.address} {about}", flush=True)
         angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
         while True:
-            while True:
-                try:
-                    flight.commands[panel.asked.get_nowait()]()
-                except Empty:
-                    break
+            while not panel.asked.empty():  # only this loop takes from it
+                flight.commands[panel.asked.get()]()
             flight.step()
             panel.state = flight.tell()
             actuators = env.state.actuators

@@ -35,26 +35,22 @@ def describe_flight(spec: TwinSpec, streams: Mapping[str, Stream]) -> list[Messa
     return describe_scene(model, streams["/mocap/pose"], streams.get("/setpoint/pose"))
 
 
-def describe_scene(
-    model: mujoco.MjModel, pose: Stream, target: Stream | None = None, start_ns: int = START_NS
-) -> list[Message]:
+def describe_scene(model: mujoco.MjModel, pose: Stream, target: Stream | None) -> list[Message]:
     """Messages that show a flight of our craft, in order of time.
 
     Args:
         model: the rig, fitted to the vehicle.
         pose: x, z [m], theta [rad] over time.
         target: the setpoint, likewise; None for none.
-        start_ns: stamp of time zero [ns].
     """
     times = np.arange(pose.time[0], pose.time[-1], 1.0 / RATE)
     x, z, theta = (np.interp(times, pose.time, pose[column]) for column in ("x", "z", "theta"))
     poses = joint_poses(model, x, z, theta)
     rows = None if target is None else np.searchsorted(target.time, times, side="right") - 1
     markers = list_markers(model, target is not None)
-    messages = []
-    shown = -np.inf
+    messages, shown = [], -np.inf
     for k, time in enumerate(times):
-        stamp = make_stamp(start_ns, time)
+        stamp = make_stamp(time)
         if time - shown > EVERY - 1e-9:
             shown = time
             stamped = [{**marker, "header": {"stamp": stamp, "frame_id": marker["frame"]}} for marker in markers]
@@ -131,9 +127,9 @@ def make_marker(
     }  # fmt: skip
 
 
-def make_stamp(start_ns: int, time: float) -> dict[str, int]:
+def make_stamp(time: float) -> dict[str, int]:
     """A header's stamp."""
-    stamp = start_ns + round(float(time) * 1e9)
+    stamp = START_NS + round(float(time) * 1e9)
     return {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
 
 

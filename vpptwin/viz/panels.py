@@ -145,11 +145,8 @@ def tell_craft(robot: PlanarDrone, flight: Flight, prediction: Prediction | None
     """Position, velocity, angle, rate, thrust and rotor speed of our craft, as far as they were recorded."""
     pose, target = flight.streams.get("/mocap/pose"), flight.streams.get("/setpoint/pose")
     panels = []
-    for joint, column, label, rate in (
-        (0, "x", "x [m]", "x velocity [m/s]"),
-        (1, "z", "z [m]", "z velocity [m/s]"),
-        (2, "theta", "θ [rad]", ""),
-    ):
+    axes = (("x", "x [m]", "x velocity [m/s]"), ("z", "z [m]", "z velocity [m/s]"), ("theta", "θ [rad]", ""))
+    for joint, (column, label, rate) in enumerate(axes):
         if pose is None:
             break
         asked = [] if target is None else [setpoint_line(target, column, pose)]
@@ -179,8 +176,7 @@ def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
 def tell_rotors(flight: Flight, rotor: Rotor) -> list[Panel]:
     """Thrust of each rotor by the twin's map, and their speeds."""
     command, state = flight.streams.get("/rotor/command"), flight.streams.get("/rotor/state")
-    panels = []
-    looks = ORANGE, SKY
+    panels, looks = [], (ORANGE, SKY)
     if command is not None:
         speed = np.full((len(command), 2), rotor.speed)
         if state is not None:

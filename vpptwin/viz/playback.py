@@ -24,9 +24,12 @@ FOREVER = float("inf")  # repetitions of a looping animation
 
 
 def play_page(
-    flight: Flight, prediction: Prediction | None = None, out: Path = Path("flight.html"), *,
-    spec: TwinSpec | None = None, caption: str | None = None,
-) -> Path:  # fmt: skip
+    flight: Flight,
+    prediction: Prediction | None = None,
+    out: Path = Path("flight.html"),
+    *,
+    spec: TwinSpec | None = None,
+) -> Path:
     """Write one HTML page that plays a flight in a loop, offline, with play, pause, speed and scrubbing.
 
     Args:
@@ -34,7 +37,6 @@ def play_page(
         prediction: the twin's answer to the log's commands, drawn translucent; None for the log alone.
         out: the page.
         spec: the twin whose rig is drawn; None for the nominal one.
-        caption: what the legend calls the twin; None for its name and how often it was restarted.
 
     Returns:
         The page's path.
@@ -47,9 +49,8 @@ def play_page(
     recorder = Recorder()
     tracks = draw_show(Visualizer(window=recorder), show)
     recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
-    if caption is None and prediction is not None:
-        caption = name_twin(spec, prediction)
-    return write_page(recorder.commands, describe_show(show, flight.path.name, caption or ""), Path(out))
+    caption = "" if prediction is None else name_twin(spec, prediction)
+    return write_page(recorder.commands, describe_show(show, flight.path.name, caption), Path(out))
 
 
 def name_twin(spec: TwinSpec, prediction: Prediction) -> str:

@@ -53,9 +53,8 @@ def revolve(profile: np.ndarray) -> mg.TriangularMeshGeometry:
 
 def make_cylinder(radius: float, bottom: float, top: float) -> mg.TriangularMeshGeometry:
     """A cylinder around z from height bottom to top [m]."""
-    return revolve(
-        np.array([(0, bottom), (radius, bottom), (radius, bottom), (radius, top), (radius, top), (0, top)], dtype=float)
-    )
+    low, high = (radius, bottom), (radius, top)
+    return revolve(np.array([(0, bottom), low, low, high, high, (0, top)], dtype=float))
 
 
 def make_cone(radius: float, height: float) -> mg.TriangularMeshGeometry:
@@ -98,17 +97,11 @@ def make_geom(model: mujoco.MjModel, geom: int) -> tuple[mg.Geometry, bool] | No
         width, depth = (2.0 * (s if s > 0.0 else PLANE_HALF_SIZE) for s in size[:2])
         return mg.Box([width, depth, PLANE_THICKNESS]), True
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        return take_mesh(model, int(model.geom_dataid[geom])), False
+        mesh = model.mesh(int(model.geom_dataid[geom]))
+        vertex, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        vertices = model.mesh_vert[vertex : vertex + int(mesh.vertnum[0])]
+        return mg.TriangularMeshGeometry(vertices, model.mesh_face[face : face + int(mesh.facenum[0])]), False
     return None
-
-
-def take_mesh(model: mujoco.MjModel, mesh: int) -> mg.TriangularMeshGeometry:
-    """The triangles of a mesh asset."""
-    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    return mg.TriangularMeshGeometry(
-        model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]],
-        model.mesh_face[face : face + model.mesh_facenum[mesh]],
-    )
 
 
 def read_paint(model: mujoco.MjModel, geom: int) -> Paint:

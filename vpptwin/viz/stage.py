@@ -122,10 +122,8 @@ def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -
     time = np.append(target.time, end)
     position = np.stack([target.x, zero, target.z], -1)[rows]
     quaternion = np.stack([zero, np.sin(half), zero, np.cos(half)], -1)[rows]
-    tracks = [
-        make_track(node, "position", time, position, hold=True),
-        make_track(node, "quaternion", time, quaternion, hold=True),
-    ]
+    moves = {"position": position, "quaternion": quaternion}
+    tracks = [make_track(node, name, time, values, hold=True) for name, values in moves.items()]
     if target.time[0] > 0.0:
         shown = np.array([False, True, True])
         tracks.append(make_track(node, "visible", np.array([0.0, target.time[0], end]), shown))
