@@ -147,7 +147,7 @@ def test_without_the_file_something_is_unexplained(tmp_path: Path) -> None:
 
 def test_the_page_shows_the_example() -> None:
     """The code in docs/own_effects.md defines the effect that the example's file defines."""
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    code, _ = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)  # the other one evolves: tests/twin
     names: dict[str, object] = {}
     exec(code, names)
     shown, shipped = names["COGGING"], load_twin("nominal", [COGGING]).catalogue[-1]
@@ -166,6 +166,9 @@ def test_documented_mistakes_are_told_so(
     mistakes = (
         None, "\n\na b\n", "a = 1\n", good.replace("rail_x.wave", "rail_x.coulomb"),
         good.replace('target="rail_x"', 'target="rail_y"'),
+        good.replace("Stage\n", "Stage, State\n").replace(
+            'target="rail_x"', 'target="rail_x", states=(State("heat", "K", "warm"),)'
+        ),
         good.replace("force: float", "strength: float").replace("-force * np", "-strength * np"),
     )  # fmt: skip
     (shown,) = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)

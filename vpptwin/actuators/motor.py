@@ -22,14 +22,9 @@ def compute_current(motor: MotorNumbers, voltage: Number, speed: Number) -> Numb
 
 @register_jitable
 def step_speed(
-    motor: MotorNumbers,
-    rotor: RotorNumbers,
-    speed: Number,
-    pitch: Number,
-    voltage: Number,
-    drag_gain: Number,
+    motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch: Number, voltage: Number, drag_gain: Number,
     dt: float,
-) -> Number:
+) -> Number:  # fmt: skip
     """Rotor speed [rad/s] after dt [s] by the midpoint rule, voltage [V] held, at the mean blade pitch of the step.
 
     `drag_gain` multiplies the drag torque.
@@ -49,14 +44,9 @@ def accelerate_rotor(
 
 @register_jitable
 def hold_speed(
-    motor: MotorNumbers,
-    rotor: RotorNumbers,
-    speed: Number,
-    pitch_command: Number,
-    integral: Number,
-    dt: float,
+    motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch_command: Number, integral: Number, dt: float,
     drag_gain: Number = 1.0,
-) -> tuple[Number, Number]:
+) -> tuple[Number, Number]:  # fmt: skip
     """Governor: feed-forward from the drag map at the commanded pitch plus PI feedback on measured speed.
 
     Args:

@@ -9,21 +9,6 @@ from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT
 from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
-    "CATALOGUE",
-    "GENERIC_ACTUATOR",
-    "GENERIC_JOINT",
-    "SIGMAS_90",
-    "UNLIMITED",
-    "Constants",
-    "Craft",
-    "Effect",
-    "Motion",
-    "Parameter",
-    "Prior",
-    "Rotor",
-    "Site",
-    "Stage",
-    "State",
-    "effects_for_rig",
-    "find_effect",
-]
+    "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Constants", "Craft", "Effect",
+    "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_rig", "find_effect",
+]  # fmt: skip

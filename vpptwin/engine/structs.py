@@ -12,19 +12,11 @@ from vpptwin.engine.callback import installed
 from vpptwin.engine.view import DATA_ARRAYS, MODEL_ARRAYS
 
 SCALARS: dict[str, type] = {
-    "mjtNum": ctypes.c_double,
-    "mjtSize": ctypes.c_int64,
-    "mjtBool": ctypes.c_bool,
-    "mjtByte": ctypes.c_ubyte,
-    "int": ctypes.c_int,
-    "float": ctypes.c_float,
-    "double": ctypes.c_double,
-    "char": ctypes.c_char,
-    "size_t": ctypes.c_size_t,
-    "uintptr_t": ctypes.c_void_p,
-    "uint64_t": ctypes.c_uint64,
+    "mjtNum": ctypes.c_double, "mjtSize": ctypes.c_int64, "mjtBool": ctypes.c_bool, "mjtByte": ctypes.c_ubyte,
+    "int": ctypes.c_int, "float": ctypes.c_float, "double": ctypes.c_double, "char": ctypes.c_char,
+    "size_t": ctypes.c_size_t, "uintptr_t": ctypes.c_void_p, "uint64_t": ctypes.c_uint64,
     "unsigned int": ctypes.c_uint,
-}
+}  # fmt: skip
 RANGE, TESTED = "mujoco>=4.0,<5", "4.0.0"
 """Releases that may be installed, as pyproject.toml says, and the one of constraints.txt."""
 PROBE = """

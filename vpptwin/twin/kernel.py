@@ -150,29 +150,16 @@ def compile_kernel(
 def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: int) -> str:
     """The text of the C function for a model's sizes."""
     nv = int(model.nv)
+    model_words = {"nuserdata": "nuserdata", "gravity": "opt.gravity", "timestep": "opt.timestep"}
     arguments = {
-        "model_words": mirror_size("mjModel") // 8,
-        "data_words": mirror_size("mjData") // 8,
-        "nuserdata": model_offset("nuserdata") // 8,
-        "userdata": data_offset("userdata") // 8,
-        "nefc": data_offset("nefc") // 4,
-        "ncon": data_offset("ncon") // 4,
-        "gravity": model_offset("opt.gravity") // 8,
-        "timestep": model_offset("opt.timestep") // 8,
-        "time": data_offset("time") // 8,
-        "words": WORDS,
-        "mark": MARK,
-        "view": write_view(model),
-        "parameters": len(pipeline.columns),
-        "states": len(pipeline.starts),
-        "places": len(pipeline.places),
-        "scratch": scratch_rows(nv),
-        "nq": int(model.nq),
-        "nv": nv,
-        "nu": int(model.nu),
-        "carriage": carriage,
-        "step": CALLS[step],
-    }
+        "model_words": mirror_size("mjModel") // 8, "data_words": mirror_size("mjData") // 8,
+        **{name: model_offset(field) // 8 for name, field in model_words.items()},
+        **{name: data_offset(name) // 8 for name in ("userdata", "time")},
+        **{name: data_offset(name) // 4 for name in ("nefc", "ncon")},
+        "words": WORDS, "mark": MARK, "view": write_view(model), "carriage": carriage, "step": CALLS[step],
+        "parameters": len(pipeline.columns), "states": len(pipeline.starts), "places": len(pipeline.places),
+        "scratch": scratch_rows(nv), "nq": int(model.nq), "nv": nv, "nu": int(model.nu),
+    }  # fmt: skip
     return ENTRY.format(**arguments)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import mujoco
@@ -167,45 +167,3 @@ def missing_parts(model: mujoco.MjModel, effect: Effect) -> list[str]:
     """Joints and bodies that an effect needs and the model lacks."""
     names = {model.joint(i).name for i in range(model.njnt)} | {model.body(i).name for i in range(model.nbody)}
     return [name for name in effect.needs if name not in names]
-
-
-def check_signals(
-    name: str,
-    model: mujoco.MjModel,
-    absent: bool,
-    signals: Mapping[str, str],
-    driven: Mapping[str, str],
-    inputs: Mapping[str, str],
-) -> None:
-    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint.
-
-    Args:
-        name: of the twin.
-        model: its model.
-        absent: there are no signals at all.
-        signals: simulated joint → topic.
-        driven: joint that follows its log → topic.
-        inputs: actuator → topic.
-
-    Raises:
-        InputError: naming the first mistake.
-    """
-    if model.nq != model.njnt:
-        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    actuators = [model.actuator(i).name for i in range(model.nu)]
-    if not signals:
-        raise InputError(
-            f"{name}: {'neither vehicle nor signals' if absent else 'signals without joints'}",
-            "signals that map joints and actuators to topics, as the rig is not ours",
-            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
-        )
-    both = sorted(set(signals) & set(driven))
-    if both:
-        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
-    for kind, given, known in (("joint", signals, joints), ("joint", driven, joints), ("actuator", inputs, actuators)):
-        for key in given:
-            if key not in known:
-                listed = ", ".join(filter(None, known))
-                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
-                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict
 
 from vpptwin.effects import Effect, Site, effects_for_rig
 from vpptwin.errors import InputError
-from vpptwin.twin.model import check_signals, compile_model, describe_joints
+from vpptwin.twin.model import compile_model, describe_joints
 from vpptwin.vehicle import Vehicle
 
 GUST = 0.001
@@ -95,9 +95,8 @@ class Robot:
             InputError: if the MJCF is none that a twin can step, or the signals don't fit it.
         """
         model = compile_model(path)
-        given = signals or NO_SIGNALS
-        check_signals(name, model, signals is None, given.joints, given.driven, given.actuators)
-        return Robot(name, model, given)
+        check_signals(name, model, signals)
+        return Robot(name, model, signals or NO_SIGNALS)
 
     @property
     def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:
@@ -210,3 +209,28 @@ class Robot:
         shares = np.zeros(model.nu)
         shares[acting or slice(None)] = 1.0 / max(len(acting) or model.nu, 1)
         return shares, f"command of {names[acting[0]]}" if len(acting) == 1 else "mean command"
+
+
+def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
+    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
+    if model.nq != model.njnt:
+        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
+    joints = [model.joint(i).name for i in range(model.njnt)]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    if signals is None or not signals.joints:
+        raise InputError(
+            f"{name}: {'neither vehicle nor signals' if signals is None else 'signals without joints'}",
+            "signals that map joints and actuators to topics, as the rig is not ours",
+            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
+        )
+    both = sorted(set(signals.joints) & set(signals.driven))
+    if both:
+        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
+    kinds = (("joint", signals.joints, joints), ("joint", signals.driven, joints),
+             ("actuator", signals.actuators, actuators))  # fmt: skip
+    for kind, given, known in kinds:
+        for key in given:
+            if key not in known:
+                listed = ", ".join(filter(None, known))
+                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
+                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")

@@ -218,14 +218,9 @@ class Twin:
         return warm_up(layer, self._constants.records, commands, self.dt)
 
     def replay_commands(
-        self,
-        state: TwinState,
-        commands: np.ndarray,
-        rotor_speed: np.ndarray | None = None,
-        throttle: np.ndarray | None = None,
-        disturbance: np.ndarray | None = None,
-        driven: Driven | None = None,
-    ) -> Replay:
+        self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,
+        throttle: np.ndarray | None = None, disturbance: np.ndarray | None = None, driven: Driven | None = None,
+    ) -> Replay:  # fmt: skip
         """Run under logged actuator commands, one per inner step.
 
         Args:

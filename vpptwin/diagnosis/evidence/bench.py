@@ -66,16 +66,10 @@ class Bench:
     """
 
     def __init__(
-        self,
-        spec: TwinSpec,
-        windows: Windows,
-        channels: Sequence[Channel],
-        segments: int,
-        flights: Sequence[Measurements] = (),
-        causal: bool = False,
-        progress: Callable[[int], None] | None = None,
+        self, spec: TwinSpec, windows: Windows, channels: Sequence[Channel], segments: int,
+        flights: Sequence[Measurements] = (), causal: bool = False, progress: Callable[[int], None] | None = None,
         criteria: Criteria = CRITERIA,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.spec, self.windows, self.channels, self.segments = spec, windows, list(channels), segments
         self.flights, self.causal = list(flights), causal
         self.criteria = criteria
@@ -230,13 +224,9 @@ class Bench:
         return self._twins[key]
 
     def _simulate_rows(
-        self,
-        variations: Sequence[Variation],
-        windows: Windows,
-        which: np.ndarray,
-        window: np.ndarray,
+        self, variations: Sequence[Variation], windows: Windows, which: np.ndarray, window: np.ndarray,
         active: frozenset[str],
-    ) -> Motion:
+    ) -> Motion:  # fmt: skip
         nv = self.spec.model.nv
         twin = self._twin(len(which), active)
         for effect_id in active:

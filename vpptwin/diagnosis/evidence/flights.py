@@ -105,14 +105,9 @@ def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:
 
 
 def build_bench(
-    spec: TwinSpec,
-    measurements: Sequence[Measurements],
-    starts: Sequence[np.ndarray],
-    length: float,
-    causal: bool,
-    progress: Callable[[int], None] | None = None,
-    criteria: Criteria = CRITERIA,
-) -> Bench:
+    spec: TwinSpec, measurements: Sequence[Measurements], starts: Sequence[np.ndarray], length: float, causal: bool,
+    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA,
+) -> Bench:  # fmt: skip
     """Windows and channels of several flights on one bench."""
     windows, channels = [], []
     motors = all(None not in (flight.throttle, flight.rotor_speed, flight.current) for flight in measurements)

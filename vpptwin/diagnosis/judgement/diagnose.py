@@ -71,13 +71,9 @@ class Diagnosis:
 
 
 def diagnose(
-    spec: TwinSpec,
-    flights: Sequence[Flight],
-    stage: Stage = lambda text: None,
-    progress: Callable[[int], None] | None = None,
-    criteria: Criteria = CRITERIA,
-    causes: Sequence[str] | None = None,
-) -> Diagnosis:
+    spec: TwinSpec, flights: Sequence[Flight], stage: Stage = lambda text: None,
+    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, causes: Sequence[str] | None = None,
+) -> Diagnosis:  # fmt: skip
     """Find what a twin gets wrong.
 
     Args:
@@ -114,12 +110,9 @@ class Material:
 
 
 def prepare(
-    spec: TwinSpec,
-    flights: Sequence[Flight],
-    stage: Stage,
-    progress: Callable[[int], None] | None,
+    spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
     criteria: Criteria = CRITERIA,
-) -> Material:
+) -> Material:  # fmt: skip
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
@@ -161,12 +154,9 @@ def suggest_experiment(
 
 
 def open_held_out(
-    spec: TwinSpec,
-    measurements: Sequence[Measurements],
-    starts: list[np.ndarray],
-    progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA,
-) -> HeldOut:
+    spec: TwinSpec, measurements: Sequence[Measurements], starts: list[np.ndarray],
+    progress: Callable[[int], None] | None, criteria: Criteria = CRITERIA,
+) -> HeldOut:  # fmt: skip
     """Benches of the held-out windows."""
     window = spec.robot.window
     short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), window, True, progress, criteria)
@@ -175,12 +165,8 @@ def open_held_out(
 
 
 def conclude(
-    spec: TwinSpec,
-    flights: Sequence[Flight],
-    material: Material,
-    selection: Selection,
-    unexplained: Unexplained,
-) -> Verdict:
+    spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, unexplained: Unexplained,
+) -> Verdict:  # fmt: skip
     """Put the verdict together."""
     search, held_out, fit = material.search, material.held_out, selection.fit
     nominal: dict[Key, float] = {}

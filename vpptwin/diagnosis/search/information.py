@@ -18,12 +18,9 @@ SAMPLE = 16
 
 
 def measure_information(
-    spec: TwinSpec,
-    measurements: Sequence[Measurements],
-    unknowns: tuple[Unknown, ...],
-    progress: Callable[[int], None] | None,
-    criteria: Criteria,
-) -> np.ndarray:
+    spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...],
+    progress: Callable[[int], None] | None, criteria: Criteria,
+) -> np.ndarray:  # fmt: skip
     """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
     window = spec.robot.window
     starts = list_starts(measurements, window)

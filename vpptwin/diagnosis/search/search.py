@@ -41,12 +41,9 @@ class Search(Fitter):
         return sorted(starts, key=lambda start: (-start.drop, start.effect))
 
     def extend(
-        self,
-        fit: Fit,
-        barred: frozenset[str] = frozenset(),
-        against: str = "",
+        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "",
         values: Mapping[Key, float] | None = None,
-    ) -> Step:
+    ) -> Step:  # fmt: skip
         """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
 
         Those that the catalogue calls hard to tell from the best, or from the cause whose place they take, are tried

@@ -34,12 +34,9 @@ def advance(
 
 
 def rank_effects(
-    about: Linearisation,
-    unknowns: tuple[Unknown, ...],
-    base: Solution,
-    effects: frozenset[str],
+    about: Linearisation, unknowns: tuple[Unknown, ...], base: Solution, effects: frozenset[str],
     barred: frozenset[str],
-) -> list[Start]:
+) -> list[Start]:  # fmt: skip
     """Every other effect freed beside `effects`: where the solution lies, and by how much its cost is lower.
 
     Args:
@@ -59,12 +56,9 @@ def rank_effects(
 
 
 def rank_trials(
-    about: Linearisation,
-    unknowns: Sequence[Unknown],
-    trials: Sequence[Trial],
-    base: Solution,
+    about: Linearisation, unknowns: Sequence[Unknown], trials: Sequence[Trial], base: Solution,
     barred: frozenset[str],
-) -> list[Start]:
+) -> list[Start]:  # fmt: skip
     """The same for trials: the drop in cost along each, everything else at its best beside it."""
     if not len(about.tried):
         return []
@@ -90,12 +84,9 @@ def rank_trials(
 
 
 def start_from_look_alikes(
-    about: Linearisation,
-    unknowns: Sequence[Unknown],
-    cause: str,
-    at: Mapping[Key, float],
+    about: Linearisation, unknowns: Sequence[Unknown], cause: str, at: Mapping[Key, float],
     beside: Mapping[Key, float],
-) -> list[Start]:
+) -> list[Start]:  # fmt: skip
     """Where the catalogue's look-alikes of a cause do most nearly what it does.
 
     Args:
