@@ -85,13 +85,8 @@ GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
 
 GENERIC_ACTUATOR: tuple[Effect, ...] = (
-    actuator.GAIN,
-    actuator.DELAY,
-    actuator.LAG,
-    actuator.BACKLASH,
-    actuator.RATE_LIMIT,
-    actuator.SATURATION,
-)
+    actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.BACKLASH, actuator.RATE_LIMIT, actuator.SATURATION,
+)  # fmt: skip
 """What becomes a.gain, a.delay and so on of actuator a of any rig."""
 
 

@@ -59,22 +59,16 @@ def lugre(
     parameter = Parameter(
         name="compliance", unit=f"{length}/({unit})" if place.rotary else f"{length}/{unit}", off=0.0, low=0.0,
         high=10.0 * size, prior=Prior("halfnormal", 0.0, 0.5 * size), size=size, tolerance=0.1 * size,
-        source="assumption: gives 1 mm (10 mrad) under the typical force",
+        source="assumption: gives 0.5 mm (10 mrad) under the typical force",
     )  # fmt: skip
     return Effect(
         id=f"{place.joint}.lugre",
         summary=f"dry friction {place.where} that gives before it slips",
         equation="-(z/compliance + σ v), dz/dt = v up to 0.9 F compliance, from there ever less and σ = 0",
-        parameters=(parameter,),
-        stage=Stage.SLIP,
-        apply=apply_lugre,
-        shows=JOINT_SHOWS,
-        look_alikes=look_alikes,
-        target=place.joint,
-        needs=needs,
-        modifies=tuple(f"{place.joint}.{kind}" for kind in modifies),
+        parameters=(parameter,), stage=Stage.SLIP, apply=apply_lugre, shows=JOINT_SHOWS, look_alikes=look_alikes,
+        target=place.joint, needs=needs, modifies=tuple(f"{place.joint}.{kind}" for kind in modifies),
         states=(State("deflection", length),),
-    )
+    )  # fmt: skip
 
 
 def elastic(place: Place, look_alikes: tuple[str, ...] = (), needs: tuple[str, ...] = ()) -> Effect:

@@ -45,20 +45,13 @@ What is missing here you can add without touching our code: [an effect of your o
 def describe_parameter(effect: Effect, parameter: Parameter) -> dict[str, str]:
     """One row of the table: column → text."""
     return {
-        "id": effect.id,
-        "parameter": parameter.name,
-        "unit": parameter.unit or "-",
-        "off": f"{parameter.off:g}",
-        "bounds": f"{parameter.low:g} to {parameter.high:g}",
-        "meaning": effect.summary,
-        "tolerance": f"{parameter.tolerance:g}",
-        "prior": str(parameter.prior),
-        "source": parameter.source or "-",
+        "id": effect.id, "parameter": parameter.name, "unit": parameter.unit or "-", "off": f"{parameter.off:g}",
+        "bounds": f"{parameter.low:g} to {parameter.high:g}", "meaning": effect.summary,
+        "tolerance": f"{parameter.tolerance:g}", "prior": str(parameter.prior), "source": parameter.source or "-",
         "equation": f"`{effect.equation}`",
         "acts on": ", ".join(f"`{name}`" for name in effect.writes) or ACTS_ON[effect.stage],
-        "shown by": ", ".join(effect.shows),
-        "look-alikes": ", ".join(effect.look_alikes) or "-",
-    }
+        "shown by": ", ".join(effect.shows), "look-alikes": ", ".join(effect.look_alikes) or "-",
+    }  # fmt: skip
 
 
 def show_picture(effect_id: str, folder: str) -> str:

@@ -80,11 +80,10 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
         commands,
         None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
         (0, 1, 2),
-        max(start, float(commands.time[0])),
-        min(end, float(commands.time[-1])),
+        max(start, float(commands.time[0])), min(end, float(commands.time[-1])),
         throttle=None if command is None else Series("throttle", "1", command.time, command["throttle"], 0.0),
         current=sort_current(rotor, sensors),
-    )
+    )  # fmt: skip
     lag = measure_offset(flight, measurements)
     warnings += [*tell_cut(spans), *tell_gaps(measurements)]
     return replace(measurements, lag=lag, clocks=flight.clocks, warnings=tuple(warnings))

@@ -180,17 +180,10 @@ def conclude(
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, nominal)
         own = [u for u in search.unknowns if u.effect.id == effect]
-        causes.append(
-            Cause(
-                effect,
-                (least if contradicted else sober) * selection.confidence(effect),
-                {u.parameter.name: estimate(u, fit) for u in own},
-                gain,
-                selection.rivals[effect],
-                own[0].effect.summary,
-                interval,
-            )
-        )
+        confidence = (least if contradicted else sober) * selection.confidence(effect)
+        found = {u.parameter.name: estimate(u, fit) for u in own}
+        rivals, summary = selection.rivals[effect], own[0].effect.summary
+        causes.append(Cause(effect, confidence, found, gain, rivals, summary, interval))
     causes.sort(key=lambda cause: -cause.gain)
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
     cleared, unseen = judge_power(search, fit, fit.effects | alike)

@@ -120,22 +120,16 @@ class Verdict:
         """The verdict in the form of SPEC 7."""
         causes = [{k: v for k, v in asdict(cause).items() if k != "summary"} for cause in self.causes]
         content: dict[str, object] = {
-            "logs": self.logs,
-            "twin": self.twin,
+            "logs": self.logs, "twin": self.twin,
             "samples": {"windows": self.windows, "held_out_windows": self.held_out_windows},
-            "horizons_s": list(HORIZONS_S),
-            "before": self.before.as_dict(),
-            "after": self.after.as_dict(),
-            "gap": self.gap,
-            "causes": causes,
-            "unexplained": asdict(self.unexplained),
+            "horizons_s": list(HORIZONS_S), "before": self.before.as_dict(), "after": self.after.as_dict(),
+            "gap": self.gap, "causes": causes, "unexplained": asdict(self.unexplained),
             "suggested_experiment": self.experiment.manoeuvre if self.experiment is not None else None,
             "experiment": asdict(self.experiment) if self.experiment is not None else None,
             "cleared": [asdict(suspect) for suspect in self.cleared],
-            "unseen": [asdict(suspect) for suspect in self.unseen],
-            "improvement": self.improvement,
+            "unseen": [asdict(suspect) for suspect in self.unseen], "improvement": self.improvement,
             "warnings": self.warnings,
-        }
+        }  # fmt: skip
         return content
 
 

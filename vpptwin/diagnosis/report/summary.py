@@ -62,16 +62,12 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
     for suspect in verdict.cleared:
         cleared.setdefault(suspect.effect.split(".")[0], []).append(describe_cleared(suspect))
     return Summary(
-        headline=headline(verdict),
-        others=[describe_cause(cause) for cause in verdict.causes[1:]],
+        headline=headline(verdict), others=[describe_cause(cause) for cause in verdict.causes[1:]],
         certainty=[line for cause in verdict.causes for line in describe_certainty(cause, meanings)],
-        error=describe_error(verdict, tables),
-        tables=tables,
-        unexplained=describe_unexplained(verdict),
-        unseen=describe_unseen(verdict),
-        cleared=cleared,
+        error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
+        unseen=describe_unseen(verdict), cleared=cleared,
         experiment=describe_experiment(verdict.experiment) if verdict.experiment is not None else None,
-    )
+    )  # fmt: skip
 
 
 def headline(verdict: Verdict) -> str:
