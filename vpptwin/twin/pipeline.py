@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -102,68 +102,110 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeli
     places = {effect.id: i for i, effect in enumerate(effects)}
     functions = {function_name(e): e.apply for e in effects}
 
-    def when(effect: Effect) -> str:
+    writer = ChainWriter(model, effects, columns, places, states)
+    parts = writer.shape_thrust(), writer.push_craft(), writer.push_joints(joints), writer.muster_friction(joints)
+    source = "\n".join(line for part in parts for line in (*part, ""))
+    return Pipeline(source, functions, columns, places, tuple(starts))
+
+
+@dataclass(frozen=True)
+class ChainWriter:
+    """Writes the functions of `CHAIN`, lines of text each, for the effects of a catalogue that act every step.
+
+    Switches are looked up in the step, not written into it: all twins of a catalogue share what is compiled.
+
+    Attributes:
+        model: whose joints they act on.
+        effects: in the order of the catalogue.
+        columns: (effect id, parameter) → column of a simulation's parameters.
+        places: effect id → place among the switches.
+        states: effect id → what its states are called in the text.
+    """
+
+    model: mujoco.MjModel
+    effects: Sequence[Effect]
+    columns: Mapping[tuple[str, str], int]
+    places: Mapping[str, int]
+    states: Mapping[str, list[str]]
+
+    def of(self, stage: Stage, target: str) -> list[Effect]:
+        """The effects of a stage on a joint, or on the craft ("")."""
+        return [e for e in self.effects if e.stage is stage and e.target == target]
+
+    def when(self, effect: Effect) -> str:
+        """The condition under which an effect acts; what evolves stands still while the strength is off."""
         strength = effect.parameters[0]
         evolves = effect.states or effect.stage is Stage.SLIP
-        unless = f" and p[{columns[effect.id, strength.name]}] != {float(strength.off)!r}" if evolves else ""
-        return f"    if on[{places[effect.id]}]{unless}:"
+        off = f" and p[{self.columns[effect.id, strength.name]}] != {float(strength.off)!r}" if evolves else ""
+        return f"    if on[{self.places[effect.id]}]{off}:"
 
-    def call(effect: Effect, result: str, *inputs: str, kept: Sequence[str] | None = None) -> str:
-        own = states[effect.id]
-        parameters = [f"p[{columns[effect.id, p.name]}]" for p in effect.parameters]
+    def call(self, effect: Effect, result: str, *inputs: str, kept: Sequence[str] | None = None) -> str:
+        """The call of an effect's function, its new states under their own names or under those `kept`."""
+        own = self.states[effect.id]
+        parameters = [f"p[{self.columns[effect.id, p.name]}]" for p in effect.parameters]
         given = [*inputs, *own, *(["dt"] if own else []), *parameters]
         returned = ", ".join([result, *(own if kept is None else kept)])
         return f"        {returned} = {function_name(effect)}({', '.join(given)})"
 
-    def of(stage: Stage, target: str | None = None) -> list[Effect]:
-        return [e for e in effects if e.stage is stage and (target is None or e.target == target)]
-
-    def moves(i: int, direction: str) -> str:
-        q, dof = int(model.jnt_qposadr[i]), int(model.jnt_dofadr[i])
-        diagonal = int(model.M_rowadr[dof] + model.M_rownnz[dof]) - 1
+    def moves(self, joint: int, direction: str) -> str:
+        """The motion of a joint as its effects see it."""
+        q, dof = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
+        diagonal = int(self.model.M_rowadr[dof] + self.model.M_rownnz[dof]) - 1
         return f"Motion(view.qpos[{q}], view.qvel[{dof}], {direction}, load, lever, view.inertia[{diagonal}])"
 
-    # Switches are looked up in the step, not written into it: all twins of a catalogue share what is compiled.
-    lines = ["def shape_thrust(on, p, s, thrust, rotor, dt):", "    rotor_2 = int(rotor.side > 0.0)"]
-    for effect in of(Stage.THRUST):
-        lines += [when(effect), call(effect, "thrust", "thrust", "rotor")]
-    lines += ["    return thrust", "", "def push_craft(on, p, s, craft, dt):", "    f_x = f_z = moment = 0.0"]
-    for effect in of(Stage.FORCE, ""):
-        lines += [
-            when(effect),
-            call(effect, "more_x, more_z, more_moment", "craft"),
-            "        f_x, f_z, moment = f_x + more_x, f_z + more_z, moment + more_moment",
-        ]
-    lines += ["    return f_x, f_z, moment", "", "def push_joints(on, p, s, view, load, lever, force):"]
-    lines += ["    dt = view.timestep"]
-    for joint, i in joints.items():
-        for effect in of(Stage.FORCE, joint) if joint else ():
-            lines += [when(effect), call(effect, "more", moves(i, "0.0"))]
-            lines += [f"        force[{int(model.jnt_dofadr[i])}] += more"]
-    lines += ["    return None", ""]
-    lines += ["def muster_friction(on, p, s, dry, view, load, lever, forward, backward, force):"]
-    lines += ["    dt, most = view.timestep, 0.0", "    for i in range(len(forward)):"]
-    lines += ["        forward[i] = backward[i] = dry[i]", "        most = max(most, dry[i])"]
-    for joint, i in joints.items():
-        dof = int(model.jnt_dofadr[i])
-        rubbing, slipping = (of(stage, joint) if joint else [] for stage in (Stage.FRICTION, Stage.SLIP))
-        if not rubbing and not slipping:
-            continue
-        lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
-        # Each sense of motion has a level, which passes through the joint's effects in their order: they add or scale.
-        for effect in rubbing:
-            lines += [when(effect)]
-            ways = {"ahead": "1.0", "back": "-1.0"}
-            after = {level: [f"{level}_{k}" for k in range(len(effect.states))] for level in ways}
-            lines += [call(effect, way, way, moves(i, sense), kept=after[way]) for way, sense in ways.items()]
-            for own, *pair in zip(states[effect.id], *after.values()):
-                lines += [f"        {own} = {pair[0]} if view.qvel[{dof}] >= 0.0 else {pair[1]}"]
-        for effect in slipping:
-            lines += [when(effect), call(effect, "more", moves(i, "0.0"), "ahead", "back")]
-            lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
-        lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
-    lines += ["    return most > 0.0", ""]
-    return Pipeline("\n".join(lines), functions, columns, places, tuple(starts))
+    def shape_thrust(self) -> list[str]:
+        """Thrust passes through the THRUST effects, whatever they act on."""
+        lines = ["def shape_thrust(on, p, s, thrust, rotor, dt):", "    rotor_2 = int(rotor.side > 0.0)"]
+        for effect in (e for e in self.effects if e.stage is Stage.THRUST):
+            lines += [self.when(effect), self.call(effect, "thrust", "thrust", "rotor")]
+        return [*lines, "    return thrust"]
+
+    def push_craft(self) -> list[str]:
+        """Forces on the craft add up."""
+        lines = ["def push_craft(on, p, s, craft, dt):", "    f_x = f_z = moment = 0.0"]
+        for effect in self.of(Stage.FORCE, ""):
+            lines += [self.when(effect), self.call(effect, "more_x, more_z, more_moment", "craft")]
+            lines += ["        f_x, f_z, moment = f_x + more_x, f_z + more_z, moment + more_moment"]
+        return [*lines, "    return f_x, f_z, moment"]
+
+    def push_joints(self, joints: Mapping[str, int]) -> list[str]:
+        """Forces on every joint add up."""
+        lines = ["def push_joints(on, p, s, view, load, lever, force):", "    dt = view.timestep"]
+        for joint, i in joints.items():
+            for effect in self.of(Stage.FORCE, joint) if joint else ():
+                lines += [self.when(effect), self.call(effect, "more", self.moves(i, "0.0"))]
+                lines += [f"        force[{int(self.model.jnt_dofadr[i])}] += more"]
+        return [*lines, "    return None"]
+
+    def muster_friction(self, joints: Mapping[str, int]) -> list[str]:
+        """Levels of every joint that rubs, and the force that takes their place where one slips by a law of its own."""
+        lines = ["def muster_friction(on, p, s, dry, view, load, lever, forward, backward, force):"]
+        lines += ["    dt, most = view.timestep, 0.0", "    for i in range(len(forward)):"]
+        lines += ["        forward[i] = backward[i] = dry[i]", "        most = max(most, dry[i])"]
+        for joint, i in joints.items():
+            dof = int(self.model.jnt_dofadr[i])
+            rubbing, slipping = (self.of(stage, joint) if joint else [] for stage in (Stage.FRICTION, Stage.SLIP))
+            if not rubbing and not slipping:
+                continue
+            lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
+            for effect in rubbing:
+                lines += self.muster(effect, i)
+            for effect in slipping:
+                lines += [self.when(effect), self.call(effect, "more", self.moves(i, "0.0"), "ahead", "back")]
+                lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
+            lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
+        return [*lines, "    return most > 0.0"]
+
+    def muster(self, effect: Effect, joint: int) -> list[str]:
+        """Either sense of motion has a level, which passes through the joint's effects in order: they add or scale."""
+        ways = {"ahead": "1.0", "back": "-1.0"}
+        after = {level: [f"{level}_{k}" for k in range(len(effect.states))] for level in ways}
+        lines = [self.when(effect)]
+        lines += [self.call(effect, way, way, self.moves(joint, s), kept=after[way]) for way, s in ways.items()]
+        dof = int(self.model.jnt_dofadr[joint])
+        for own, *pair in zip(self.states[effect.id], *after.values()):
+            lines += [f"        {own} = {pair[0]} if view.qvel[{dof}] >= 0.0 else {pair[1]}"]
+        return lines
 
 
 def find_start(model: mujoco.MjModel, joint: int, start: float | str) -> float | tuple[str, int]:
