@@ -8,7 +8,7 @@ it), it registers that for the class (`functools.singledispatch`): nobody asks w
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -17,13 +17,15 @@ import mujoco
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from vpptwin.effects import Effect, Site, effects_for_rig
+from vpptwin.effects import Effect, Site, effects_for_rig, generic_place
 from vpptwin.errors import InputError
 from vpptwin.twin.model import compile_model, describe_joints
 from vpptwin.vehicle import Vehicle
 
-GUST = 0.001
-"""Force that nobody modelled, as a share of the force that moves a joint about: indoors, without rotors."""
+GUST = 0.005
+"""Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
+GUST_TIME = 0.2
+"""Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""
 
 
 class Signals(BaseModel):
@@ -59,6 +61,25 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
+class Loads:
+    """What logs say of a rig's scales, each degree of freedom's (nv,) and actuator's (nu,) own; all positive.
+
+    Attributes:
+        force: that drives, accelerates or weighs on it [N, N m].
+        speed: that it reaches [m/s, rad/s].
+        travel: half the range that it moves through [m, rad].
+        carried: mass or moment of inertia that it moves [kg, kg m²].
+        control: control inputs [ctrl].
+    """
+
+    force: np.ndarray
+    speed: np.ndarray
+    travel: np.ndarray
+    carried: np.ndarray
+    control: np.ndarray
+
+
+@dataclass(frozen=True)
 class Robot:
     """Any rig, from its MJCF and the topics of its joints and actuators.
 
@@ -66,6 +87,7 @@ class Robot:
         name: of its twin, for messages.
         model: the compiled MJCF.
         signals: topics of joints and actuators.
+        loads: what logs say of its scales; None before one was read, when weights must do.
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
@@ -79,6 +101,7 @@ class Robot:
     name: str
     model: mujoco.MjModel = field(repr=False)
     signals: Signals = NO_SIGNALS
+    loads: Loads | None = field(default=None, repr=False)
     window: ClassVar[float] = 1.0
     controllers: ClassVar[tuple[str, ...]] = ("map",)
     step: ClassVar[str] = "step_rig"
@@ -151,10 +174,16 @@ class Robot:
     @cached_property
     def disturbance(self) -> Disturbance:
         """What pushes it besides its effects: an assumption."""
+        if self.loads is not None:
+            return Disturbance(GUST * self.loads.force, GUST_TIME)
         std = np.zeros(self.model.nv)
         for name, _, typical in describe_joints(self.model):
             std[self.model.joint(name).dofadr[0]] = GUST * typical
-        return Disturbance(std)
+        return Disturbance(std, GUST_TIME)
+
+    def scale(self, loads: Loads) -> Robot:
+        """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""
+        return replace(self, loads=loads)
 
     @property
     def limits(self) -> dict[str, tuple[int, float]]:
@@ -175,8 +204,20 @@ class Robot:
 
     def list_effects(self) -> tuple[Effect, ...]:
         """Every effect that it can have, off values bound to its nominal numbers."""
-        joints = [joint for joint in describe_joints(self.model) if joint[0] not in self.signals.driven]
-        return effects_for_rig(joints, filter(None, (self.model.actuator(i).name for i in range(self.model.nu))))
+        model, loads = self.model, self.loads
+        names = [model.actuator(i).name for i in range(model.nu)]
+        joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
+        if loads is None:
+            return effects_for_rig(
+                [generic_place(*joint) for joint in joints], {name: 1.0 for name in names if name}
+            )
+        places = []
+        for name, rotary, _ in joints:
+            dof = int(model.joint(name).dofadr[0])
+            known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
+            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
+        controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
+        return effects_for_rig(places, controls, 1.0)
 
     def nominal(self, key: str) -> float:
         """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""

@@ -18,6 +18,7 @@ from vpptwin.diagnosis.evidence.flights import (
     split_flights,
     thin_out,
 )
+from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
@@ -93,6 +94,7 @@ def diagnose(
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
         material = prepare(spec, flights, stage, progress, criteria)
+        spec = material.search.bench.spec
         if causes is None:
             selection = select_causes(material.search, material.held_out, stage)
         else:
@@ -116,6 +118,7 @@ def prepare(
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+    spec = scale_twin(spec, measurements)
     window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()

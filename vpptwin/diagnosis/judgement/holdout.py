@@ -83,7 +83,8 @@ class HeldOut:
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         residual, found = self.residual(fit.likeliest), []
-        for values in (self.short.without_dry_friction, fit.values) if sticks else ({},):
+        loose = self.short.loosen(fit.values)
+        for values in (loose, fit.values) if sticks else (loose,):
             likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
             square = (likelihood.whiten(residual) ** 2).sum(axis=1) / fit.frame.scale
             usual = fit.frame.criteria.usual_misfit * float(np.median(square))
@@ -169,7 +170,7 @@ class HeldOut:
         noise = self.short.std[:, pose]
         residual, found = self.residual(values)[:, pose], []
         # What sticks leaves a wrong starting state no way out; a real slider yields.
-        for response in (self.response(self.short.without_dry_friction), self.response(values)):
+        for response in (self.response(self.short.loosen(values)), self.response(values)):
             state = response.state[:, pose] * response.state_std
             covariance = np.einsum("kmi,kni->kmn", state, state)
             diagonal = np.arange(covariance.shape[1])

@@ -79,12 +79,12 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     the twin missed before.
     """
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
-    looser = search.responses.without_dry_friction(fit.frame.floor)
+    looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
     parts = [
         with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser),
         with_looser_response(
             Part(held_out.short, held_out.response(fit.values), judged),
-            held_out.response(held_out.short.without_dry_friction),
+            held_out.response(held_out.short.loosen(fit.values)),
         ),
     ]
     before = [

@@ -67,6 +67,10 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             for effect, step in replaced.items()
         }
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
+        if better is None and (other := exchange_causes(search, held_out, fit, barred, stage)) is not None:
+            if steps + swaps < criteria.most_steps:
+                fit, swaps = search.drop_superfluous(search.reframe(other)), swaps + 1
+                continue
         if better is None:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
@@ -96,6 +100,27 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
         found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts[: search.criteria.starts]]
         fit = search.reframe(find_cheapest(found))
     return fit
+
+
+def exchange_causes(
+    search: Search, held_out: HeldOut, fit: Fit, barred: frozenset[str], stage: Stage
+) -> Fit | None:  # fmt: skip
+    """A set of causes that differs in two and is better, on the fitted windows and not worse on the others; or None.
+
+    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other.
+    """
+    if not fit.effects:
+        return None
+    stage("exchanging causes two by two")
+    best: tuple[float, Fit | None] = (0.0, None)
+    for other in search.neighbours(fit):
+        more = max(len(other.effects) - len(fit.effects), 0)
+        won = other.evidence_against(fit) - search.criteria.better - more * search.criteria.bar
+        if won > best[0] and not other.effects & barred and len(other.effects) <= search.criteria.most_causes:
+            gain, error = compare(search, held_out, fit, other)
+            if gain > -search.criteria.sigmas_against * error and not held_out.worsens(fit.values, other.values):
+                best = won, other
+    return best[1]
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:

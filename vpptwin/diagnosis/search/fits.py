@@ -10,7 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, tune_gust
-from vpptwin.diagnosis.search.responses import Responses
+from vpptwin.diagnosis.search.responses import Regime, Responses
 from vpptwin.diagnosis.search.shortlist import advance
 from vpptwin.diagnosis.search.solution import Solution, price_of_freedom, scatter_by_stretch, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
@@ -19,6 +19,8 @@ from vpptwin.effects import Stage
 ITERATIONS = 6
 POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
+ROUNDS, CALM = 4, 0.25
+"""Times at most that gusts and parameters are fitted in turn; change of the log of the gusts under which that ends."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
 
@@ -93,7 +95,7 @@ class Fitter:
         self.criteria = bench.criteria
         self.trials = list_trials(self.unknowns, bench)
         self.responses = Responses(bench)
-        self._derivatives: dict[frozenset[str], Derivatives] = {}
+        self._derivatives: dict[Regime, Derivatives] = {}
         floor = np.zeros(bench.valid.shape)
         self.start = self._settle(frozenset(), {}, self.dry_friction_of(frozenset()), floor)
         """The twin as it is, in a frame of its own."""
@@ -146,7 +148,7 @@ class Fitter:
         polished; derivatives by effects that are not freed are kept.
         """
         floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
-        loose = self._polish(fit, self.responses.without_dry_friction(floor))
+        loose = self._polish(fit, self.responses.without_dry_friction(floor, fit.values))
         if not sticking:
             return loose
         tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
@@ -166,8 +168,14 @@ class Fitter:
         return self.judge_alone(replace(fit, about=self._linearise(fit.values, fit.effects, known)))
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
-        likelihood = self._tune(fit.about, fit.effects, response)
-        return self.fit(fit.effects, fit.values, fit.about.under(likelihood, fit.frame), POLISH)
+        """Gusts as the fit needs them, and the fit as those gusts let it be, until neither moves the other."""
+        for _ in range(ROUNDS):
+            before = np.log(fit.likelihood.gust)
+            likelihood = self._tune(fit.about, fit.effects, response)
+            fit = self.fit(fit.effects, fit.values, fit.about.under(likelihood, fit.frame), POLISH)
+            if np.abs(np.log(likelihood.gust) - before).max() < CALM:
+                break
+        return fit
 
     def _settle(
         self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray
@@ -224,13 +232,13 @@ class Fitter:
     ) -> Linearisation:
         """Derivatives about a twin with these effects.
 
-        Only what sticks changes the derivatives by everything else much, so that they are taken once for every set of
-        effects that make dry friction, at the parameters that are asked for first. No frame changes them.
+        Only what sticks, and what is large, changes the derivatives by everything else much, so that they are taken
+        once for every set of such effects, at the parameters that are asked for first. No frame changes them.
         """
-        sticking = self.dry_friction_of(effects)
-        if sticking not in self._derivatives:
-            self._derivatives[sticking] = self._differentiate(values, range(len(self.unknowns)), self.trials)
-        return whiten(self._derivatives[sticking], likelihood, frame)
+        regime = self.dry_friction_of(effects), self.bench.regime(values)
+        if regime not in self._derivatives:
+            self._derivatives[regime] = self._differentiate(values, range(len(self.unknowns)), self.trials)
+        return whiten(self._derivatives[regime], likelihood, frame)
 
     def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
         """About a twin with `values`: derivatives by `effects` anew, all else as in `known`."""
