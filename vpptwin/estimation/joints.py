@@ -38,7 +38,8 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
             velocities[dof], found = clean_series(velocity, f"{topic} {joint}: velocity")
             warnings += found
     command = read_efforts(spec, flight, signals.actuators)
-    spans["commands"] = (float(command.time[0]), float(command.time[-1]))
+    if signals.actuators:
+        spans["commands"] = (float(command.time[0]), float(command.time[-1]))
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     measurements = Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
     return replace(measurements, warnings=(*warnings, *tell_cut(spans), *tell_gaps(measurements)))
@@ -62,7 +63,7 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
 
 
 def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
-    """Control inputs of all actuators on one time axis, held between samples; unlogged actuators stay at zero."""
+    """Control inputs of all actuators, (n, nu), held between samples; unlogged ones stay at zero, nu may be 0."""
     streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
     if not streams:
         return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)

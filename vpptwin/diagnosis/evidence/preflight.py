@@ -149,7 +149,7 @@ def list_quantities(flight: Measurements) -> Iterator[tuple[str, np.ndarray]]:
         if dof not in flight.velocities:
             yield f"{series.name} rate", measure_speed(series)
     for measured in (*flight.velocities.values(), flight.specific_force, flight.command, flight.rotor_speed):
-        if measured is not None:
+        if measured is not None and measured.value.size:  # a rig without actuators has no control inputs
             yield measured.name, measured.value
     if drone:
         x, z, angle = (flight.positions[dof] for dof in range(3))
@@ -169,7 +169,7 @@ def list_series(measurements: Measurements) -> Iterator[tuple[str, Series]]:
     for series in measurements.positions.values():
         yield "poses" if measurements.delayed else series.name, series
     for other in (*measurements.velocities.values(), measurements.command, measurements.rotor_speed):
-        if other is not None:
+        if other is not None and other.value.size:
             yield other.name, other
 
 
