@@ -79,7 +79,7 @@ GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
 
-GENERIC_TOLERANCE = 0.002
+GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
 GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""

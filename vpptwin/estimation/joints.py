@@ -15,6 +15,13 @@ from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
+MIN_SAMPLES = 50
+WILD = 12.0
+"""Third differences beyond so many times the noise are jumps."""
+WHITE = (-0.85, -0.65)
+"""Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
+BELIEVED = 0.01
+"""Samples of white noise are averaged over so long [s]."""
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -54,11 +61,11 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    noise = estimate_noise(stream["position"], POSITION_SHARE)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE)
     position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream["velocity"], VELOCITY_SHARE)
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE)
     return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
@@ -92,15 +99,22 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     return joints[name]
 
 
-def estimate_noise(value: np.ndarray, share: float) -> float:
-    """Noise of one sample of somebody's estimator output, 1 sigma in its unit.
+def estimate_noise(time: np.ndarray, value: np.ndarray, share: float) -> float:
+    """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
 
-    Third differences remove what is smooth and leave the noise; but estimators smooth that away too, so nothing is
-    believed better than a `share` of the range in which the signal moves, 1st to 99th percentile of the samples (n,).
+    Third differences remove what is smooth and leave the noise, and noise that is white shows as such in them. Then
+    it is believed, but no better than a tenth of `share` of the range in which the signal moves, 1st to 99th
+    percentile of the samples (n,). What somebody's estimator smoothed is believed no better than `share`.
     """
     low, high = np.percentile(value, [1.0, 99.0])
     floor = max(share * float(high - low), 1e-9)
-    if len(value) < 8:
+    if len(value) < MIN_SAMPLES:
         return floor
-    spread = np.median(np.abs(np.diff(value, 3))) / 0.6745 / np.sqrt(20.0)
-    return float(max(spread, floor))
+    third = np.diff(value, 3)
+    spread = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
+    third = np.clip(third, -WILD * spread, WILD * spread)
+    likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
+    if not WHITE[0] < likeness < WHITE[1]:
+        return max(spread, floor)
+    averaged = max(BELIEVED / float(np.median(np.diff(time))), 1.0)
+    return float(max(spread / np.sqrt(averaged), 0.1 * floor))

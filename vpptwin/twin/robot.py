@@ -22,7 +22,7 @@ from vpptwin.errors import InputError
 from vpptwin.twin.model import compile_model, describe_joints
 from vpptwin.vehicle import Vehicle
 
-GUST = 0.005
+GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
 GUST_TIME = 0.2
 """Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""

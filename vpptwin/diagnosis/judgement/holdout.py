@@ -20,7 +20,9 @@ from vpptwin.diagnosis.search.likelihood import (
     measure_response,
     whiten_with,
 )
+from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin.manifold import difference_poses
 
 
 @dataclass(frozen=True)
@@ -140,15 +142,28 @@ class HeldOut:
         return found
 
     @cached_property
-    def _noise(self) -> dict[str, float]:
-        """Variance of the sensors as `squares` names them."""
-        rotary = self.long.spec.robot.rotary
-        found: dict[str, float] = {}
+    def _noise(self) -> dict[str, np.ndarray]:
+        """Variance that sensors, and estimates of starting states, put into errors near every horizon, (H,) each.
+
+        Where nobody told how good sensors are, so do the estimates: by how far one that looks ahead too is from one
+        that doesn't.
+        """
+        rotary, windows, horizons = self.long.spec.robot.rotary, self.long.windows, np.array(HORIZONS_S)
+        off = np.zeros((2, len(rotary)))
+        if not self.long.spec.robot.disturbance.known and self.long.flights:
+            gravity = -float(self.long.spec.model.opt.gravity[2])
+            for i in np.unique(windows.flight):
+                rows = windows.flight == i
+                seen = estimate_states(self.long.flights[i], windows.start[rows], len(rotary), gravity, False)
+                moved = difference_poses(self.long.spec.model, seen[0], windows.pose[rows])
+                off += ((moved**2).sum(axis=0), ((seen[1] - windows.velocity[rows]) ** 2).sum(axis=0))
+            off /= len(windows)
+        found: dict[str, np.ndarray] = {}
         for channel in self.long.channels:
             if channel.kind in ("position", "velocity"):
-                unit = "rad" if rotary[channel.axis] else "m"
-                name = channel.name if channel.kind == "velocity" else unit
-                found[name] = found.get(name, 0.0) + channel.sensor_std**2
+                unit, (place, speed) = "rad" if rotary[channel.axis] else "m", off[:, channel.axis]
+                name, start = (unit, place + speed * horizons**2) if channel.kind == "position" else (channel.name, speed)
+                found[name] = found.get(name, 0.0) + channel.sensor_std**2 + start + 0.0 * horizons
         return found
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
