@@ -212,7 +212,10 @@ class Robot:
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
+    """Check that signals name joints and actuators of the MJCF, and every joint, none of them a ball or free one.
+
+    A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
+    """
     if model.nq != model.njnt:
         raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
     joints = [model.joint(i).name for i in range(model.njnt)]
@@ -234,3 +237,11 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
                 listed = ", ".join(filter(None, known))
                 named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
                 raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
+    told = {**signals.joints, **signals.driven}
+    lost = [f"joint {joint!r}" if joint else "a joint without a name" for joint in joints if joint not in told]
+    if lost:
+        raise InputError(
+            f"{name}: signals leave out {' and '.join(lost)}",
+            "every joint of the MJCF under `joints` (simulated) or `driven` (follows its log)",
+            "name what was logged there, and remove the rest from the MJCF: bodies without joints are fixed",
+        )
