@@ -67,6 +67,7 @@ class Robot:
         model: the compiled MJCF.
         signals: topics of joints and actuators.
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
+        shortest_window, shortest_log: to which it may be cut for short logs, and the shortest of those [s].
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
         adapt: what is written into the MJCF's specification before it is compiled.
@@ -79,7 +80,9 @@ class Robot:
     name: str
     model: mujoco.MjModel = field(repr=False)
     signals: Signals = NO_SIGNALS
-    window: ClassVar[float] = 1.0
+    window: float = 1.0
+    shortest_window: ClassVar[float] = 0.4
+    shortest_log: ClassVar[float] = 4.0
     controllers: ClassVar[tuple[str, ...]] = ("map",)
     step: ClassVar[str] = "step_rig"
     rotorcraft: ClassVar[Vehicle | None] = None
@@ -97,6 +100,11 @@ class Robot:
         model = compile_model(path)
         check_signals(name, model, signals)
         return Robot(name, model, signals or NO_SIGNALS)
+
+    @property
+    def is_short(self) -> bool:
+        """Whether its windows were cut for short logs."""
+        return self.window < type(self).window
 
     @property
     def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:
