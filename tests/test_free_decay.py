@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 import yaml
 
-from tests.diagnosis.rigs import DAMPING, DECAYS, record
+from tests.diagnosis.rigs import DAMPING, DECAYS, let_swing, record
 from vpptwin.cli import main
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
@@ -76,3 +77,25 @@ def test_every_cause_of_a_free_decay_has_something_to_plot_against(decay: Decay)
     held_out = open_held_out(spec, measurements, list_starts(measurements, spec.robot.window), None)
     plot = plot_wrench(held_out, {}, find_effect(spec.catalogue, "swing.inertia"))
     assert plot.x_label == "swing position [rad]"
+
+
+@pytest.mark.parametrize("duration", [4.1, 6.0, 9.0])
+def test_a_few_seconds_of_a_free_decay_are_a_good_log(duration: float, tmp_path: Path) -> None:
+    """Damping is named from windows that are short enough, the verdict says what a short log can't show."""
+    log, twin = record(replace(DECAYS, move=partial(let_swing, duration=duration)), DAMPING, tmp_path, seed=1)
+    assert main(["diagnose", str(log), "--twin", str(twin), "--out", str(tmp_path / "out")]) == 0
+    verdict = json.loads((tmp_path / "out/verdict.json").read_text())
+    (cause,) = verdict["causes"]
+    assert cause["effect"] == "swing.viscous"
+    assert cause["parameters"]["damping"]["value"] == pytest.approx(DAMPING, rel=0.1)
+    assert verdict["samples"]["held_out_windows"] >= 3
+    assert any("so short that windows of 0." in warning for warning in verdict["warnings"])
+    assert "short: in windows of 0." in (tmp_path / "out/report.html").read_text()
+    assert main(["compare", str(log), "--twin", str(twin)]) == 0
+
+
+def test_three_seconds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What holds no nine windows of 0.4 s tells too little."""
+    log, twin = record(replace(DECAYS, move=partial(let_swing, duration=3.5)), DAMPING, tmp_path, seed=1)
+    assert main(["diagnose", str(log), "--twin", str(twin), "--out", str(tmp_path / "out")]) == 2
+    assert "at least 4 s" in capsys.readouterr().err

@@ -38,7 +38,9 @@ class PlanarDrone(Robot):
     """
 
     rotorcraft: Vehicle | None = None  # type: ignore[misc]  # every drone has one
-    window: ClassVar[float] = 0.3  # it falls over within a second
+    window: float = 0.3  # it falls over within a second
+    shortest_window: ClassVar[float] = 0.3
+    shortest_log: ClassVar[float] = 5.0
     controllers: ClassVar[tuple[str, ...]] = ("map", "adaptive")
     step: ClassVar[str] = "step_drone"
     attitude: ClassVar[int | None] = PITCH

@@ -89,6 +89,7 @@ class Robot:
         signals: topics of joints and actuators.
         loads: what logs say of its scales; None before one was read, when weights must do.
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
+        shortest_window, shortest_log: to which it may be cut for short logs, and the shortest of those [s].
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
         adapt: what is written into the MJCF's specification before it is compiled.
@@ -101,8 +102,10 @@ class Robot:
     name: str
     model: mujoco.MjModel = field(repr=False)
     signals: Signals = NO_SIGNALS
+    window: float = 1.0
     loads: Loads | None = field(default=None, repr=False)
-    window: ClassVar[float] = 1.0
+    shortest_window: ClassVar[float] = 0.4
+    shortest_log: ClassVar[float] = 4.0
     controllers: ClassVar[tuple[str, ...]] = ("map",)
     step: ClassVar[str] = "step_rig"
     rotorcraft: ClassVar[Vehicle | None] = None
@@ -120,6 +123,11 @@ class Robot:
         model = compile_model(path)
         check_signals(name, model, signals)
         return Robot(name, model, signals or NO_SIGNALS)
+
+    @property
+    def is_short(self) -> bool:
+        """Whether its windows were cut for short logs."""
+        return self.window < type(self).window
 
     @property
     def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:
@@ -253,7 +261,10 @@ class Robot:
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
+    """Check that signals name joints and actuators of the MJCF, and every joint, none of them a ball or free one.
+
+    A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
+    """
     if model.nq != model.njnt:
         raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
     joints = [model.joint(i).name for i in range(model.njnt)]
@@ -275,3 +286,11 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
                 listed = ", ".join(filter(None, known))
                 named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
                 raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
+    told = {**signals.joints, **signals.driven}
+    lost = [f"joint {joint!r}" if joint else "a joint without a name" for joint in joints if joint not in told]
+    if lost:
+        raise InputError(
+            f"{name}: signals leave out {' and '.join(lost)}",
+            "every joint of the MJCF under `joints` (simulated) or `driven` (follows its log)",
+            "name what was logged there, and remove the rest from the MJCF: bodies without joints are fixed",
+        )

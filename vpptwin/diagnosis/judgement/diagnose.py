@@ -14,6 +14,7 @@ from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
     MAX_WINDOWS,
     build_bench,
+    choose_window,
     long_starts,
     split_flights,
     thin_out,
@@ -118,14 +119,18 @@ def prepare(
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+<<<<<<< HEAD
     spec = scale_twin(spec, measurements)
+=======
+    spec, measurements = choose_window(spec, measurements)
+>>>>>>> words
     window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()
     if len(flights) > 1:
         stage("choosing the flights that judge")
         judges = choose_judges(measure_information(spec, measurements, unknowns, progress, criteria), criteria)
-    split = split_flights(measurements, window, judges)
+    split = split_flights(measurements, window, judges, spec.robot.is_short)
     stage("linearising the twin about the flights")
     fitted = thin_out(split.fitted, MAX_WINDOWS)
     search = Search(build_bench(spec, measurements, fitted, window, False, progress, criteria), unknowns)
@@ -143,7 +148,7 @@ def judge(
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that tells rivals apart")
         verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
-    preflight = [inspect_flight(spec, measured) for measured in material.measurements]
+    preflight = [inspect_flight(search.bench.spec, measured) for measured in material.measurements]
     ranking = rank_first(selection, search)
     return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot, preflight)
 
