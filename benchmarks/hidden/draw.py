@@ -88,7 +88,7 @@ class Plan:
     @property
     def gust_strength(self) -> str:
         """Third of the gusts' strength."""
-        names = "below 0.65 %", "0.65 to 1.39 %", "above 1.39 %"
+        names = "0.3 to 0.65 %", "0.65 to 1.39 %", "1.39 to 3 %"
         return names[int(np.searchsorted(THIRDS, self.wind.strength))] + " of weight"
 
     @property
