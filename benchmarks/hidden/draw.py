@@ -81,6 +81,13 @@ class Plan:
         return min((measure_strength(e, v) for e, v in self.hidden.items()), default=float("nan"))
 
     @property
+    def about(self) -> str:
+        """What else there is to know about a session, in a few words."""
+        strength = f"strength {self.strength:.2g}, " if self.hidden else ""
+        small = f"small {self.small}, " if self.small else ""
+        return f"{strength}{small}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
+
+    @property
     def gusts(self) -> str:
         """Kind of gusts."""
         return self.wind.kind
