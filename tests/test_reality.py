@@ -58,10 +58,10 @@ SPEC = {
 
 
 def test_effects_are_those_of_spec() -> None:
-    """Ids and parameters are SPEC 5's, every row of it and nothing else; only aliens lie outside."""
+    """Ids and parameters are SPEC 5's, every row of it and nothing else; only aliens and other forms lie outside."""
     ours = {effect: " ".join(sizes) for effect, sizes in (CORE | EXTENDED | COMPANIONS).items()}
     assert ours == SPEC
-    assert all(effect.startswith("alien.") for effect in EFFECTS if effect not in SPEC)
+    assert all(effect.startswith(("alien.", "form.")) for effect in EFFECTS if effect not in SPEC)
 
 
 @pytest.mark.parametrize("effect", SPEC)
@@ -181,8 +181,8 @@ def test_every_effect_changes_the_flight() -> None:
     rng = np.random.default_rng(6)
     hidden = [{effect: {name: size.draw(rng) for name, size in sizes.items()}} for effect, sizes in EFFECTS.items()]
     for effects in hidden:
-        if "alien.mass_drop" in effects:
-            effects["alien.mass_drop"]["time"] = 2.0
+        for sudden in {"alien.mass_drop", "alien.chip"} & set(effects):
+            effects[sudden]["time"] = 2.0
         if "clock.drift" in effects:  # grows with time, and this flight is half as long as those it is drawn for
             effects["clock.drift"]["drift"] *= 2.0
     # Seed 52 turns upside down and passes low within its first 8.5 s.

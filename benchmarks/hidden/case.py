@@ -82,6 +82,7 @@ class Case:
         oracle: the same judgement with the true structure fitted; None where that was not done.
         baselines: method → effect that it names ("" for none), on the sessions it was tried on.
         error: why the diagnosis failed, "" otherwise.
+        commit: of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded.
     """
 
     plan: Plan
@@ -89,11 +90,24 @@ class Case:
     oracle: Finding | None = None
     baselines: dict[str, str] = field(default_factory=dict)
     error: str = ""
+    commit: str = ""
+
+    @property
+    def neither(self) -> frozenset[str]:
+        """Effects that need not be named and are not wrong if they are; plans of other rigs may know of none."""
+        return getattr(self.plan, "neither", frozenset())
+
+    @property
+    def claims(self) -> list[Named]:
+        """Causes that count, strongest first: all but those that are, or are not told from, what is neither."""
+        causes = self.found.causes if self.found else []
+        known, neither = self.plan.known, self.neither
+        return [c for c in causes if c.effect not in neither and (c.effect in known or not neither & set(c.rivals))]
 
     @property
     def first(self) -> str:
-        """The strongest cause, "" for none."""
-        return self.found.named[0] if self.found and self.found.causes else ""
+        """The strongest cause that counts, "" for none."""
+        return next((cause.effect for cause in self.claims), "")
 
     @property
     def all_named(self) -> bool:
@@ -109,8 +123,8 @@ class Case:
     @property
     def wrong(self) -> list[str]:
         """Causes claimed of which neither they nor their group are there."""
-        causes = self.found.causes if self.found else []
-        return [c.effect for c in causes if c.confidence > CONFIDENT and not {c.effect, *c.rivals} & self.plan.known]
+        known = self.plan.known
+        return [c.effect for c in self.claims if c.confidence > CONFIDENT and not {c.effect, *c.rivals} & known]
 
     @property
     def separable(self) -> bool | None:
@@ -149,8 +163,8 @@ class Case:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Case:
         """Read what `as_dict` made."""
-        given = {f.name: content[f.name] for f in fields(cls)}
-        given["plan"] = Plan(**given["plan"])
+        given = {f.name: content[f.name] for f in fields(cls) if f.name in content}  # older files lack some
+        given["plan"] = Plan.from_dict(given["plan"])
         for name in ("found", "oracle"):
             given[name] = given[name] and Finding.from_dict(given[name])
         return cls(**given)

@@ -14,6 +14,8 @@ from hidden.case import CONFIDENT, Case
 from tests.reality import true_size
 
 Z_90, Z_95 = 1.645, 1.960
+BINS = (0.0, 0.5, 0.7, CONFIDENT, 0.99, 1.01)
+"""Edges of bins of confidence."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,11 @@ def count(name: str, outcomes: Iterable[bool], target: str = "") -> Rate:
 
 
 def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
-    """Every measure of issue 4."""
-    of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in ("single", "two", "three", "alien", "none")}
-    single, alien, none = of_kind["single"], of_kind["alien"], of_kind["none"]
+    """Every measure of issue 4, and those of laws that differ from ours."""
+    kinds = ("single", "form", "two", "three", "alien", "none")
+    of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in kinds}
+    single, form, alien, none = (of_kind[kind] for kind in ("single", "form", "alien", "none"))
+    bare = [c for c in none if not c.neither]
     plain = [c for c in single if c.plan.strength >= 1.0 - 1e-9]
     clear = [c for c in single if c.separable]
     return [
@@ -85,11 +89,13 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
         count("one effect, none fainter than strength 1: named first", (c.all_named for c in plain)),
         count("one effect: named or in the reported group", (c.all_suspected for c in single), ">= 0.98"),
         count("one effect, strength 1 on: named or in the reported group", (c.all_suspected for c in plain)),
+        count("one effect whose law differs from ours: named first", (c.all_named for c in form)),
+        count("one effect whose law differs from ours: in the group", (c.all_suspected for c in form), ">= 0.95"),
         count("two effects: both named", (c.all_named for c in of_kind["two"]), ">= 0.85"),
         count("two effects: both named or in a group", (c.all_suspected for c in of_kind["two"])),
         count("three effects: all named or in a group", (c.all_suspected for c in of_kind["three"])),
         count("no effect: something named", (bool(c.first) for c in none), "<= 0.01"),
-        count("no effect: something said to be unexplained", (leaves_something(c) for c in none)),
+        count("no effect, nor a small one: something said to be unexplained", (leaves_something(c) for c in bare)),
         count("confidently wrong", (bool(c.wrong) for c in cases if c.plan.kind != "alien"), "<= 0.02"),
         count("outside the catalogue: flagged unexplained", (leaves_something(c) for c in alien), ">= 0.85"),
         count("outside the catalogue: misnamed with confidence", (bool(c.wrong) for c in alien), "<= 0.05"),
@@ -183,8 +189,9 @@ def compare_baselines(cases: Sequence[Case]) -> list[Rate]:
     for method in dict.fromkeys(name for c in tried for name in c.baselines):
         rows += [
             count(f"{method}: named first", (c.baselines[method] in c.plan.known for c in single)),
-            count(f"{method}: something named where nothing is hidden", (bool(c.baselines[method]) for c in none)),
-        ]
+            count(f"{method}: something named where nothing is hidden",
+                  (c.baselines[method] not in {"", *c.neither} for c in none)),
+        ]  # fmt: skip
     return rows
 
 
@@ -198,7 +205,7 @@ def list_failures(cases: Sequence[Case]) -> list[str]:
             continue
         said = [f"{c.effect} {c.confidence:.2f}{f' or {list(c.rivals)}' * bool(c.rivals)}" for c in
                 (case.found.causes if case.found else [])]  # fmt: skip
-        about = f"strength {case.plan.strength:.2g}" if case.plan.hidden else ""
+        about = getattr(case.plan, "about", "")
         about += {True: ", separable", False: ", not separable", None: ""}[case.separable] if case.plan.known else ""
         left = " + unexplained" if leaves_something(case) else ""
         claim = " CONFIDENTLY WRONG" if case.wrong else ""
@@ -217,9 +224,13 @@ def format_table(rows: Sequence[Rate | Figure]) -> str:
     return "\n".join(lines)
 
 
-def confidence_bins(cases: Sequence[Case]) -> list[tuple[float, Rate]]:
+def list_claims(cases: Iterable[Case]) -> list[tuple[float, bool]]:
+    """Confidence of every cause that counts, and whether it is hidden."""
+    return [(cause.confidence, cause.effect in case.plan.known) for case in cases for cause in case.claims]
+
+
+def confidence_bins(cases: Iterable[Case]) -> list[tuple[float, Rate]]:
     """Mean confidence and hit rate of causes, in bins of confidence."""
-    edges = (0.0, 0.5, 0.7, CONFIDENT, 0.99, 1.01)
-    said = [(c.confidence, c.effect in case.plan.known) for case in cases if case.found for c in case.found.causes]
-    bins = [[(p, hit) for p, hit in said if low <= p < high] for low, high in pairwise(edges)]
+    said = list_claims(cases)
+    bins = [[(p, hit) for p, hit in said if low <= p < high] for low, high in pairwise(BINS)]
     return [(float(np.mean([p for p, _ in b])), count("", (hit for _, hit in b))) for b in bins if b]

@@ -28,8 +28,8 @@ def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
     """Fly sessions in one batch, all realism on; write and return the logs of each."""
     flights: list[FlightPlan] = [
         {
-            "effects": plan.hidden, "manoeuvre": name, "duration": DURATION, "seed": plan.rig + 1 + i,
-            "session": plan.rig, "distractors": True, "outliers": plan.outliers,
+            "effects": plan.small | plan.hidden, "manoeuvre": name, "duration": DURATION, "seed": plan.rig + 1 + i,
+            "session": plan.rig, "wind": plan.wind, "distractors": True, "outliers": plan.outliers,
         }
         for plan in plans
         for i, name in enumerate(MANOEUVRES)

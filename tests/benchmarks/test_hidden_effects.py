@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import json
+import subprocess
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.reality import EFFECTS, true_size
+from tests.reality import (
+    ALIEN,
+    CORE,
+    EFFECTS,
+    EXTENDED,
+    FORMS,
+    LOOK_ALIKES,
+    Wind,
+    measure_strength,
+    true_size,
+)
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -55,9 +67,9 @@ def cause(effect: str, confidence: float = 0.99, rivals: Any = (), value: float 
     return effect, confidence, rivals, value, std
 
 
-def session(number: int, kind: str, hidden: dict, found: Any, oracle: Any = None, rig: int = 3) -> Any:  # noqa: ANN401
+def session(number: int, kind: str, hidden: dict, found: Any, oracle: Any = None, rig: int = 3, **plan: Any) -> Any:  # noqa: ANN401
     """A made-up session."""
-    return load("case").Case(load("draw").Plan(number, kind, hidden, rig), found, oracle)
+    return load("case").Case(load("draw").Plan(number, kind, hidden, rig, **plan), found, oracle)
 
 
 def table(cases: list) -> dict[str, str]:
@@ -66,19 +78,33 @@ def table(cases: list) -> dict[str, str]:
 
 
 def test_of_twenty_sessions_the_kinds_are_as_stated() -> None:
-    """Nine hide one effect, four two, one three, two an alien, four none, whatever the seed."""
+    """Eight hide one effect, two one of another form, three two, one three, three an alien, three none, at any seed."""
     draw = load("draw")
     seed = int(np.random.default_rng().integers(1000))
     kinds = Counter(draw.draw_plan(seed, n).kind for n in range(20, 40))
-    assert kinds == {"single": 9, "two": 4, "three": 1, "alien": 2, "none": 4}
+    assert kinds == {"single": 8, "form": 2, "two": 3, "three": 1, "alien": 3, "none": 3}
 
 
-def test_single_effects_take_turns() -> None:
-    """The first 42 sessions with one effect hide each effect of the catalogue once."""
-    draw = load("draw")
-    plans = (plan for plan in draw.draw_plans(7, kinds=("single",)))
-    effects = [next(iter(next(plans).hidden)) for _ in draw.FLYING]
-    assert sorted(effects) == sorted(draw.FLYING)
+@pytest.mark.parametrize(("kind", "pool"), [("single", (*CORE, *EXTENDED)), ("alien", ALIEN), ("form", FORMS)])
+def test_single_effects_take_turns(kind: str, pool: Iterable[str]) -> None:
+    """The first 42 sessions with one effect hide each of the catalogue once; aliens and other forms take turns too."""
+    plans = load("draw").draw_plans(7, kinds=(kind,))
+    effects = [next(iter(next(plans).hidden)) for _ in pool]
+    assert sorted(effects) == sorted(pool)
+
+
+def test_small_deviations_leave_no_gap_and_are_no_look_alikes() -> None:
+    """Strengths from a tolerance's to 1, in three of five sessions, beside effects of which none looks like them."""
+    plans = list(islice(load("draw").draw_plans(5), 300))
+    strengths = [measure_strength(e, v) for plan in plans for e, v in plan.small.items()]
+    assert 0.1 - 1e-3 <= min(strengths) < 0.12
+    assert 0.9 < max(strengths) <= 1 + 1e-3
+    assert np.histogram(np.log(strengths), 5)[0].min() > 20
+    assert 0.5 < np.mean([bool(plan.small) for plan in plans]) < 0.7
+    for plan in plans:
+        together = plan.known | set(plan.small)
+        assert len(together) == len(plan.known) + len(plan.small)
+        assert all(not (group & set(plan.small)) or len(group & together) < 2 for group in LOOK_ALIKES)
 
 
 def test_kinds_that_are_not_asked_for_are_not_drawn() -> None:
@@ -96,6 +122,7 @@ def test_a_session_depends_on_seed_and_number_only() -> None:
     assert [next(among) for _ in range(13)][12] == alone
     assert next(p for p in draw.draw_plans(5, kinds=(alone.kind,)) if p.number == 12) == alone
     assert draw.draw_plan(6, 12) != alone
+    assert len({draw.draw_plan(5, n).wind for n in range(6)}) == 6
 
 
 def test_rates_of_single_effects() -> None:
@@ -136,6 +163,40 @@ def test_rates_of_other_kinds() -> None:
     assert rates["outside the catalogue: misnamed with confidence"] == "33.3 % (1 of 3)"
     assert rates["confidently wrong"] == "20.0 % (1 of 5)"  # aliens have a row of their own
     assert rates["diagnosis failed"] == "12.5 % (1 of 8)"
+
+
+def test_small_deviations_are_neither_asked_for_nor_wrong() -> None:
+    """Named first, alone or as a rival they count on neither side; what is neither hidden nor small is still wrong."""
+    coulomb, small = {"rail_x.coulomb": {"force": 0.3}}, {"rail.tilt": {"angle": 0.015}}
+    alike = cause("rail_x.bias", rivals=[("rail.tilt", 0.4)])
+    cases = [
+        session(0, "single", coulomb, finding(cause("rail.tilt"), cause("rail_x.coulomb")), small=small),
+        session(1, "single", coulomb, finding(alike, cause("rail_x.coulomb")), small=small),
+        session(2, "single", coulomb, finding(alike)),
+        session(3, "none", {}, finding(cause("rail.tilt")), small=small),
+        session(4, "none", {}, finding(left=True), small=small),
+        session(5, "none", {}, finding(cause("air.drag")), small=small),
+    ]
+    rates = table(cases)
+    assert rates["one effect: named first"] == "66.7 % (2 of 3)"
+    assert rates["no effect: something named"] == "33.3 % (1 of 3)"
+    assert rates["confidently wrong"] == "33.3 % (2 of 6)"  # sessions 2 and 5
+    assert rates["no effect, nor a small one: something said to be unexplained"] == "-"
+
+
+def test_another_form_counts_as_its_nearest_effect() -> None:
+    """Creep is dry friction: right if named so, with viscous friction beside it too, as viscous friction alone not."""
+    creep = {"form.creep": {"force": 0.3, "velocity": 0.04}}
+    cases = [
+        session(0, "form", creep, finding(cause("rail_x.coulomb"))),
+        session(1, "form", creep, finding(cause("rail_x.viscous"), cause("rail_x.coulomb"))),
+        session(2, "form", creep, finding(cause("rail_x.viscous"))),
+        session(3, "form", creep, finding(cause("air.drag"))),
+    ]
+    rates = table(cases)
+    assert rates["one effect whose law differs from ours: named first"] == "50.0 % (2 of 4)"
+    assert rates["confidently wrong"] == "25.0 % (1 of 4)"
+    assert cases[0].plan.form == "form.creep, nearest rail_x.coulomb"
 
 
 def test_a_flight_separates_what_the_true_fit_shows_and_tells_apart() -> None:
@@ -203,6 +264,9 @@ def test_results_are_read_back_as_they_were(tmp_path: Path) -> None:
         session(1, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")), finding()),
         session(0, "none", {}, None),
     ]
+    cases[0] = replace(
+        cases[0], commit="abc", plan=replace(cases[0].plan, wind=Wind("field", 2.0, 0.5, (1.0, 2.0, 0.5)))
+    )
     campaign.write_results(tmp_path / "out.json", {"seed": 1}, cases)
     content = json.loads((tmp_path / "out.json").read_text(), parse_constant=lambda name: pytest.fail(name))
     assert [case.Case.from_dict(c) for c in content["cases"]] == cases[::-1]
@@ -220,6 +284,7 @@ def test_a_rerun_goes_on_from_its_results(tmp_path: Path, monkeypatch: pytest.Mo
             yield load("case").Case(plan, None if error else finding(), error=error)
 
     monkeypatch.setattr(main, "run_campaign", run_campaign)
+    monkeypatch.setattr(main, "read_commit", lambda: "a" * 40)
     out = ["--json", str(tmp_path / "out.json")]
     main.main(["--cases", "4", "--seed", "3", *out])
     main.main(["--cases", "5", "--seed", "3", *out])
@@ -227,9 +292,40 @@ def test_a_rerun_goes_on_from_its_results(tmp_path: Path, monkeypatch: pytest.Mo
     assert [c["plan"]["number"] for c in json.loads((tmp_path / "out.json").read_text())["cases"]] == [0, 1, 2, 3, 4]
     with pytest.raises(SystemExit, match="seed 3"):
         main.main(["--cases", "5", "--seed", "4", *out])
+    monkeypatch.setattr(main, "read_commit", lambda: "b" * 40)
+    with pytest.raises(SystemExit, match="5 at aaaaaaaaa, 1 at bbbbbbbbb"):
+        main.main(["--cases", "6", "--seed", "3", *out])
+    main.main(["--cases", "6", "--seed", "3", "--mixed", *out])
+    with pytest.raises(SystemExit, match="several versions"):
+        main.main(["--report", str(tmp_path / "out.json")])
+    main.main(["--report", str(tmp_path / "out.json"), "--mixed"])
     assert main.choose_plans(main.parse(["--cases", "5", "--seed", "3", "--shard", "2/2"])) == [
         draw.draw_plan(3, number) for number in (1, 3)
     ]
+
+
+def test_a_commit_says_whether_the_code_was_changed(tmp_path: Path) -> None:
+    """The checkout's commit; marked where code differs from it, not where only results do; nothing outside git."""
+    commits, case = load("commits"), load("case")
+    assert commits.read_commit(tmp_path) == ""
+
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=tmp_path, check=True)
+
+    (tmp_path / "benchmarks/results").mkdir(parents=True)
+    (tmp_path / "benchmarks/run.py").write_text("1")
+    git("init", "--quiet")
+    git("add", ".")
+    git("commit", "--quiet", "-m", "first")
+    (tmp_path / "benchmarks/results/night.json").write_text("{}")
+    clean = commits.read_commit(tmp_path)
+    assert len(clean) == 40
+    (tmp_path / "benchmarks/run.py").write_text("2")
+    assert commits.read_commit(tmp_path) == clean + "+changes"
+    plan = load("draw").Plan(0, "none")
+    assert commits.find_mixture([case.Case(plan, None, commit=clean)] * 2) == ""
+    assert "changes" in commits.find_mixture([case.Case(plan, None, commit=clean + "+changes")])
+    assert "not recorded" in commits.find_mixture([case.Case(plan, None)])
 
 
 def test_confusion_counts_families() -> None:
@@ -323,6 +419,51 @@ def test_the_night_tells_by_its_exit_status(monkeypatch: pytest.MonkeyPatch, cap
         assert "not named as hidden" not in told
         assert ("diagnosis failed: 100.0 % (3 of 3)" in told) is failed
     assert asked == [(main.NIGHTLY, False, 3)] * 2
+
+
+def test_competition_figures() -> None:
+    """Detection, false alarms, isolation and Brier score of six sessions, by hand."""
+    scores = load("scores")
+    tilt = {"rail.tilt": {"angle": 0.03}}
+    cases = [
+        session(0, "single", tilt, finding(cause("rail.tilt", 0.9)), wind=Wind("steps")),
+        session(1, "single", tilt, finding(cause("rail_x.bias", 0.6, [("rail.tilt", 1.0), ("air.drag", 2.0)]))),
+        session(2, "single", tilt, finding()),
+        session(3, "alien", {"alien.slosh": {"mass": 0.08, "frequency": 1.0}}, finding(left=True)),
+        session(4, "none", {}, finding()),
+        session(5, "none", {}, finding(left=True)),
+    ]
+    # Session 1: half of the 0.4 that the cause leaves is the truth's. Session 2 detects nothing, 3 has no name.
+    assert scores.list_isolations(cases) == pytest.approx([0.9, 0.2])
+    detection, alarms, isolation, claimed, brier = scores.score(cases)
+    assert (detection.hits, detection.of) == (3, 4)
+    assert (alarms.hits, alarms.of) == (1, 2)
+    assert isolation.text == "0.550 (2 sessions)"
+    assert claimed.text == f"{(0.1**2 + 0.6**2) / 2:.4f} (2)"
+    assert brier.text == f"{(0.1**2 + 0.6**2 + 0.8**2 + 1.0**2) / 4:.4f} (4)"
+    assert scores.format_reliability(cases).splitlines()[2:] == [
+        "| 60.0 % | 0.0 % (0 of 1) | 0-79 % |",
+        "| 90.0 % | 100.0 % (1 of 1) | 21-100 % |",
+    ]
+
+
+def test_rates_are_broken_down_by_any_attribute() -> None:
+    """By kind of gusts, and by what only some sessions have; an attribute that none has gives no table."""
+    scores = load("scores")
+    tilt = {"rail.tilt": {"angle": 0.03}}
+    cases = [
+        session(0, "single", tilt, finding(cause("rail.tilt")), wind=Wind("steps", 2.0)),
+        session(1, "single", tilt, finding(cause("air.drag"))),
+        session(2, "alien", {"alien.slosh": {"mass": 0.08, "frequency": 1.0}}, finding(left=True)),
+    ]
+    assert {name: len(group) for name, group in scores.group_by(cases, "gusts").items()} == {"ou": 2, "steps": 1}
+    assert list(scores.group_by(cases, "gust_strength")) == ["0.65 to 1.39 % of weight", "1.39 to 3 % of weight"]
+    assert list(scores.group_by(cases, "outside")) == ["memory"]
+    assert scores.group_by([replace(cases[0], commit="c")], "commit") == {"c": [replace(cases[0], commit="c")]}
+    lines = scores.format_groups(cases, "gusts").splitlines()
+    assert lines[0].startswith("| gusts | sessions | one: named first |")
+    assert lines[2].startswith("| ou | 2 | 0 of 1 | 0 of 1 | 1 of 1 | 1 of 1 |")  # confidently wrong, outside flagged
+    assert scores.format_groups(cases, "form") == ""
 
 
 @pytest.mark.slow

@@ -4,23 +4,32 @@ Nothing of vpptwin is imported and no MuJoCo: other equations, another integrato
 law (true sticking), another log writer.
 """
 
-from .effects import ALIEN, CORE, EFFECTS, EXTENDED, LOOK_ALIKES, draw_effect, draw_together, measure_strength
+from .effects import CORE, EFFECTS, EXTENDED, LOOK_ALIKES, draw_effect, draw_small, draw_together, measure_strength
 from .flight import fly, fly_many
+from .gusts import Wind, draw_wind
 from .manoeuvres import MANOEUVRES
+from .outside import ALIEN, ALIEN_KINDS, FORMS, find_also, find_known
 from .policy import fly_policy
 from .recording import Recording, write_mcap
 from .rig import true_size
 
 __all__ = [
     "ALIEN",
+    "ALIEN_KINDS",
     "CORE",
     "EFFECTS",
     "EXTENDED",
+    "FORMS",
     "LOOK_ALIKES",
     "MANOEUVRES",
     "Recording",
+    "Wind",
     "draw_effect",
+    "draw_small",
     "draw_together",
+    "draw_wind",
+    "find_also",
+    "find_known",
     "fly",
     "fly_many",
     "fly_policy",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from .effects import parse_effect
 from .flight import fly
+from .gusts import KINDS, Wind
 from .manoeuvres import MANOEUVRES
 from .recording import write_mcap
 
@@ -20,6 +21,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--session", type=int, help="seed of the rig's tolerances; flights of one rig share it")
     parser.add_argument("--no-gusts", dest="gusts", action="store_false")
+    parser.add_argument("--gust", choices=KINDS, default="ou", help="kind of gusts")
+    parser.add_argument("--gust-strength", type=float, default=1.0, help="rms in %% of weight")
+    parser.add_argument("--gust-time", type=float, default=0.3, help="s over which the force stays alike")
     parser.add_argument("--no-jitter", dest="jitter", action="store_false", help="nominal rig, exact mocap stamps")
     parser.add_argument("--no-dropouts", dest="dropouts", action="store_false")
     parser.add_argument("--distractors", action="store_true", help="thrust ripple and gyro wander, hardly noticeable")
@@ -27,6 +31,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     given = vars(parser.parse_args())
     out, effects = given.pop("out"), given.pop("effect")
+    given["wind"] = Wind(given.pop("gust"), given.pop("gust_strength"), given.pop("gust_time"))
     try:
         hidden = dict(parse_effect(text) for text in effects)
     except ValueError as error:

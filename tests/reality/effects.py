@@ -6,77 +6,26 @@ Written from SPEC 5 alone, apart from the catalogue of vpptwin, so that a slip i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from .outside import ALIEN, FORMS, find_known
+from .size import Size, either_sign
+
 Effects = Mapping[str, Mapping[str, float]]
-
-
-@dataclass(frozen=True)
-class Size:
-    """Sizes that a hidden parameter may take.
-
-    Attributes:
-        unit: SI unit of the parameter.
-        off: Value at which the effect does nothing (NaN: the vehicle's nominal value).
-        spans: Intervals to draw from, negative ones included, each equally likely.
-        idle: Value from which on it does nothing in flight, where that is not `off`.
-    """
-
-    unit: str
-    off: float
-    spans: tuple[tuple[float, float], ...]
-    idle: float | None = None
-
-    @property
-    def nothing(self) -> float:
-        """The value from which strength counts."""
-        return self.off if self.idle is None else self.idle
-
-    def draw(self, rng: np.random.Generator, least: float = 0.0) -> float:
-        """Draw one size, rounded to five digits so that a printed failure can be flown again.
-
-        Args:
-            rng: Source of randomness.
-            least: Share of the span, from its faint end on, that is left out.
-        """
-        near, far = self._from_faint_end(self.spans[rng.integers(len(self.spans))])
-        return float(f"{near + rng.uniform(least, 1.0) * (far - near):.5g}")
-
-    def draw_faint(self, rng: np.random.Generator, least: float) -> float:
-        """Draw a size of strength `least` to 1: below all that `draw` gives."""
-        near, _ = self._from_faint_end(self.spans[rng.integers(len(self.spans))])
-        return float(f"{self.nothing + rng.uniform(least, 1.0) * (near - self.nothing):.5g}")
-
-    def _from_faint_end(self, span: tuple[float, float]) -> tuple[float, float]:
-        """The ends of a span, the one closer to nothing first."""
-        near, far = sorted(span, key=lambda end: abs(end - self.nothing))
-        return near, far
-
-    def measure_strength(self, value: float) -> float:
-        """Distance from nothing over that of the faint end of the value's span: 1 is the least that `draw` gives."""
-        edges = [self._from_faint_end(span)[0] for span in self.spans]
-        edge = next((e for e in edges if (e - self.nothing) * (value - self.nothing) > 0.0), edges[0])
-        return abs(value - self.nothing) / abs(edge - self.nothing)
-
-
-def _either_sign(low: float, high: float) -> tuple[tuple[float, float], ...]:
-    return ((-high, -low), (low, high))
-
 
 CORE: dict[str, dict[str, Size]] = {
     "rail_x.coulomb": {"force": Size("N", 0.0, ((0.10, 0.50),))},
     "rail_z.coulomb": {"force": Size("N", 0.0, ((0.10, 0.50),))},
     "rail_x.viscous": {"damping": Size("N s/m", 0.0, ((0.15, 0.80),))},
     "rail_z.viscous": {"damping": Size("N s/m", 0.0, ((0.15, 0.80),))},
-    "rail_x.bias": {"force": Size("N", 0.0, _either_sign(0.12, 0.50))},
-    "rail_z.bias": {"force": Size("N", 0.0, _either_sign(0.12, 0.50))},
+    "rail_x.bias": {"force": Size("N", 0.0, either_sign(0.12, 0.50))},
+    "rail_z.bias": {"force": Size("N", 0.0, either_sign(0.12, 0.50))},
     "airframe.mass": {"mass": Size("kg", 0.0, ((-0.06, -0.025), (0.025, 0.08)))},
-    "airframe.inertia": {"inertia": Size("kg m^2", 0.0, _either_sign(0.00048, 0.0015))},
+    "airframe.inertia": {"inertia": Size("kg m^2", 0.0, either_sign(0.00048, 0.0015))},
     "air.drag": {"k_d": Size("N s^2/m^2", 0.0, ((0.05, 0.25),))},
     "rotor.thrust_gain": {"gain": Size("1", 1.0, ((0.85, 0.95), (1.05, 1.15)))},
-    "rotor.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.02, 0.08))},
+    "rotor.asymmetry": {"fraction": Size("1", 0.0, either_sign(0.02, 0.08))},
     "servo.lag": {"time_constant": Size("s", float("nan"), ((0.028, 0.050),), idle=0.020)},
     "command.delay": {"delay": Size("s", 0.0, ((0.004, 0.015),))},
     "mocap.delay": {"delay": Size("s", 0.0, ((0.005, 0.020),))},
@@ -95,11 +44,11 @@ EXTENDED: dict[str, dict[str, Size]] = {
     },
     "pitch.viscous": {"damping": Size("N m s/rad", 0.0, ((0.004, 0.012),))},
     "pitch.coulomb": {"torque": Size("N m", 0.0, ((0.01, 0.04),))},
-    "pitch.bias": {"force": Size("N m", 0.0, _either_sign(0.03, 0.10))},
-    "rail.tilt": {"angle": Size("rad", 0.0, _either_sign(0.02, 0.07))},
+    "pitch.bias": {"force": Size("N m", 0.0, either_sign(0.03, 0.10))},
+    "rail.tilt": {"angle": Size("rad", 0.0, either_sign(0.02, 0.07))},
     "carriage.mass": {"mass": Size("kg", 0.0, ((-0.04, -0.02), (0.03, 0.12)))},
-    "airframe.com": {"offset": Size("m", 0.0, _either_sign(0.005, 0.02))},
-    "airframe.com_height": {"offset": Size("m", 0.0, _either_sign(0.006, 0.02))},
+    "airframe.com": {"offset": Size("m", 0.0, either_sign(0.005, 0.02))},
+    "airframe.com_height": {"offset": Size("m", 0.0, either_sign(0.006, 0.02))},
     "air.ground_effect": {"gain": Size("1", 0.0, ((0.15, 0.40),)), "height": Size("m", 0.3, ((0.2, 0.4),))},
     "rotor.negative_thrust": {"loss": Size("1", 0.0, ((0.08, 0.25),))},
     "rotor.stall": {"onset": Size("rad", 1.0, ((0.15, 0.18),), idle=0.21)},  # the largest blade pitch
@@ -110,30 +59,22 @@ EXTENDED: dict[str, dict[str, Size]] = {
     "servo.rate_limit": {"rate": Size("rad/s", 1e9, ((1.5, 3.0),), idle=6.0)},
     "servo.backlash": {"gap": Size("rad", 0.0, ((0.006, 0.015),))},
     "servo.trim": {
-        "offset_1": Size("rad", 0.0, _either_sign(0.004, 0.012)),
-        "offset_2": Size("rad", 0.0, _either_sign(0.004, 0.012)),
+        "offset_1": Size("rad", 0.0, either_sign(0.004, 0.012)),
+        "offset_2": Size("rad", 0.0, either_sign(0.004, 0.012)),
     },
-    "mocap.misalignment": {"angle": Size("rad", 0.0, _either_sign(0.02, 0.06))},
+    "mocap.misalignment": {"angle": Size("rad", 0.0, either_sign(0.02, 0.06))},
     "mocap.scale": {"scale": Size("1", 1.0, ((0.96, 0.985), (1.015, 1.04)))},
-    "clock.drift": {"drift": Size("s/s", 0.0, _either_sign(3e-4, 1e-3))},
-    "gyro.bias": {"bias": Size("rad/s", 0.0, _either_sign(0.04, 0.15))},
+    "clock.drift": {"drift": Size("s/s", 0.0, either_sign(3e-4, 1e-3))},
+    "gyro.bias": {"bias": Size("rad/s", 0.0, either_sign(0.04, 0.15))},
     "gyro.scale": {"scale": Size("1", 1.0, ((0.90, 0.96), (1.04, 1.10)))},
 }
 
-ALIEN: dict[str, dict[str, Size]] = {
-    # Outside SPEC 5: a diagnosis must say "unexplained" rather than name the nearest thing that it knows.
-    "alien.cogging": {"force": Size("N", 0.0, ((0.3, 0.8),)), "period": Size("m", 0.2, ((0.10, 0.30),))},
-    "alien.mass_drop": {"mass": Size("kg", 0.0, ((0.05, 0.10),)), "time": Size("s", 8.0, ((6.0, 12.0),))},
-    "alien.flutter": {"loss": Size("s/rad", 0.0, ((0.10, 0.25),))},  # thrust x (1 - loss |blade pitch rate|)
-    "alien.crosswind": {"gain": Size("N s^2/m^2", 0.0, ((0.15, 0.40),))},  # force along x = gain vx vz
-}
-
-EFFECTS: dict[str, dict[str, Size]] = CORE | EXTENDED | ALIEN
+EFFECTS: dict[str, dict[str, Size]] = CORE | EXTENDED | ALIEN | {name: form.sizes for name, form in FORMS.items()}
 
 # Acts only where there is friction already; not in the draw.
 COMPANIONS: dict[str, dict[str, Size]] = {
-    "rail_x.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.2, 0.5))},
-    "rail_z.asymmetry": {"fraction": Size("1", 0.0, _either_sign(0.2, 0.5))},
+    "rail_x.asymmetry": {"fraction": Size("1", 0.0, either_sign(0.2, 0.5))},
+    "rail_z.asymmetry": {"fraction": Size("1", 0.0, either_sign(0.2, 0.5))},
 }
 
 
@@ -177,6 +118,28 @@ def draw_effect(
     return {effect: {strength: size} | {name: other.draw(rng) for name, other in shape}}
 
 
+def draw_small(
+    rng: np.random.Generator, hidden: Mapping[str, object], among: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Draw none to two deviations between a rig's tolerance and what is hidden, no look-alikes of that or each other.
+
+    With them there is no gap between jitter and effect: the strength of the first parameter is log-uniform from
+    LEAST_SMALL, about where tolerances end, to 1, where hidden effects begin. Named or not, neither is wrong.
+    """
+    taken, small = set(find_known(hidden)), dict[str, dict[str, float]]()
+    for _ in range(int(rng.choice(len(SMALL_COUNTS), p=SMALL_COUNTS))):
+        barred = taken.union(*(group for group in LOOK_ALIKES if group & taken))
+        free = [effect for effect in among if effect not in barred]
+        effect = free[int(rng.integers(len(free)))]
+        (name, first), *shape = EFFECTS[effect].items()
+        size = first.draw_of_strength(rng, float(np.exp(rng.uniform(np.log(LEAST_SMALL), 0.0))))
+        small[effect] = {name: size} | {name: other.draw(rng) for name, other in shape}
+        taken.add(effect)
+    return small
+
+
+LEAST_SMALL, SMALL_COUNTS = 0.1, (0.4, 0.4, 0.2)
+"""Least strength of a small deviation (mass: 0.6 %, its tolerance is 0.5 %), and how often there are none, one, two."""
 DRAWS = 10_000
 """Draws of several effects after which there are taken to be no unlike ones."""
 

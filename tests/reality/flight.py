@@ -13,6 +13,7 @@ import numpy as np
 
 from .control import Firmware
 from .effects import Effects
+from .gusts import Field, Wind
 from .manoeuvres import write_script
 from .pilot import Commander, Estimator, Pilot
 from .plant import Plant
@@ -47,6 +48,7 @@ class FlightPlan(TypedDict, total=False):
     seed: int
     session: int | None
     gusts: bool
+    wind: Wind
     jitter: bool
     dropouts: bool
     distractors: bool
@@ -57,6 +59,7 @@ class FlightPlan(TypedDict, total=False):
 _DEFAULTS: FlightPlan = {
     "effects": {},
     "gusts": True,
+    "wind": Wind(),
     "jitter": True,
     "dropouts": True,
     "distractors": False,
@@ -74,6 +77,7 @@ def fly(
     *,
     session: int | None = None,
     gusts: bool = True,
+    wind: Wind = Wind(),  # noqa: B008 (frozen)
     jitter: bool = True,
     dropouts: bool = True,
     distractors: bool = False,
@@ -89,6 +93,7 @@ def fly(
         seed: Of everything random about the flight.
         session: Seed of the rig's tolerances; flights of one rig share it. By default `seed`.
         gusts: Whether gusts blow.
+        wind: What they are like.
         jitter: Whether the rig differs from nominal within tolerance, and mocap stamps jitter.
         dropouts: Whether mocap frames go missing.
         distractors: Whether thrust ripples and the gyro wanders, both too little to be noticed.
@@ -102,6 +107,7 @@ def fly(
         "seed": seed,
         "session": session,
         "gusts": gusts,
+        "wind": wind,
         "jitter": jitter,
         "dropouts": dropouts,
         "distractors": distractors,
@@ -146,6 +152,7 @@ class Batch:
         self.rig = Rig([f["effects"] for f in flights], [s if f["jitter"] else None for f, s in zip(flights, sessions)])
         nominal = self.rig.nominal
         self.chances = draw_chances(flights, self.steps + 1, nominal)
+        self.field = Field(flights, nominal)
         self.rippling = any(f["distractors"] for f in flights)
         self.pilot = pilot or _read_scripts(flights, nominal)
         state = np.zeros((6, self.count))
@@ -181,6 +188,7 @@ class Batch:
         self.newest = np.full(self.count, -1)  # frame that the pilot has had
         self.misalignment = hidden.get("mocap.misalignment", "angle")
         self.mocap_scale = hidden.get("mocap.scale", "scale")
+        self.g_gain, self.g_sensitive = hidden.get("alien.g_sensitivity", "gain"), hidden.any("alien.g_sensitivity")
         self.gyro_bias, self.gyro_scale = hidden.get("gyro.bias", "bias"), hidden.get("gyro.scale", "scale")
 
     def run(self) -> list[Recording]:
@@ -191,6 +199,8 @@ class Batch:
         command = (np.zeros(self.count), np.zeros(self.count))
         for k in range(self.steps + 1):
             plant.drop_ballast((k - self.lead) * STEP)
+            self.propeller.break_blade((k - self.lead) * STEP)
+            self._feel_field(k)
             self._sample(k, blade, speed, thrust)
             if k % MOCAP_PERIOD == 0:
                 command = self._pilot(k)
@@ -208,14 +218,25 @@ class Batch:
             blade, speed, thrust = path[-1], speeds[-1], thrusts[-1]
         return [Recording.from_batch(self, index) for index in range(self.count)]
 
+    def _feel_field(self, k: int) -> None:
+        """Gusts that depend on place: here and now, and where the craft will be a millisecond on."""
+        if len(rows := self.field.rows):
+            position, velocity, gust = self.plant.position, self.plant.velocity, self.chances.gust
+            gust[k][:, rows] = self.field.feel(k * STEP, position)
+            gust[k + 1][:, rows] = self.field.feel((k + 1) * STEP, position + STEP * velocity)
+
     def _sample(self, k: int, blade: np.ndarray, speed: np.ndarray, thrust: np.ndarray) -> None:
         """Read the sensors at step k."""
         plant, chances = self.plant, self.chances
         self.position[k], self.velocity[k] = plant.position, plant.velocity
         self.accel[k] = plant.compute_acceleration(thrust, speed, chances.gust[k])
         self.blade[k], self.speed[k], self.thrust[k] = blade, speed, thrust
-        rate = plant.velocity[PITCH]
-        self.gyro[k] = quantise(self.gyro_scale * rate + self.gyro_bias + chances.gyro[k], GYRO_LSB)
+        rate = self.gyro_scale * plant.velocity[PITCH] + self.gyro_bias
+        if self.g_sensitive:
+            angle, gravity = plant.position[PITCH], self.rig.gravity
+            lift = (self.accel[k, Z] + gravity) * np.cos(angle) - self.accel[k, X] * np.sin(angle)
+            rate = rate + self.g_gain * (lift - gravity)
+        self.gyro[k] = quantise(rate + chances.gyro[k], GYRO_LSB)
         self.speed_read[k] = quantise(speed + chances.speed[k], SPEED_LSB)
         self.current[k] = self.motor.compute_current()
 

@@ -17,9 +17,9 @@ class DryFriction:
     def __init__(self, rig: Rig) -> None:
         hidden = rig.hidden
         self.rig = rig
-        self.active = bool(rig.coulomb.any()) or hidden.any(
-            "rail_x.stiction", "rail_z.stiction", "rail_x.jamming", "rail_z.jamming", "rail_x.tight_spot"
-        )
+        kinds = "rail_x.stiction rail_z.stiction rail_x.jamming rail_z.jamming rail_x.tight_spot form.stribeck"
+        self.active = bool(rig.coulomb.any()) or hidden.any(*kinds.split())
+        self.pointed = bool(rig.pointed.any())
         self.stribeck = bool(rig.stiction.any())
         self.lopsided = bool(rig.friction_asymmetry.any())
         self.jamming = hidden.any("rail_x.jamming", "rail_z.jamming")
@@ -51,7 +51,10 @@ class DryFriction:
             sliding[X] += force * np.exp(-(((position[X] - place) / width) ** 2))
         if not self.stribeck:
             return sliding, sliding
-        extra = self.rig.stiction * np.exp(-((velocity / self.rig.stribeck) ** 2))
+        fall = (velocity / self.rig.stribeck) ** 2
+        if self.pointed:
+            fall[X] = np.where(self.rig.pointed, np.sqrt(fall[X]), fall[X])
+        extra = self.rig.stiction * np.exp(-fall)
         return sliding + extra, sliding + self.rig.stiction
 
     def orient(self, level: np.ndarray, direction: np.ndarray) -> np.ndarray:

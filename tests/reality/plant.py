@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .contact import Contact
+from .foreign import Foreign
 from .friction import DryFriction, advance_velocity, settle
 from .rig import PITCH, Rig, X, Z
 from .rotor import STEP, SUBSTEPS
@@ -42,10 +43,8 @@ class Plant:
         self.grounded = hidden.any("air.ground_effect")
         self.inflow, self.in_plane = hidden.get("rotor.inflow", "damping"), hidden.get("rotor.in_plane", "damping")
         self.blown = hidden.any("rotor.inflow", "rotor.in_plane")
-        self.cogging = [hidden.get("alien.cogging", name) for name in ("force", "period")]
-        self.cogged = hidden.any("alien.cogging")
+        self.foreign = Foreign(rig)
         self.uneven = bool(rig.uneven.any())
-        self.crosswind, self.crossed = hidden.get("alien.crosswind", "gain"), hidden.any("alien.crosswind")
         drop = hidden.any("alien.mass_drop")
         self.drop_mass = hidden.get("alien.mass_drop", "mass") if drop else None
         self.drop_time = hidden.get("alien.mass_drop", "time")
@@ -103,6 +102,7 @@ class Plant:
         if self.grounded:
             gain, height = self.ground
             thrust = thrust * (1 + gain * np.exp(-position[Z] / height))
+        thrust = self.foreign.lift(thrust, position)
         total = thrust[0] + thrust[1]
         force = self.constant + gust
         force[X] -= total * sine
@@ -114,8 +114,7 @@ class Plant:
             hub_force = self.in_plane * (speed[0] + speed[1]) * along_arm
             force[X] -= hub_force * cosine
             force[Z] -= hub_force * sine
-        if self.crossed:
-            force[X] += self.crosswind * velocity[X] * velocity[Z]
+        self.foreign.push_craft(force, velocity, thrust, sine, cosine)
         if touching:
             self.contact.add_to_tips(force, position, velocity, sine, cosine)
         if self.unbalanced:
@@ -132,8 +131,7 @@ class Plant:
             force -= self.rig.damping * velocity
         if self.sprung:
             force[X] -= self.spring[0] * (position[X] - self.spring[1])
-        if self.cogged:
-            force[X] -= self.cogging[0] * np.sin(2 * np.pi * position[X] / self.cogging[1])
+        self.foreign.push_joints(force, position, velocity)
         if self.uneven:
             force[X] -= self.rig.uneven * np.sin(_UNEVEN_WAVE * position[X])
         if touching:
@@ -195,3 +193,4 @@ class Plant:
             self.accel = (after - velocity) / step
             self.position = self.position + half * (velocity + after)
             self.velocity = after
+            self.foreign.advance(after, self.accel, step)

@@ -124,10 +124,15 @@ class Rig:
                 hidden.get("pitch.coulomb", "torque"),
             ]
         )
-        self.stiction = np.stack([hidden.get("rail_x.stiction", "force"), hidden.get("rail_z.stiction", "force"), none])
-        self.stribeck = np.stack(
-            [hidden.get("rail_x.stiction", "velocity"), hidden.get("rail_z.stiction", "velocity"), none + 1.0]
+        pointed = hidden.get("form.stribeck", "force")
+        self.pointed = pointed > 0.0  # exp(-|v| / velocity) along x instead of the square
+        along_x = np.where(
+            self.pointed, hidden.get("form.stribeck", "velocity"), hidden.get("rail_x.stiction", "velocity")
         )
+        self.stiction = np.stack(
+            [hidden.get("rail_x.stiction", "force") + pointed, hidden.get("rail_z.stiction", "force"), none]
+        )
+        self.stribeck = np.stack([along_x, hidden.get("rail_z.stiction", "velocity"), none + 1.0])
         self.friction_asymmetry = np.stack(
             [hidden.get("rail_x.asymmetry", "fraction"), hidden.get("rail_z.asymmetry", "fraction"), none]
         )
@@ -142,7 +147,9 @@ class Rig:
         self.k_t = k_t * np.stack([1 + asymmetry, 1 - asymmetry])
         lag = hidden.get("servo.lag", "time_constant")
         nominal_lag = nominal["servo"]["time_constant"] * (1 + tolerance["time_constant"])
-        self.servo_lag = np.where(np.isnan(lag), nominal_lag, lag)
+        double = hidden.get("form.lag", "time_constant")
+        self.second_lag = np.where(np.isnan(double), 0.0, double / 2)  # of a servo that has two
+        self.servo_lag = np.where(np.isnan(lag), np.where(np.isnan(double), nominal_lag, double / 2), lag)
         self.command_delay = hidden.get("command.delay", "delay")
 
     def update_mass(self) -> None:

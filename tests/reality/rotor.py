@@ -32,6 +32,9 @@ class Servo:
         self.rate = hidden.get("servo.rate_limit", "rate")
         self.gap = hidden.get("servo.backlash", "gap") / 2
         self.limited = hidden.any("servo.rate_limit", "servo.backlash")
+        self.twice, self.late = rig.second_lag > 0.0, blade_pitch.copy()
+        spread = np.diff(nodes, prepend=0.0)[:, None]
+        self.follow = 1 - np.exp(-spread / np.where(self.twice, rig.second_lag, 1.0))  # of the second lag, per span
         spans = np.diff(nodes, prepend=0.0)[:, None]
         earlier = np.clip(switch - (nodes[:, None] - spans), 0.0, spans)  # of each span, until the new command arrives
         self.moves = [(span[:, None], np.exp(-span / rig.servo_lag)[:, None]) for span in (earlier, spans - earlier)]
@@ -62,12 +65,22 @@ class Servo:
             self.tick += 1
         else:
             earlier = command
+        before = self.blade if self.limited else self.horn
         if self.limited:
-            return self._advance_limited(earlier, command) + self.trim
-        keep, first, second = self.gains
-        path = keep * self.horn + first * earlier + second * command
-        self.horn = path[-1]
-        return path + self.trim
+            path = self._advance_limited(earlier, command)
+        else:
+            keep, first, second = self.gains
+            path = keep * self.horn + first * earlier + second * command
+            self.horn = path[-1]
+        return (self._lag_again(before, path) if self.twice.any() else path) + self.trim
+
+    def _lag_again(self, before: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """A second lag behind the first, which between two nodes is taken at its mean."""
+        lagged = path.copy()
+        for node, (start, end) in enumerate(zip((before, *path), path)):
+            self.late = self.late + self.follow[node] * (0.5 * (start + end) - self.late)
+            lagged[node] = np.where(self.twice, self.late, end)
+        return lagged
 
     def _advance_limited(self, earlier: np.ndarray, command: np.ndarray) -> np.ndarray:
         path = np.empty((len(NODES), *command.shape))
@@ -89,8 +102,17 @@ class Propeller:
         self.k_t = rig.k_t
         self.onset, self.stalls = hidden.get("rotor.stall", "onset"), hidden.any("rotor.stall")
         self.loss, self.weak = hidden.get("rotor.negative_thrust", "loss"), hidden.any("rotor.negative_thrust")
+        self.chip = hidden.get("alien.chip", "loss") if hidden.any("alien.chip") else None
+        self.chip_time = hidden.get("alien.chip", "time")
         self.flutter, self.flutters = hidden.get("alien.flutter", "loss"), hidden.any("alien.flutter")
         self.pitch = np.zeros((2, rig.count))
+
+    def break_blade(self, time: float) -> None:
+        """Lose a share of rotor 1's thrust once its time (s after the start of the log) has come."""
+        if self.chip is None or not (due := (time >= self.chip_time) & (self.chip > 0.0)).any():
+            return
+        self.k_t = self.k_t * np.stack([np.where(due, 1 - self.chip, 1.0), np.ones_like(self.chip)])
+        self.chip = np.where(due, 0.0, self.chip)
 
     def compute_thrust(self, pitch: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """Thrust N at NODES from blade pitch rad and rotor speed rad/s, all (nodes, 2, flights)."""

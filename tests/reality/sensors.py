@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .gusts import draw_gust
 from .rotor import STEP
 
 GYRO_LSB, ACCEL_LSB = 2.0**-8, 2.0**-6  # rad/s, m/s^2: a fifth of the noise
@@ -18,8 +19,6 @@ SPEED_LSB, CURRENT_LSB = 2.0**-2, 2.0**-6  # rad/s, A
 POSITION_LSB, ANGLE_LSB = 2.0**-14, 2.0**-11  # m, rad
 MOCAP_PERIOD = 10  # ms
 STAMP_JITTER = 0.0002  # s
-GUST_TIME = 0.3  # s, correlation
-GUST_SHARE = 0.01  # of weight, and of weight times half the arm length
 DROPOUT_RATE, DROPOUT_TIME = 0.15, 0.05  # 1/s, s
 RIPPLE, RIPPLE_RATE = 0.004, 2 * np.pi * 150.0  # of thrust, rad/s: two blades at 75 Hz
 GYRO_WANDER, WANDER_TIME = 0.001, 20.0  # rad/s, s
@@ -41,7 +40,7 @@ class Chances:
         accel: m/s^2, (steps, 2, flights).
         speed: rad/s, (steps, 2, flights).
         current: A, (steps, 2, flights).
-        gust: N, N, N m at the whole milliseconds, (steps + 1, 3, flights).
+        gust: N, N, N m at the whole milliseconds, (steps + 1, 3, flights); of a field once it has been felt.
         mocap: m, m, rad, (frames, 3, flights).
         jitter: s, error of mocap stamps, (frames, flights).
         seen: Whether a frame arrives, (frames, flights).
@@ -61,19 +60,6 @@ class Chances:
     phase: np.ndarray
     ripple: np.ndarray
     wild: np.ndarray
-
-
-def _draw_gust(rng: np.random.Generator, steps: int, nominal: dict) -> np.ndarray:
-    """Ornstein-Uhlenbeck force and moment, N and N m. (steps, 3)."""
-    decay = np.exp(-STEP / GUST_TIME)
-    kicks = rng.standard_normal((steps, 3)) * np.sqrt(1 - decay**2)
-    kicks[0] /= np.sqrt(1 - decay**2)
-    path = np.empty_like(kicks)
-    path[0] = kicks[0]
-    for k in range(1, steps):
-        path[k] = decay * path[k - 1] + kicks[k]
-    weight = nominal["airframe"]["mass"] * nominal["gravity"]
-    return path * GUST_SHARE * weight * np.array([1.0, 1.0, nominal["airframe"]["half_length"]])
 
 
 def _draw_gaps(rng: np.random.Generator, frames: int) -> np.ndarray:
@@ -102,7 +88,7 @@ def draw_chances(flights: Sequence[Mapping[str, Any]], steps: int, nominal: dict
     """Draw the random series of a batch.
 
     Args:
-        flights: Per flight `seed`, `gusts`, `jitter`, `dropouts`, `distractors`, `outliers`.
+        flights: Per flight `seed`, `gusts`, `wind`, `jitter`, `dropouts`, `distractors`, `outliers`.
         steps: ms.
         nominal: Content of vehicle.yaml.
     """
@@ -121,7 +107,8 @@ def draw_chances(flights: Sequence[Mapping[str, Any]], steps: int, nominal: dict
         rows["current"].append(sensors["rotor"]["current_std"] * noise.standard_normal((steps, 2)))
         spread = np.array([sensors["mocap"]["position_std"]] * 2 + [sensors["mocap"]["angle_std"]])
         rows["mocap"].append(spread * noise.standard_normal((frames, 3)))
-        rows["gust"].append(_draw_gust(gust, steps + 1, nominal) if flight["gusts"] else np.zeros((steps + 1, 3)))
+        blown = draw_gust(flight["wind"], gust, steps + 1, nominal) if flight["gusts"] else np.zeros((steps + 1, 3))
+        rows["gust"].append(blown)
         rows["seen"].append(_draw_gaps(gaps, frames) if flight["dropouts"] else np.ones(frames, dtype=bool))
         jitter = STAMP_JITTER * timing.standard_normal(frames)
         rows["jitter"].append(jitter if flight["jitter"] else np.zeros(frames))
