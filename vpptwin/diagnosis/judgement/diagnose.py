@@ -119,11 +119,8 @@ def prepare(
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
-<<<<<<< HEAD
-    spec = scale_twin(spec, measurements)
-=======
     spec, measurements = choose_window(spec, measurements)
->>>>>>> words
+    spec = scale_twin(spec, measurements)
     window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()
@@ -148,7 +145,7 @@ def judge(
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that tells rivals apart")
         verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
-    preflight = [inspect_flight(search.bench.spec, measured) for measured in material.measurements]
+    preflight = [inspect_flight(spec, measured) for measured in material.measurements]
     ranking = rank_first(selection, search)
     return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot, preflight)
 
