@@ -44,7 +44,9 @@ def compare_logs(
         console = Console(highlight=False)
         tables = tabulate_errors(score, None, find_noise_floor(measurements))
         print_errors(console, f"prediction error of twin {twin}", tables)
-        console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")
+        console.print(
+            f"whole-log chi² {score.chi2:.3g} (1 = noise floor; that of `diagnose` is of held-out windows only)"
+        )
     if json is not None:
         content = {
             "logs": [str(log) for log in logs], "twin": twin, "samples": {"windows": len(held_out.short.windows)},
