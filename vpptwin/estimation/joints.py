@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
@@ -20,6 +21,9 @@ WILD = 12.0
 """Third differences beyond so many times the noise are jumps."""
 WHITE = (-0.85, -0.65)
 """Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
+SPANS, STRAYED = (0.02, 0.25), 4.0
+"""Over which times [s] positions are compared with what velocities integrate to, and the growth that tells that they
+are of different opinion."""
 BELIEVED = 0.01
 """Samples of white noise are averaged over so long [s]."""
 
@@ -61,11 +65,12 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE)
+    agreed = agree(stream)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, agreed)
     position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE)
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, agreed)
     return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
@@ -99,7 +104,18 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     return joints[name]
 
 
-def estimate_noise(time: np.ndarray, value: np.ndarray, share: float) -> float:
+def agree(stream: Stream) -> bool:
+    """Whether a joint's velocity integrates to its position, but for white noise: an estimator's often does not."""
+    if "velocity" not in stream.values or len(stream) < MIN_SAMPLES:
+        return True
+    position, time = stream["position"], stream.time
+    apart = cumulative_trapezoid(stream["velocity"], time, initial=0.0) - position
+    near, far = (max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS)
+    strayed = [float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in (near, far)]
+    return strayed[1] < STRAYED * strayed[0]
+
+
+def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, agreed: bool = True) -> float:
     """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
 
     Third differences remove what is smooth and leave the noise, and noise that is white shows as such in them. Then
@@ -114,7 +130,7 @@ def estimate_noise(time: np.ndarray, value: np.ndarray, share: float) -> float:
     spread = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
     third = np.clip(third, -WILD * spread, WILD * spread)
     likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
-    if not WHITE[0] < likeness < WHITE[1]:
+    if not agreed or not WHITE[0] < likeness < WHITE[1]:
         return max(spread, floor)
     averaged = max(BELIEVED / float(np.median(np.diff(time))), 1.0)
     return float(max(spread / np.sqrt(averaged), 0.1 * floor))

@@ -59,6 +59,7 @@ class HeldOut:
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
         self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._near: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -119,6 +120,10 @@ class HeldOut:
         ratios = self.error_ratios(before, after)
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
         return any(bool(np.any((mean > np.log1p(self.criteria.worse)) & (mean > error))) for mean, error in grown)
+
+    def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether a twin with `after` predicts worse than one with `before`: nearby, or altogether."""
+        return self.worsens(before, after) or self.chi2(after) > max(self.chi2(before), 1.0)
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`."""
@@ -207,6 +212,22 @@ class HeldOut:
             self._squares[key] = self._measure_squares(values)
         return self._squares[key]
 
+    def locate_miss(self, values: Mapping[Key, float]) -> tuple[str, float | None, float, str]:
+        """Where a twin is off most of what its sensors make: joint, from which horizon [s] on, error at the last, unit.
+
+        An error stands out at twice the sensors' noise, or at none: then the horizon is None.
+        """
+        self.squares(values)
+        worst: tuple[float, str, float | None, float, str] = (-1.0, "", None, 0.0, "")
+        for channel in self.long.channels:
+            if channel.kind == "position":
+                error = np.array(mean_over(self._near[frozenset(values.items())][channel.name]))
+                out = np.flatnonzero(error > 2.0 * channel.sensor_std)
+                start = HORIZONS_S[int(out[0])] if len(out) else None
+                found = float(error[-1]), channel.unit
+                worst = max(worst, (found[0] / channel.sensor_std, channel.name, start, *found), key=lambda w: w[0])
+        return worst[1:]
+
     def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
         rotary = self.long.spec.robot.rotary
@@ -219,6 +240,7 @@ class HeldOut:
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
             near = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
+            self._near.setdefault(frozenset(values.items()), {})[channel.name] = near
             if channel.kind == "velocity":
                 squares[channel.name] = near
             else:

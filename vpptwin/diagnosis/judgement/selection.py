@@ -28,6 +28,7 @@ class Selection:
         rivals: cause → effects that explain the fitted windows nearly as well in its place.
         instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
+        left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
     """
 
     fit: Fit
@@ -35,6 +36,7 @@ class Selection:
     rivals: dict[str, list[Rival]]
     instead: dict[str, list[Fit]]
     evidence: dict[str, float]
+    left_out: frozenset[str] = frozenset()
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
@@ -47,6 +49,7 @@ class Selection:
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
     fit, barred, swaps, steps, criteria = search.start, frozenset[str](), 0, 0, search.criteria
+    left_out = frozenset[str]()
     earlier_drops: dict[str, float] = {}
     first: Step | None = None
     while True:
@@ -59,6 +62,11 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
             fit = search.drop_superfluous(search.reframe(best))
             barred |= step.before.effects - fit.effects
+            continue
+        if fit.effects and held_out.is_worse({}, fit.values):
+            lesser = drop_harmful(search, held_out, fit)
+            left_out |= fit.effects - lesser.effects
+            barred, fit = barred | left_out, lesser
             continue
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
@@ -75,7 +83,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-            return Selection(fit, first, rivals, instead, beside)
+            return Selection(fit, first, rivals, instead, beside, left_out - fit.effects)
         cause, rival = better
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
@@ -100,6 +108,13 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
         found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts[: search.criteria.starts]]
         fit = search.reframe(find_cheapest(found))
     return fit
+
+
+def drop_harmful(search: Search, held_out: HeldOut, fit: Fit) -> Fit:
+    """A fit without the cause that held-out windows can best do without."""
+    lesser = [search.without(fit, effect) for effect in sorted(fit.effects)]
+    best = min(lesser, key=lambda other: held_out.chi2(other.values))
+    return search.reframe(best) if best.effects else search.start
 
 
 def exchange_causes(

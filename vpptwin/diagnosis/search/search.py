@@ -72,9 +72,10 @@ class Search(Fitter):
         least = self.criteria.worth_a_refit
         if against in starts:
             least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
-        names, found = self._choose(starts, least), dict[str, Fit]()
+        names, found = self._choose(starts, least, bool(against)), dict[str, Fit]()
+        number, iterations = (1, BRIEF) if len(names) > LONG else (self.criteria.starts, ITERATIONS)
         for name in names:
-            self._refit(found, fit, starts[name][: self.criteria.starts], BRIEF if len(names) > LONG else ITERATIONS)
+            self._refit(found, fit, starts[name][:number], iterations)
             if places := self._scan(fit, name):  # only by its own likelihood does a law that sticks look its best
                 beside = {name: found[name]}
                 self._refit(beside, fit, places)
@@ -99,16 +100,18 @@ class Search(Fitter):
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         return Step(fit, {name: self.judge_alone(found[name]) for name, drop in drops.items() if drop >= least})
 
-    def _choose(self, starts: Mapping[str, Sequence[Start]], least: float) -> list[str]:
+    def _choose(self, starts: Mapping[str, Sequence[Start]], least: float, instead: bool) -> list[str]:
         """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
+
+        Those that stand `instead` of a cause must promise something.
 
         Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it.
         """
         criteria, guessed = self.criteria, not self.bench.spec.robot.disturbance.known
-        if guessed and len(starts) <= criteria.few:
+        if guessed and not instead and len(starts) <= criteria.few:
             return list(starts)
         names = [name for name in starts if starts[name][0].drop > least]
-        return names[: criteria.generous if guessed else criteria.shortlist]
+        return names[: criteria.generous if guessed and not instead else criteria.shortlist]
 
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
         """Where else to start refitting a law of dry friction beside a fit: the best of many places, all simulated.
