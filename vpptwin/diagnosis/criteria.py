@@ -51,7 +51,6 @@ class Criteria:
     gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
         "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.1 % of a typical force elsewhere (e0a0e3b)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
-    most_gust: float = assumed(50.0, "", "the upper bound", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
         "68f7aa5 (fitted), 668e32f (held out)")

@@ -53,11 +53,13 @@ class Disturbance:
         memory: time over which pulses stay alike [s]; 0 for pulses that have nothing in common.
         known: how flights without any effect look is known, so that the strength may be fitted to each flight and
             evidence be trusted. Elsewhere it is an assumption, and errors on held-out flights have the last word.
+        most: strength at most, in multiples of `std`.
     """
 
     std: np.ndarray
     memory: float = 0.0
     known: bool = False
+    most: float = 50.0
 
 
 @dataclass(frozen=True)
@@ -183,11 +185,11 @@ class Robot:
     def disturbance(self) -> Disturbance:
         """What pushes it besides its effects: an assumption."""
         if self.loads is not None:
-            return Disturbance(GUST * self.loads.force, GUST_TIME)
+            return Disturbance(GUST * self.loads.force, GUST_TIME, most=1.0 / GUST)
         std = np.zeros(self.model.nv)
         for name, _, typical in describe_joints(self.model):
             std[self.model.joint(name).dofadr[0]] = GUST * typical
-        return Disturbance(std, GUST_TIME)
+        return Disturbance(std, GUST_TIME, most=1.0 / GUST)
 
     def scale(self, loads: Loads) -> Robot:
         """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""

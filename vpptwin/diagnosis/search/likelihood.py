@@ -178,7 +178,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
         return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
 
-    low, high = np.log(criteria.least_gust), np.log(criteria.most_gust)
+    low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)
     found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
 
