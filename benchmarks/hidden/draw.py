@@ -23,6 +23,7 @@ from tests.reality import (
     find_also,
     find_known,
     measure_strength,
+    true_size,
 )
 
 Effects = dict[str, dict[str, float]]
@@ -79,6 +80,26 @@ class Plan:
     def strength(self) -> float:
         """Strength of the faintest hidden effect: 1 is the least that tests hide; NaN without one."""
         return min((measure_strength(e, v) for e, v in self.hidden.items()), default=float("nan"))
+
+    @property
+    def family(self) -> str:
+        """Of rigs that are not ours."""
+        return ""
+
+    @property
+    def separable(self) -> bool | None:
+        """Unknown before the true structure was fitted."""
+        return None
+
+    def find_truth(self, effect: str, parameter: str) -> float:
+        """What the rig has of a hidden effect, its tolerance included."""
+        return true_size(effect, parameter, self.hidden[effect][parameter], self.rig)
+
+    @property
+    def conditions(self) -> str:
+        """What else a failure should tell."""
+        told = f"small {self.small}, " if self.small else ""
+        return f"{told}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
 
     @property
     def gusts(self) -> str:
