@@ -6,12 +6,15 @@
     python benchmarks/hidden_effects.py --seed 1 --numbers 17,31 --keep logs                  (these again)
     python benchmarks/hidden_effects.py --seed 1 --time                                       (where time goes)
     python benchmarks/hidden_effects.py --nightly --json night.json                           (exit 1 if rates are bad)
+    python benchmarks/hidden_effects.py --rigs other --cases 200 --seed 1 --json other.json   (rigs that are not ours)
 
 Each session is three 16 s flights of one rig, closed loop: gusts of a kind, strength and pace of their own, noise,
 dropouts, stamp jitter, small distractors, in a quarter of them outliers, the rig off nominal within its tolerance and,
 in three of five sessions, somewhat beyond (tests/reality, which shares no physics with vpptwin). Of twenty sessions
 eight hide one effect, two one whose law is not ours, three two, one three, three one that the catalogue lacks, three
-none. Every result names its commit; results of several are neither gone on from nor reported without --mixed.
+none. `--rigs other` takes carriages, carts, pendula and arms instead, each drawn (tests/mechanisms, no MuJoCo): of
+twenty nine hide one effect, four two, three one from outside, four none. Every result names its commit; results of
+several are neither gone on from nor reported without --mixed.
 """
 
 from __future__ import annotations
@@ -25,10 +28,12 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from hidden import other  # noqa: E402
 from hidden.campaign import read_results, run_campaign, write_results  # noqa: E402
 from hidden.case import Case  # noqa: E402
 from hidden.commits import find_mixture, read_commit  # noqa: E402
@@ -41,6 +46,8 @@ from hidden.session import fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
+from tests.mechanisms import Session  # noqa: E402
+
 NIGHTLY = 73127
 """Seed of the sessions that nobody may tune on: look at their rates, never at one of them. Once one was looked at, for
 whatever reason, the seed is spent: take another and say so in docs/benchmarks.md."""
@@ -51,6 +58,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=40, help="sessions; 40 by default")
     parser.add_argument("--nightly", action="store_true", help="fresh sessions under bounds, see NIGHTLY")
+    parser.add_argument("--rigs", choices=("drone", "other"), default="drone", help="whose sessions; ours by default")
     parser.add_argument("--seed", type=int, default=1, help="of what is drawn; session i is the same for any --cases")
     parser.add_argument("--json", type=Path, help="results, written after every session; a rerun goes on from them")
     parser.add_argument(
@@ -70,13 +78,17 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
     parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
     options = parser.parse_args(argv)
+    if options.rigs == "other" and (options.nightly or options.time or options.effects or options.baselines):
+        parser.error("--rigs other knows neither --nightly nor --time, --effects nor --baselines")
     if options.nightly:
         options.seed, options.oracle = NIGHTLY, False
     return options
 
 
-def choose_plans(options: argparse.Namespace) -> list[Plan]:
+def choose_plans(options: argparse.Namespace) -> list[Plan] | list[Session]:
     """The sessions that the command line asks for."""
+    if options.rigs == "other":
+        return other.choose_sessions(options.seed, options.cases, options.kinds, options.numbers, options.shard)
     effects = options.effects.split(",") if options.effects else FLYING
     if options.numbers:
         return [draw_plan(options.seed, int(number), effects) for number in options.numbers.split(",")]
@@ -98,22 +110,34 @@ def refuse_mixture(cases: Sequence[Case], mixed: bool) -> None:
         print(f"NOTE: {fault}", file=sys.stderr)
 
 
-def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
+def run(options: argparse.Namespace, plans: Sequence[Any]) -> list[Case]:
     """Run what is not there yet; returns all sessions asked for."""
     done: dict[int, Case] = {}
     commit = read_commit()
     compared = {p.number for p in [p for p in plans if p.kind in ("single", "none")][: options.baselines]}
     if options.json and options.json.exists():
-        if (seed := read_results(options.json)["seed"]) != options.seed:
-            sys.exit(f"{options.json} holds sessions of seed {seed}, not {options.seed}: name another file")
+        content = read_results(options.json)
+        if (seed := content["seed"]) != options.seed or content.get("rigs", "drone") != options.rigs:
+            sys.exit(
+                f"{options.json} holds sessions of seed {seed}, not {options.seed}, or of other rigs: name another file"
+            )
         done = {c.plan.number: c for c in load_cases([options.json]) if not c.error}
         refuse_mixture([*done.values(), Case(plans[0], None, commit=commit)], options.mixed)
-    head = {"seed": options.seed, "date": datetime.now(UTC).isoformat(timespec="seconds"), **describe_machine()}
+    head = {
+        "rigs": options.rigs,
+        "seed": options.seed,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        **describe_machine(),
+    }
     bare = {number for number in compared & set(done) if not done[number].baselines}
     left = [plan for plan in plans if plan.number not in done or plan.number in bare]
     with tempfile.TemporaryDirectory() as folder:
         home = options.keep or Path(folder)
-        cases = run_campaign(left, home, options.jobs, options.oracle, compared, options.keep is not None, done)
+        keep = options.keep is not None
+        if options.rigs == "other":
+            cases = other.run_sessions(left, home, options.jobs, keep)
+        else:
+            cases = run_campaign(left, home, options.jobs, options.oracle, compared, keep, done)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):
             done[case.plan.number] = replace(case, commit=case.commit or commit)
             for line in [] if options.nightly else list_failures([case]):
@@ -126,7 +150,8 @@ def run(options: argparse.Namespace, plans: Sequence[Plan]) -> list[Case]:
 def tell_rates(cases: Sequence[Case]) -> str:
     """All tables of rates: together, as the competitions count, and group by group."""
     groups = (format_groups(cases, name, heading) for name, heading in ATTRIBUTES.items())
-    tables = [format_table(summarise(cases)), format_table(score(cases)), format_reliability(cases), *groups]
+    rows = (other.summarise if any(c.plan.family for c in cases) else summarise)(cases)
+    tables = [format_table(rows), format_table(score(cases)), format_reliability(cases), *groups]
     return "\n\n".join(filter(None, tables))
 
 

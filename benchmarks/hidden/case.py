@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from hidden.draw import Plan
+from hidden.mechanisms import MechanismPlan
 
 CONFIDENT = 0.9
 """A cause named with more than this is claimed, not suggested."""
@@ -46,6 +47,8 @@ class Finding:
         unseen: effects that the flights are said not to show.
         experiment: the manoeuvre suggested, "" for none.
         seconds: time it took.
+        gap: whether anything is said to be wrong.
+        memory: most that the process held [MB]; 0 where not measured.
     """
 
     causes: list[Named]
@@ -55,6 +58,8 @@ class Finding:
     unseen: list[str]
     experiment: str
     seconds: float
+    gap: bool = False
+    memory: float = 0.0
 
     @property
     def named(self) -> list[str]:
@@ -85,7 +90,7 @@ class Case:
         commit: of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded.
     """
 
-    plan: Plan
+    plan: Plan | MechanismPlan
     found: Finding | None
     oracle: Finding | None = None
     baselines: dict[str, str] = field(default_factory=dict)
@@ -130,11 +135,11 @@ class Case:
     def separable(self) -> bool | None:
         """Whether these flights show what is hidden and tell it from all else, by the fit of the true structure.
 
-        The search has no part in this: the truth is fitted and compared with every rival in its place. None without
-        that fit.
+        The search has no part in this: the truth is fitted and compared with every rival in its place. Without that
+        fit, what whoever recorded them knows; None for nothing.
         """
         if self.oracle is None:
-            return None
+            return self.plan.separable
         fitted = {cause.effect: cause for cause in self.oracle.causes}
         return all(effect in fitted and self._stands_out(fitted[effect]) for effect in self.plan.known)
 
@@ -164,7 +169,7 @@ class Case:
     def from_dict(cls, content: Mapping[str, Any]) -> Case:
         """Read what `as_dict` made."""
         given = {f.name: content[f.name] for f in fields(cls) if f.name in content}  # older files lack some
-        given["plan"] = Plan.from_dict(given["plan"])
+        given["plan"] = (MechanismPlan if "family" in given["plan"] else Plan).from_dict(given["plan"])
         for name in ("found", "oracle"):
             given[name] = given[name] and Finding.from_dict(given[name])
         return cls(**given)

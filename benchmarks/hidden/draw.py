@@ -23,6 +23,7 @@ from tests.reality import (
     find_also,
     find_known,
     measure_strength,
+    true_size,
 )
 
 Effects = dict[str, dict[str, float]]
@@ -81,11 +82,24 @@ class Plan:
         return min((measure_strength(e, v) for e, v in self.hidden.items()), default=float("nan"))
 
     @property
-    def about(self) -> str:
-        """What else there is to know about a session, in a few words."""
-        strength = f"strength {self.strength:.2g}, " if self.hidden else ""
-        small = f"small {self.small}, " if self.small else ""
-        return f"{strength}{small}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
+    def family(self) -> str:
+        """Of rigs that are not ours."""
+        return ""
+
+    @property
+    def separable(self) -> bool | None:
+        """Unknown before the true structure was fitted."""
+        return None
+
+    def find_truth(self, effect: str, parameter: str) -> float:
+        """What the rig has of a hidden effect, its tolerance included."""
+        return true_size(effect, parameter, self.hidden[effect][parameter], self.rig)
+
+    @property
+    def conditions(self) -> str:
+        """What else a failure should tell."""
+        told = f"small {self.small}, " if self.small else ""
+        return f"{told}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
 
     @property
     def gusts(self) -> str:

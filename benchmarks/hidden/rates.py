@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import binom
 
 from hidden.case import CONFIDENT, Case
-from tests.reality import true_size
 
 Z_90, Z_95 = 1.645, 1.960
 BINS = (0.0, 0.5, 0.7, CONFIDENT, 0.99, 1.01)
@@ -140,9 +139,9 @@ def list_estimates(case: Case) -> list[tuple[float, float, float, float]]:
     """Truth, value, std and nominal of the fitted strengths of the hidden effects that were named."""
     found = []
     for cause in case.found.causes if case.found else []:
-        for name, hidden in list(case.plan.hidden.get(cause.effect, {}).items())[:1]:
+        for name in list(case.plan.hidden.get(cause.effect, {}))[:1]:
             fitted = cause.parameters[name]
-            truth = true_size(cause.effect, name, hidden, case.plan.rig)
+            truth = case.plan.find_truth(cause.effect, name)
             found.append((truth, fitted["value"], fitted["std"], fitted["nominal"]))
     return found
 
@@ -205,7 +204,7 @@ def list_failures(cases: Sequence[Case]) -> list[str]:
             continue
         said = [f"{c.effect} {c.confidence:.2f}{f' or {list(c.rivals)}' * bool(c.rivals)}" for c in
                 (case.found.causes if case.found else [])]  # fmt: skip
-        about = getattr(case.plan, "about", "")
+        about = f"strength {case.plan.strength:.2g}, " * bool(case.plan.hidden) + case.plan.conditions
         about += {True: ", separable", False: ", not separable", None: ""}[case.separable] if case.plan.known else ""
         left = " + unexplained" if leaves_something(case) else ""
         claim = " CONFIDENTLY WRONG" if case.wrong else ""

@@ -111,6 +111,7 @@ COLUMNS = (
 )  # fmt: skip
 """Of `rate_group`; single effects only where a separating flight exists, if that was asked."""
 ATTRIBUTES = {
+    "family": "rig",
     "gusts": "gusts",
     "gust_strength": "strength of gusts (rms)",
     "gust_time": "correlation of gusts",

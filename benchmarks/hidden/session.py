@@ -104,4 +104,5 @@ def read_verdict(verdict: Verdict, seconds: float) -> Finding:
         [suspect.effect for suspect in verdict.unseen],
         verdict.experiment.manoeuvre if verdict.experiment else "",
         round(seconds, 1),
+        verdict.gap,
     )
