@@ -24,8 +24,8 @@ WHITE = (-0.85, -0.65)
 SPANS, STRAYED = (0.02, 0.25), 4.0
 """Over which times [s] positions are compared with what velocities integrate to, and the growth that tells that they
 are of different opinion."""
-BELIEVED = 0.01
-"""Samples of white noise are averaged over so long [s]."""
+BELIEVED, SMOOTHED = 0.01, 0.1
+"""Samples of white noise are averaged over so long [s]; errors of what was smoothed are alike for so long."""
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -65,12 +65,11 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    agreed = agree(stream)
-    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, agreed)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE)
     position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, agreed)
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, agree(stream))
     return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
@@ -131,6 +130,6 @@ def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, agreed: bo
     third = np.clip(third, -WILD * spread, WILD * spread)
     likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
     if not agreed or not WHITE[0] < likeness < WHITE[1]:
-        return max(spread, floor)
+        return max(spread, floor) * np.sqrt(SMOOTHED / BELIEVED)
     averaged = max(BELIEVED / float(np.median(np.diff(time))), 1.0)
     return float(max(spread / np.sqrt(averaged), 0.1 * floor))

@@ -23,6 +23,8 @@ from vpptwin.twin.twin import Twin
 
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
+ASTRAY = 1e4
+"""Noises by which a simulation that diverged is taken to miss."""
 FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 Key = tuple[str, str]
@@ -103,8 +105,12 @@ class Bench:
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured."""
-        predicted = self.predict([Variation(dict(values))], values)[0]
-        return np.where(self.valid, self.measured - predicted, 0.0)
+        return self.miss(self.predict([Variation(dict(values))], values)[0])
+
+    def miss(self, predicted: np.ndarray) -> np.ndarray:
+        """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""
+        missed = np.where(np.isfinite(predicted), self.measured - predicted, ASTRAY * self.std)
+        return np.where(self.valid, missed, 0.0)
 
     def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
         """The channels in every variation, (V, K, C B).

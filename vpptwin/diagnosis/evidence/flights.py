@@ -9,7 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.channels import LEAD, join_channels, observe_windows
+from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
@@ -31,6 +31,8 @@ MIN_RATE = 20.0
 """Lowest mean rate of poses [Hz]: a window needs a few of them."""
 MAX_WINDOWS = 400
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
+MAX_LONG_WINDOWS = 90
+"""The same of windows of a rig that nobody knows, which are longer."""
 
 
 @dataclass(frozen=True)
@@ -139,17 +141,19 @@ def is_held_out(starts: np.ndarray, window: float, short: bool) -> np.ndarray:
     return np.asarray((since / length + 1e-9).astype(int) % 3 == 2)
 
 
-def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:
-    """At most `limit` start times, evenly spread over all flights."""
+def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
+    """As many start times as are looked at, evenly spread over all flights; half of them where they are `judging`."""
+    limit = (MAX_WINDOWS if spec.robot.disturbance.known else MAX_LONG_WINDOWS) // (1 + judging)
     total = sum(len(s) for s in starts)
     return [s[:: max(-(-total // limit), 1)] for s in starts] if total > limit else starts
 
 
 def build_bench(
     spec: TwinSpec, measurements: Sequence[Measurements], starts: Sequence[np.ndarray], length: float, causal: bool,
-    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA,
+    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, fine: bool = False,
 ) -> Bench:  # fmt: skip
-    """Windows and channels of several flights on one bench."""
+    """Windows and channels of several flights on one bench, in bins of `BIN` where they are `fine` or sensors known."""
+    fine = fine or spec.robot.disturbance.known
     windows, channels = [], []
     motors = all(None not in (flight.throttle, flight.rotor_speed, flight.current) for flight in measurements)
     for i, (flight, times) in enumerate(zip(measurements, starts)):
@@ -159,7 +163,7 @@ def build_bench(
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
             lead = 0.0 if causal and length > spec.robot.window else LEAD
-            seen = observe_windows(cut, flight, lead, criteria)
+            seen = observe_windows(cut, flight, lead, criteria, BIN if fine else choose_bin(flight, length))
             if motors:
                 seen += observe_motor(cut, flight, spec.vehicle.motor, criteria)
             channels.append(seen)

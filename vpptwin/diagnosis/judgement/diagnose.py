@@ -12,7 +12,6 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
-    MAX_WINDOWS,
     build_bench,
     choose_window,
     long_starts,
@@ -129,7 +128,7 @@ def prepare(
         judges = choose_judges(measure_information(spec, measurements, unknowns, progress, criteria), criteria)
     split = split_flights(measurements, window, judges, spec.robot.is_short)
     stage("linearising the twin about the flights")
-    fitted = thin_out(split.fitted, MAX_WINDOWS)
+    fitted = thin_out(spec, split.fitted)
     search = Search(build_bench(spec, measurements, fitted, window, False, progress, criteria), unknowns)
     return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress, criteria))
 
@@ -164,8 +163,8 @@ def open_held_out(
 ) -> HeldOut:  # fmt: skip
     """Benches of the held-out windows."""
     window = spec.robot.window
-    short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), window, True, progress, criteria)
-    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria)
+    short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
+    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
     return HeldOut(short, long)
 
 

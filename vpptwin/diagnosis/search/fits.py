@@ -110,8 +110,9 @@ class Fitter:
         return bool(self.dry_friction_of(effects))
 
     def fit(
-        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS
-    ) -> Fit:
+        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS,
+        turned: frozenset[str] | None = None,
+    ) -> Fit:  # fmt: skip
         """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
 
         Args:
@@ -119,17 +120,19 @@ class Fitter:
             values: where to start.
             known: linearisation whose frame and likelihood are kept, and its derivatives by all other effects.
             iterations: at most.
+            turned: effects by which derivatives are taken anew on the way, the others' as in `known`; None for all.
         """
+        turned = effects if turned is None else turned
         point = {key: value for key, value in values.items() if key[0] in effects}
-        about = self._linearise(point, effects, known)
+        about = self._linearise(point, turned, known)
         best, stride = (about, point, self._tolerate(about, effects).cost), 1.0
         for _ in range(iterations if effects else 0):
             about, point, cost = best
             ahead = advance(about, self.unknowns, effects, solve_hypothesis(about, self.unknowns, effects), stride)
-            there = self._linearise(ahead, effects, about)
+            there = self._look(ahead, about)
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
             cost_there = self._tolerate(there, effects).cost
-            if cost_there > cost:
+            if not cost_there <= cost:
                 stride *= 0.4
                 if stride < 0.1:
                     break
@@ -137,6 +140,7 @@ class Fitter:
             best, stride = (there, ahead, cost_there), min(1.0, 2.0 * stride)
             if cost - cost_there < SETTLED:
                 break
+            best = (self._linearise(ahead, turned, there), ahead, cost_there)
         return self._sum_up(effects, *best)
 
     def judge_alone(self, fit: Fit) -> Fit:
@@ -241,16 +245,27 @@ class Fitter:
         return whiten(self._derivatives[regime], likelihood, frame)
 
     def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
-        """About a twin with `values`: derivatives by `effects` anew, all else as in `known`."""
+        """About a twin with `values`: derivatives by `effects` anew, unless `known` has them; all else as there."""
         wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
+        if effects == known.turned and np.array_equal(known.at, self._place(values)):
+            return known
         at, slopes, missed, _ = self._differentiate(values, wanted, ())
-        return known.move(at, wanted, slopes, missed)
+        return replace(known.move(at, wanted, slopes, missed), turned=effects)
+
+    def _look(self, values: Mapping[Key, float], known: Linearisation) -> Linearisation:
+        """About a twin with `values`, all derivatives as in `known`."""
+        missed = self.bench.residual(values)
+        return replace(known.move(self._place(values), [], known.slopes[:0], missed), turned=None)
+
+    def _place(self, values: Mapping[Key, float]) -> np.ndarray:
+        """All unknowns in a twin with `values`, (P,)."""
+        return np.array([values.get(u.key, u.nominal) for u in self.unknowns])
 
     def _differentiate(
         self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial]
     ) -> Derivatives:
         """Point, derivatives by the unknowns `wanted`, residual, and what trials change, of a twin with `values`."""
-        at = np.array([values.get(u.key, u.nominal) for u in self.unknowns])
+        at = self._place(values)
         steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
@@ -260,7 +275,6 @@ class Fitter:
         on = {key[0] for key in values}
         variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
         predicted = self.bench.predict(variations, values)
-        valid = self.bench.valid
-        missed = np.where(valid, self.bench.measured - predicted[0], 0.0)
-        changed = np.where(valid, predicted[1:] - predicted[0], 0.0)
+        missed, changed = self.bench.miss(predicted[0]), predicted[1:] - predicted[0]
+        changed = np.where(self.bench.valid & np.isfinite(changed), changed, 0.0)
         return at, changed[: len(wanted)] / steps[:, None, None], missed, changed[len(wanted) :]

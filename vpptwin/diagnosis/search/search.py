@@ -141,7 +141,7 @@ class Search(Fitter):
                 values[unknown.key] = float(unknown.parameter.clip(np.array(value)))
             tried.append(values)
         predicted = self.bench.predict([Variation(values) for values in tried], fit.values)
-        missed = np.where(self.bench.valid, self.bench.measured - predicted, 0.0)
+        missed = self.bench.miss(predicted)
         cost = (fit.about.frame.whiten(missed, fit.about.likelihood) ** 2).sum(axis=1)
         return [Start(effect, tried[i], 0.0) for i in np.argsort(cost)[:2]]
 
@@ -176,7 +176,8 @@ class Search(Fitter):
     ) -> None:  # fmt: skip
         """Add to `found` the best refit of one suspect beside the effects of a fit, unless a better one is there."""
         effect = starts[0].effect
-        refits = [self.fit(fit.effects | {effect}, start.values, fit.about, iterations) for start in starts]
+        freed, turned = fit.effects | {effect}, frozenset({effect}) if iterations == BRIEF else None
+        refits = [self.fit(freed, start.values, fit.about, iterations, turned) for start in starts]
         found[effect] = find_cheapest(refits + ([found[effect]] if effect in found else []))
 
     def without(self, fit: Fit, effect: str) -> Fit:
