@@ -60,7 +60,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
         if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(search.reframe(best))
+            fit = search.drop_superfluous(search.refine(search.reframe(best)))
             barred |= step.before.effects - fit.effects
             continue
         if fit.effects and held_out.is_worse({}, fit.values):
@@ -77,7 +77,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
         if better is None and (other := exchange_causes(search, held_out, fit, barred, stage)) is not None:
             if steps + swaps < criteria.most_steps:
-                fit, swaps = search.drop_superfluous(search.reframe(other)), swaps + 1
+                fit, swaps = search.drop_superfluous(search.refine(search.reframe(other))), swaps + 1
                 continue
         if better is None:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
@@ -88,7 +88,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
         earlier_drops[rival] = earlier_drops.get(cause, 0.0)
-        fit = search.drop_superfluous(search.reframe(replaced[cause].tried[rival]))
+        fit = search.drop_superfluous(search.refine(search.reframe(replaced[cause].tried[rival])))
         swaps += 1
 
 

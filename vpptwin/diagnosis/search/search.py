@@ -16,9 +16,10 @@ from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import SIZES
 from vpptwin.effects import Stage
 
-SCANNED, SPREAD = 40, 4.0
-"""Places that a scan simulates, and the factor up and down by which shapes differ there."""
-LONG, BRIEF = 6, 2
+SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
+"""Places that a scan simulates, the factors up and down by which shapes, and all around a fit, differ there, and how
+often a fit is refined."""
+LONG, BRIEF = 3, 2
 """A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
 
 
@@ -72,15 +73,16 @@ class Search(Fitter):
         least = self.criteria.worth_a_refit
         if against in starts:
             least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
-        names, found = self._choose(starts, least, bool(against)), dict[str, Fit]()
-        number, iterations = (1, BRIEF) if len(names) > LONG else (self.criteria.starts, ITERATIONS)
+        names, found = self._choose(starts, least, fit, against), dict[str, Fit]()
+        brief = len(names) > LONG and not self.bench.spec.robot.disturbance.known
+        number, iterations = (1, BRIEF) if brief else (self.criteria.starts, ITERATIONS)
         for name in names:
             self._refit(found, fit, starts[name][:number], iterations)
             if places := self._scan(fit, name):  # only by its own likelihood does a law that sticks look its best
                 beside = {name: found[name]}
                 self._refit(beside, fit, places)
                 found[name] = self.judge_alone(beside[name])
-        if len(names) > LONG:  # those that got somewhere go on
+        if brief:  # those that got somewhere go on
             worth = max(self.criteria.chance * max(each.evidence_against(fit) for each in found.values()), least)
             hopeful = [name for name, each in found.items() if each.evidence_against(fit) >= 0.5 * worth]
             found |= {name: self.fit(found[name].effects, found[name].values, found[name].about) for name in hopeful}
@@ -100,18 +102,23 @@ class Search(Fitter):
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         return Step(fit, {name: self.judge_alone(found[name]) for name, drop in drops.items() if drop >= least})
 
-    def _choose(self, starts: Mapping[str, Sequence[Start]], least: float, instead: bool) -> list[str]:
+    def _choose(self, starts: Mapping[str, Sequence[Start]], least: float, fit: Fit, against: str) -> list[str]:
         """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
 
-        Those that stand `instead` of a cause must promise something.
-
-        Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it.
+        Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it, nor is any
+        law of dry friction of a joint that has one. Those that stand instead of a cause must promise something.
         """
-        criteria, guessed = self.criteria, not self.bench.spec.robot.disturbance.known
-        if guessed and not instead and len(starts) <= criteria.few:
+        criteria = self.criteria
+        promising = [name for name in starts if starts[name][0].drop > least]
+        if self.bench.spec.robot.disturbance.known:
+            return promising[: criteria.shortlist]
+        if not against and len(starts) <= criteria.few:
             return list(starts)
-        names = [name for name in starts if starts[name][0].drop > least]
-        return names[: criteria.generous if guessed and not instead else criteria.shortlist]
+        chosen = promising[: criteria.shortlist if against else criteria.generous]
+        effects = {u.effect.id: u.effect for u in self.unknowns}
+        rubbing = {effects[name].target for name in {*fit.effects, against} - {""} if effects[name].dissipative}
+        laws = [n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].target in rubbing]
+        return list(dict.fromkeys(chosen + laws))
 
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
         """Where else to start refitting a law of dry friction beside a fit: the best of many places, all simulated.
@@ -129,21 +136,43 @@ class Search(Fitter):
         ]  # fmt: skip
         if len(laws) < 2:
             return []
-        strengths = [u for u in laws if u.parameter is u.effect.parameters[0]]
-        most = 1.5 * sum(abs(fit.values.get(u.key, 0.0)) for u in strengths) or SIZES[-1] * added[0].parameter.size
+        strengths = [u.key for u in laws if u.parameter is u.effect.parameters[0]]
+        most = 1.5 * sum(abs(fit.values.get(key, 0.0)) for key in strengths) or SIZES[-1] * added[0].parameter.size
         places = LatinHypercube(len(laws), rng=np.random.default_rng(0)).random(SCANNED)
         tried = []
         for place in places:
             values = dict(fit.values)
             for unknown, share in zip(laws, place):
                 shape = unknown.nominal * SPREAD ** (2.0 * share - 1.0)
-                value = most * share**2 if unknown in strengths else shape
+                value = most * share**2 if unknown.key in strengths else shape
                 values[unknown.key] = float(unknown.parameter.clip(np.array(value)))
             tried.append(values)
+        return [Start(effect, values, 0.0) for values in self._pick_places(fit, tried)]
+
+    def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
+        """The two of many places that miss least under a fit's likelihood."""
         predicted = self.bench.predict([Variation(values) for values in tried], fit.values)
-        missed = self.bench.miss(predicted)
-        cost = (fit.about.frame.whiten(missed, fit.about.likelihood) ** 2).sum(axis=1)
-        return [Start(effect, tried[i], 0.0) for i in np.argsort(cost)[:2]]
+        cost = (fit.about.frame.whiten(self.bench.miss(predicted), fit.about.likelihood) ** 2).sum(axis=1)
+        return [tried[i] for i in np.argsort(cost)[:2]]
+
+    def refine(self, fit: Fit) -> Fit:
+        """A fit with several laws of dry friction, or one with a shape, from the best of many places around it."""
+        own = [u for u in self.unknowns if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION]
+        if self.bench.spec.robot.disturbance.known or len(own) < 2:
+            return fit
+        for _ in range(REFINED):
+            places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
+            around = [
+                fit.values | {u.key: float(u.parameter.clip(np.array(fit.values[u.key] * AROUND ** (2.0 * share - 1.0))))
+                              for u, share in zip(own, place)}
+                for place in places
+            ]  # fmt: skip
+            found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
+            best = find_cheapest([self.judge_alone(each) for each in found])
+            if best.evidence_against(fit) < self.criteria.better:
+                break
+            fit = self.reframe(best)
+        return fit
 
     def neighbours(self, fit: Fit) -> list[Fit]:
         """Refits of the most promising sets that lack one or two of a fit's effects and have up to two others.
