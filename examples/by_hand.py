@@ -149,7 +149,9 @@ def draw_errors(left: list[Array], slopes: list[Array], block: int) -> Array:
     hessians = np.concatenate([np.einsum("tcwa,tcwb->wab", one, one) for one in slopes])
     gradients = np.concatenate([np.einsum("tcwa,tcw->wa", one, of) for one, of in zip(slopes, left, strict=True)])
     rng, count = np.random.default_rng(0), max(1, len(gradients) // block)
-    starts = rng.integers(0, max(1, len(gradients) - block + 1), (300, count, 1)) + np.arange(min(block, len(gradients)))
+    starts = rng.integers(0, max(1, len(gradients) - block + 1), (300, count, 1)) + np.arange(
+        min(block, len(gradients))
+    )
     floor = 1e-9 * np.trace(hessians.sum(axis=0)) * np.eye(hessians.shape[1])
     drawn = [(hessians[one].sum(axis=0) + floor, gradients[one].sum(axis=0)) for one in starts.reshape(300, -1)]
     return np.array([-np.linalg.solve(hessian, gradient) for hessian, gradient in drawn])

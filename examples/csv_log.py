@@ -22,6 +22,7 @@ def write_log(csv: Path, out: Path, joints: Mapping[str, tuple[str, str]], torqu
     missing = {"time", *torques.values(), *(name for pair in joints.values() for name in pair)} - set(columns)
     if missing:
         raise SystemExit(f"{csv} has no column {', '.join(sorted(missing))}; it has {', '.join(columns)}")
+    out.parent.mkdir(parents=True, exist_ok=True)
     with FlightWriter(out, metadata={"source": csv.name}) as writer:
         for row, time in enumerate(columns["time"]):
             motion = {

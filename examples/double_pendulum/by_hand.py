@@ -1,9 +1,10 @@
 """What a fit by hand says of DFKI's double pendulum, without MuJoCo: python -m examples.double_pendulum.by_hand FOLDER.
 
 Equations with both angles from hanging down, the elbow's relative:
-    (a + e + 2 β cos q2) q1'' + (e + β cos q2) q2'' - β sin q2 (2 q1' q2' + q2'²) + G1 sin q1 + G2 sin(q1 + q2) + friction = τ1
-    (e + β cos q2) q1'' + M22 q2'' + β sin q2 q1'² + G2 sin(q1 + q2) + friction = τ2
-with a = I1 + m2 l1² + (gr² + 1) Ir, e = I2 - gr Ir, M22 = I2 + gr² Ir, β = m2 l1 r2, G1 = (m1 r1 + m2 l1) g, G2 = m2 r2 g.
+    (a + e + 2 β cos q2) q1'' + (e + β cos q2) q2'' - β sin q2 (2 q1' + q2') q2' + G1 sin q1 + G2 sin(q1 + q2) = τ1 - F1
+    (e + β cos q2) q1'' + M22 q2'' + β sin q2 q1'² + G2 sin(q1 + q2) = τ2 - F2
+with a = I1 + m2 l1² + (gr² + gr + 1) Ir, e = I2 - gr Ir, M22 = I2 + gr² Ir, β = m2 l1 r2, G1 = (m1 r1 + m2 l1) g,
+G2 = m2 r2 g, and F1, F2 friction, dry and viscous (b1, b2).
 Angles are the log's plus z1, z2: zero is set at the start, where friction holds the links a little aside.
 """
 
@@ -28,8 +29,7 @@ from examples.by_hand import (
 
 LOGS = ("00", "02", "04", "11", "13")
 DT = 0.002  # s
-ROTOR_TURN = 2.0 * np.pi / 6.0  # rad at the joint: one turn of the rotor behind 6:1
-RIGID = {"a": 0.11069, "e": 0.023464, "M22": 0.026681, "β": 0.033320, "G1": 3.42477, "G2": 1.08954}
+RIGID = {"a": 0.11116, "e": 0.023464, "M22": 0.026681, "β": 0.033320, "G1": 3.42477, "G2": 1.08954}
 """DFKI's identified parameters in the terms above [kg m², N m]."""
 FRICTION = {"b1": 0.001, "b2": 0.001, "F1": 0.14608, "F2": 0.12252}
 """DFKI's, viscous [N m s/rad] and dry [N m]; theirs is cf atan(100 v), which levels off at cf π/2."""
@@ -69,7 +69,7 @@ def read_log(folder: Path, name: str) -> Log:
 
 
 def fit_current(log: Log, joint: int, cutoff: float = 20.0) -> tuple[float, Fit]:
-    """How tau_meas follows from tau_con: lateness [s], and gain, offset [N m], share of q'' [kg m²] by least squares."""
+    """How tau_meas follows from tau_con: lateness [s]; gain, offset [N m] and share of q'' [kg m²] by least squares."""
     commanded, reported = (low_pass(log.torque(column)[joint], DT, cutoff)[100:-100] for column in ("con", "meas"))
     pull = low_pass(log.pull[joint], DT, cutoff)[100:-100]
     fits: dict[float, Fit] = {}
@@ -81,14 +81,14 @@ def fit_current(log: Log, joint: int, cutoff: float = 20.0) -> tuple[float, Fit]
     return best, fits[best]
 
 
-def find_spikes(log: Log, joint: int) -> tuple[int, float]:
-    """Number of spikes of tau_meas, and how well their places agree modulo a turn of the rotor (1: all at one)."""
+def find_spikes(log: Log, joint: int) -> tuple[int, int, float]:
+    """Spikes of tau_meas over 0.15 N m, reversals of the joint, and the median speed at which spikes come [rad/s]."""
     reported = log.torque("meas")[joint]
     jump = np.abs(reported - low_pass(reported, DT, 10.0)) > 0.15
     first = np.flatnonzero(jump & ~np.roll(jump, 1) & (np.arange(len(jump)) > 100))
     first = first[np.diff(first, prepend=-100) > 20]
-    phase = np.exp(2j * np.pi * log.angle[joint][first] / ROTOR_TURN)
-    return len(first), float(abs(phase.mean())) if len(first) else 0.0
+    reversals = np.count_nonzero(np.diff(np.sign(low_pass(log.rate[joint], DT, 10.0))))
+    return len(first), reversals, float(np.median(np.abs(log.rate[joint][first])))
 
 
 def fit_smoothed(logs: list[Log], column: str, late: float = 0.0, cutoff: float = 8.0) -> Fit:
@@ -110,7 +110,7 @@ def fit_smoothed(logs: list[Log], column: str, late: float = 0.0, cutoff: float 
 
 
 def fit_energy(logs: list[Log], column: str = "con", span: float = 0.2) -> Fit:
-    """Least squares of the motors' work over spans [s] on gains of energy and on friction: nothing is differentiated twice."""
+    """Least squares of the motors' work over spans [s] on gains of energy and on friction; no accelerations."""
     rows, target, groups = [], [], []
     for number, log in enumerate(logs):
         q, v = log.angle, log.rate
@@ -162,7 +162,11 @@ def simulate(log: Log, column: str, p: Array, window: float, stride: float = 0.2
 
 
 def fit_windows(
-    logs: dict[str, Log], column: str = "con", free: tuple[str, ...] = SHARED[:11], zeros: str = "angle", window: float = 0.5
+    logs: dict[str, Log],
+    column: str = "con",
+    free: tuple[str, ...] = SHARED[:11],
+    zeros: str = "angle",
+    window: float = 0.5,
 ) -> Fit:
     """Fit by simulating windows [s]; every log has its own zero of the angles, or (`zeros` "torque") o1, o2 instead."""
     start = RIGID | FRICTION | {"late": 0.0, "o1": 0.0, "o2": 0.0}
@@ -181,7 +185,9 @@ def fit_windows(
 
 def describe_columns(logs: dict[str, Log]) -> None:
     """Print what the columns mean."""
-    print("velocity against position: late [ms], gain;  tau_meas against tau_con: late [ms], gain, offset [N m], q'' [kg m²]")
+    print(
+        "velocity after position: late [ms], gain; tau_meas after tau_con: late [ms], gain, offset [N m], q'' [kg m²]"
+    )
     for name, log in logs.items():
         for joint in (0, 1):
             velocity = low_pass(log.columns[f"vel_meas{joint + 1}"], DT, 40.0)
@@ -190,7 +196,7 @@ def describe_columns(logs: dict[str, Log]) -> None:
             if np.any(log.torque("con")[joint]):
                 late, fit = fit_current(log, joint)
                 line += f"{1e3 * late:.0f} {fit} explains {fit.share:.3f}; "
-            print(line + "spikes {}, at one place of the rotor {:.2f}".format(*find_spikes(log, joint)))
+            print(line + "spikes {}, reversals {}, at {:.2f} rad/s".format(*find_spikes(log, joint)))
         print(f"  {name}: largest tau_fric {max(np.abs(log.columns[f'tau_fric{j}']).max() for j in (1, 2)):.3g} N m")
 
 
@@ -218,10 +224,9 @@ def main() -> None:
     print("\nsimulated over windows of 0.5 s")
     for column in ("con", "meas"):
         for chosen in (*((name,) for name in LOGS), ("00", "02", "11", "13")):
-            for free in (SHARED[:11],):
-                fit = fit_windows({name: logs[name] for name in chosen}, column, free)
-                rms = ", ".join(f"{1e3 * one[0]:.1f} {1e3 * one[1]:.1f}" for one in fit.left)
-                print(f"  {column} {' '.join(chosen)}: {fit}\n      leaves {rms} mrad", flush=True)
+            fit = fit_windows({name: logs[name] for name in chosen}, column)
+            rms = ", ".join(f"{1e3 * one[0]:.1f} {1e3 * one[1]:.1f}" for one in fit.left)
+            print(f"  {column} {' '.join(chosen)}: {fit}\n      leaves {rms} mrad", flush=True)
 
 
 if __name__ == "__main__":
