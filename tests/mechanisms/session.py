@@ -28,8 +28,9 @@ RATES = (100, 125, 200, 250, 500)
 ORDINARY, STILL = 3.0, 0.04
 """Times its usual travel beyond which a rig has run away, share of its usual spread below which it stands still: nobody
 keeps such a log."""
-TRIES, LESS = 8, 0.5
-"""How often what is hidden is made smaller, and to what share of it, until the rig moves as a rig should."""
+TRIES, LESS, GENTLER, STUBBORN = 9, 0.5, 0.8, 5
+"""How often a session is tried until its rig moves as a rig should: what is hidden is made smaller, to what share of it
+each time; where nothing is, or after so many tries, the rig is moved less far."""
 FORGOTTEN = 0.35
 """Share of strongly damped carts with something of the catalogue hidden whose MJCF has no damping at all."""
 SMALL, SMALL_SHARE = 0.5, (0.0003, 0.004)
@@ -254,13 +255,16 @@ def record(session: Session, folder: Path) -> Recorded:
     scale = find_scale(session)
     real = session.rig.jitter(np.random.default_rng([session.seed, 5, session.number]))
     hidden = session.hidden
-    for _ in range(TRIES):
+    for tried in range(TRIES):
         found = [(h, size(session, h, scale)) for h in hidden]
         small = [(h, size_effect(h, session.rig, scale)) for h in session.small]
         logs = run_logs(session, real, scale, [*found, *small])
         if all(is_ordinary(track, session.rig, scale) for track, _ in logs):
             break
         hidden = tuple(replace(h, share=LESS * h.share) for h in hidden)
+        if not hidden or tried >= STUBBORN:
+            gentler = tuple(replace(motion, reach=GENTLER * motion.reach) for motion in session.motions)
+            session = replace(session, motions=gentler)
     else:
         raise RuntimeError(f"session {session.number} of seed {session.seed}: the rig does not move as it should")
     faults = find_faults(session, found)
