@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import json
+import time
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.mechanisms import draw_session
@@ -123,6 +125,17 @@ def test_a_crash_is_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert set(case.plan.hidden) == {h.effect for h in draw_session(5, number).hidden}
     assert case.plan.disturbance
     json.dumps(asdict(replace(case, commit="abc")))
+
+
+def test_a_diagnosis_that_takes_too_much_is_stopped() -> None:
+    """Time and memory without end become exceptions, and the next one starts afresh."""
+    limited = load("other").limited
+    with pytest.raises(TimeoutError, match="more than 1 s"), limited(seconds=1):
+        time.sleep(5.0)
+    with pytest.raises(MemoryError), limited():
+        np.empty(2**34)
+    with limited():
+        assert len(np.ones(2**20)) == 2**20
 
 
 def test_sessions_are_chosen_by_kind_number_and_shard() -> None:

@@ -1,8 +1,9 @@
 """Whether logs show what is hidden, and tell it from its nearest look-alike: linear, about what really happened.
 
 A hidden law is a force along the log. What it adds to free predictions of a window follows from the nominal rig,
-linearised about the motion; disturbances and the encoders' noise limit how well it is seen, and where a window
-starts is not known. A look-alike may have any size; what it leaves of the hidden law's trace tells them apart.
+linearised about the motion; disturbances, counted as Ornstein's and Uhlenbeck's whatever they are, and the encoders'
+noise limit how well it is seen, and where a window starts is not known. A look-alike may have any size; what it leaves
+of the hidden law's trace tells them apart.
 """
 
 from __future__ import annotations

@@ -12,6 +12,8 @@ import numpy as np
 from vpptwin.logs.write import FlightWriter
 
 from .families import FAMILIES
+from .hidden import KINDS as HIDDEN_KINDS
+from .hidden import KINDS_OUTSIDE as HIDDEN_OUTSIDE
 from .hidden import Hidden, Scale, Values, draw_hidden, hide, size_effect
 from .measure import Evidence, Visibility, measure_visibility
 from .plant import build_drives, build_laws
@@ -133,15 +135,14 @@ class Session:
 
 def draw_session(seed: int, number: int) -> Session:
     """The session of that number, whatever else is drawn. Six in a row are of six families."""
-    block, card = divmod(number, len(DECK))
-    kind = str(np.random.default_rng([seed, 1, block]).permutation(DECK)[card])
+    kind, turn = draw_kind(seed, number)
     around, place = divmod(number, len(FAMILIES))
     family = str(np.random.default_rng([seed, 2, around]).permutation(list(FAMILIES))[place])
     rng = np.random.default_rng([seed, 3, number])
     rig = FAMILIES[family](rng)
     hidden: list[Hidden] = []
     for _ in range({"none": 0, "two": 2}.get(kind, 1)):
-        new = draw_hidden(rng, rig, kind == "alien")
+        new = draw_hidden(rng, rig, kind == "alien", turn if not hidden else "")
         while new.effect in [h.effect for h in hidden]:
             new = draw_hidden(rng, rig)
         hidden.append(new)
@@ -163,6 +164,18 @@ def draw_session(seed: int, number: int) -> Session:
         seed, number, kind, rig, tuple(hidden), tuple(small), forgotten, draw_motions(rng, rig), rate,
         draw_sensors(rng), draw_disturbance(rng),
     )  # fmt: skip
+
+
+def draw_kind(seed: int, number: int) -> tuple[str, str]:
+    """What the session of that number hides, and which kind of effect has its turn there, "" for none."""
+    block, card = divmod(number, len(DECK))
+    deck = np.random.default_rng([seed, 1, block]).permutation(DECK)
+    kind = str(deck[card])
+    pool = {"single": HIDDEN_KINDS, "alien": HIDDEN_OUTSIDE}.get(kind)
+    if pool is None:
+        return kind, ""
+    around, place = divmod(block * DECK.count(kind) + int((deck[:card] == kind).sum()), len(pool))
+    return kind, str(np.random.default_rng([seed, 7, around]).permutation(pool)[place])
 
 
 def draw_motions(rng: np.random.Generator, rig: Rig) -> tuple[Motion, ...]:
