@@ -103,7 +103,9 @@ def look(
     v, q = track.moved[:, 1], track.moved[:, 0]
     force = np.sqrt(np.mean((60.0 * track.given) ** 2, 0))
     scale = Scale(force, np.sqrt(np.mean(v**2, 0)), q.std(0), np.median(q, 0), np.full(1, 40.0), track.given, 0.005)
-    return measure_visibility(rig, scale, [Evidence(track, track.given)], [(hidden, values)], SHARP, disturbance)[0]
+    return measure_visibility(
+        rig, scale, [Evidence(track, track.given)], [(hidden, values)], SHARP, disturbance, rig, []
+    )[0][0]
 
 
 def test_dry_friction_of_a_carriage_is_told_from_all_else() -> None:
@@ -139,6 +141,21 @@ def test_nothing_is_seen_of_what_is_lost_in_noise() -> None:
     found = look({"coulomb": 1e-3}, Hidden("slide.coulomb", 0, 1e-5), {"force": 1e-3})
     assert found.seen < 0.5
     assert not found.detectable
+
+
+def test_jitter_shows_where_disturbances_are_weak() -> None:
+    """A carriage that is 0.5 % too heavy, seen by fine encoders; a rig as believed shows nothing."""
+    heavy = replace(CART, links=(replace(CART.links[0], mass=40.2),))
+    track = perform(build_world(CART), CART, plan_trial(CART, Motion("tracked", "sines", 20.0, 1), 0.005))
+    v, q, log = track.moved[:, 1], track.moved[:, 0], Evidence(track, track.given)
+    force = np.sqrt(np.mean((60.0 * track.given) ** 2, 0))
+    scale = Scale(force, np.sqrt(np.mean(v**2, 0)), q.std(0), np.median(q, 0), np.full(1, 40.0), track.given, 0.005)
+    weak, strong = (Disturbance("ou", s, 0.1) for s in (1e-4, 1e-2))
+    fine = replace(SHARP, noise=1e-4)
+    seen = [measure_visibility(CART, scale, [log], [], fine, d, r, [])[1] for d, r in
+            ((weak, CART), (weak, heavy), (strong, heavy))]  # fmt: skip
+    assert seen[0] < 1e-9
+    assert seen[1] > 5.0 * seen[2] > 0.0
 
 
 @pytest.mark.parametrize("kind", ["ou", "smooth", "swinging"])

@@ -50,6 +50,7 @@ class Truth:
         joints: effect → the joint where it is, also of those outside the catalogue.
         by_sensor: effects that are errors of the logged torque.
         visibility: effect → how visible it is.
+        unasked: what jitter and small effects make of free predictions, in sigma of what noise and disturbances make.
     """
 
     hidden: dict[str, Values]
@@ -58,6 +59,7 @@ class Truth:
     joints: dict[str, str]
     by_sensor: list[str]
     visibility: dict[str, Visibility]
+    unasked: float
 
     @property
     def detectable(self) -> bool:
@@ -282,7 +284,9 @@ def record(session: Session, folder: Path) -> Recorded:
         raise RuntimeError(f"session {session.number} of seed {session.seed}: the rig does not move as it should")
     faults = find_faults(session, found)
     evidence = [Evidence(track, measure_inputs(track.given, faults)) for track, _ in logs]
-    visible = measure_visibility(session.told, scale, evidence, found, session.sensors, session.disturbance)
+    visible, unasked = measure_visibility(
+        session.told, scale, evidence, found, session.sensors, session.disturbance, real, small
+    )
     truth = Truth(
         {h.effect: v for h, v in found},
         {h.effect: v for h, v in small},
@@ -290,6 +294,7 @@ def record(session: Session, folder: Path) -> Recorded:
         {h.effect: session.rig.joints[h.joint] for h, _ in found},
         [h.effect for h, _ in found if h.sensor],
         {h.effect: v for (h, _), v in zip(found, visible)},
+        unasked,
     )
     (folder / "rig.xml").write_text(session.told.write_mjcf())
     (folder / "rig.yaml").write_text(session.told.write_twin("rig.xml"))
