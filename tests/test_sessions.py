@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests import sessions
-from tests.sessions import Effects, Sessions
+from tests.reality import Wind
+from tests.sessions import Effects, Flown, Session, Sessions, find_faults, measure_gust_mean
 
 
 @pytest.fixture
@@ -49,3 +51,31 @@ def test_two_in_a_row_fail(flown: list[Effects], tmp_path: Path) -> None:
     with pytest.raises(pytest.fail.Exception):
         campaign.require("rail", lambda session: ["missed"], tries=1)
     assert len(flown) == 2
+
+
+def make_session(hidden: Effects, small: Effects, *causes: Any) -> Session:  # noqa: ANN401
+    """A made-up session."""
+    errors = SimpleNamespace(chi2=9.0, position_rmse_m=[0.01] * 3, angle_rmse_rad=[0.01] * 3)
+    verdict: Any = SimpleNamespace(causes=causes, gap=True, before=errors, after=errors)
+    return Session(Flown(hidden, small, Wind(), 3, [], ""), verdict, "")
+
+
+def test_small_deviations_are_no_faults() -> None:
+    """One named first does not stand before what is hidden, and is no claim; without it there it is."""
+    hidden, small = {"mocap.delay": {"delay": 0.01}}, {"rail.tilt": {"angle": 0.01}}
+    estimate = SimpleNamespace(value=0.01, std=0.001, nominal=0.0)
+    causes = [
+        SimpleNamespace(effect=effect, confidence=0.99, also_explained_by=[], parameters={name: estimate})
+        for effect, name in (("rail.tilt", "angle"), ("mocap.delay", "delay"))
+    ]
+    assert find_faults(make_session(hidden, small, *causes)) == []
+    faults = find_faults(make_session(hidden, {}, *causes))
+    assert faults == ["rail.tilt is named with confidence 0.99", "rail.tilt is named first"]
+
+
+def test_gusts_may_look_like_a_force() -> None:
+    """1 % of 4.41 N over 0.3 s: 14 % of it on average over 32 s, four times 6 mN; longer and stronger ones more."""
+    assert measure_gust_mean("rail_x.bias", Wind()) == pytest.approx(0.0242, rel=0.01)
+    assert measure_gust_mean("rotor.asymmetry", Wind()) == pytest.approx(0.0049, rel=0.02)
+    assert measure_gust_mean("rail_z.bias", Wind("steps", 2.0, 1.2, (1.0, 0.5, 1.0))) == pytest.approx(0.0483, rel=0.01)
+    assert measure_gust_mean("command.delay", Wind()) == 0.0

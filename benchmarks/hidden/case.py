@@ -98,10 +98,15 @@ class Case:
     commit: str = ""
 
     @property
+    def neither(self) -> frozenset[str]:
+        """Effects that need not be named and are not wrong if they are; plans of other rigs may know of none."""
+        return getattr(self.plan, "neither", frozenset())
+
+    @property
     def claims(self) -> list[Named]:
         """Causes that count, strongest first: all but those that are, or are not told from, what is neither."""
         causes = self.found.causes if self.found else []
-        known, neither = self.plan.known, self.plan.neither
+        known, neither = self.plan.known, self.neither
         return [c for c in causes if c.effect not in neither and (c.effect in known or not neither & set(c.rivals))]
 
     @property

@@ -82,10 +82,11 @@ class MechanismPlan:
         return next((effect.removeprefix("outside:") for effect in self.hidden if effect.startswith("outside:")), "")
 
     @property
-    def conditions(self) -> str:
-        """What else a failure should tell."""
+    def about(self) -> str:
+        """What else there is to know about a session, in a few words."""
+        strength = f"strength {self.strength:.2g}, " if self.hidden else ""
         alike = f", like {', '.join(self.alike)}" if self.alike else ""
-        return f"{self.family}: {self.logged}; disturbance {self.disturbance}{alike}"
+        return f"{strength}{self.family}: {self.logged}; disturbance {self.disturbance}{alike}"
 
     def find_truth(self, effect: str, parameter: str) -> float:
         """What the rig has of a hidden effect, its jitter included."""

@@ -79,7 +79,7 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
     kinds = ("single", "form", "two", "three", "alien", "none")
     of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in kinds}
     single, form, alien, none = (of_kind[kind] for kind in ("single", "form", "alien", "none"))
-    bare = [c for c in none if not c.plan.neither]
+    bare = [c for c in none if not c.neither]
     plain = [c for c in single if c.plan.strength >= 1.0 - 1e-9]
     clear = [c for c in single if c.separable]
     return [
@@ -189,7 +189,7 @@ def compare_baselines(cases: Sequence[Case]) -> list[Rate]:
         rows += [
             count(f"{method}: named first", (c.baselines[method] in c.plan.known for c in single)),
             count(f"{method}: something named where nothing is hidden",
-                  (c.baselines[method] not in {"", *c.plan.neither} for c in none)),
+                  (c.baselines[method] not in {"", *c.neither} for c in none)),
         ]  # fmt: skip
     return rows
 
@@ -204,7 +204,7 @@ def list_failures(cases: Sequence[Case]) -> list[str]:
             continue
         said = [f"{c.effect} {c.confidence:.2f}{f' or {list(c.rivals)}' * bool(c.rivals)}" for c in
                 (case.found.causes if case.found else [])]  # fmt: skip
-        about = f"strength {case.plan.strength:.2g}, " * bool(case.plan.hidden) + case.plan.conditions
+        about = getattr(case.plan, "about", "")
         about += {True: ", separable", False: ", not separable", None: ""}[case.separable] if case.plan.known else ""
         left = " + unexplained" if leaves_something(case) else ""
         claim = " CONFIDENTLY WRONG" if case.wrong else ""

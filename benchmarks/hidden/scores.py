@@ -1,7 +1,7 @@
 """The figures of the diagnostic competitions (DX), and rates group by group; of any list of cases, whatever the rig.
 
 A fault is whatever is hidden, in the catalogue or not; it is *detected* when something is named or said to be left
-unexplained. Small deviations that nobody asks for count on neither side (`Plan.neither`).
+unexplained. Small deviations that nobody asks for count on neither side (`Case.neither`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def is_detected(case: Case) -> bool:
 
 def is_false_alarm(case: Case) -> bool:
     """Whether a verdict on a rig with nothing hidden says so; what small deviations leave unexplained is none."""
-    return bool(case.first) or (leaves_something(case) and not case.plan.neither)
+    return bool(case.first) or (leaves_something(case) and not case.neither)
 
 
 def find_probability(case: Case, effect: str) -> float:

@@ -457,7 +457,7 @@ def test_rates_are_broken_down_by_any_attribute() -> None:
         session(2, "alien", {"alien.slosh": {"mass": 0.08, "frequency": 1.0}}, finding(left=True)),
     ]
     assert {name: len(group) for name, group in scores.group_by(cases, "gusts").items()} == {"ou": 2, "steps": 1}
-    assert list(scores.group_by(cases, "gust_strength")) == ["0.65 to 1.39 % of weight", "above 1.39 % of weight"]
+    assert list(scores.group_by(cases, "gust_strength")) == ["0.65 to 1.39 % of weight", "1.39 to 3 % of weight"]
     assert list(scores.group_by(cases, "outside")) == ["memory"]
     assert scores.group_by([replace(cases[0], commit="c")], "commit") == {"c": [replace(cases[0], commit="c")]}
     lines = scores.format_groups(cases, "gusts").splitlines()

@@ -32,6 +32,7 @@ class Foreign:
         self.spring = get("form.spring", "stiffness", "rest", "stretch")
         self.time = 0.0  # s since the plant's start
         self.bristle = np.zeros(rig.count)  # 1, -1 to 1
+        self.climb = np.zeros(rig.count)  # m/s^2, of the craft, a substep ago
         self.swing, self.swing_rate = (
             np.zeros(rig.count),
             np.zeros(rig.count),
@@ -62,7 +63,7 @@ class Foreign:
         if "alien.hum" in here:
             force[Z] += self.hum[0] * np.sin(2 * np.pi * self.hum[1] * self.time)
         if "alien.slosh" in here:
-            force[X] += self.slosh * self._pull_swing()
+            force[Z] += self.slosh * (self.climb + self._pull_swing())  # not its inertia, but its spring
 
     def push_joints(self, force: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> None:
         """Add what acts between rails and carriage or slider."""
@@ -81,7 +82,7 @@ class Foreign:
             force[X] -= stiffness * away * (1 + (away / stretch) ** 2)
 
     def _pull_swing(self) -> np.ndarray:
-        """Acceleration m/s^2 by which the swinging mass is drawn back to the craft."""
+        """Acceleration m/s^2 by which the hanging mass is drawn back to where it hangs at rest."""
         return self.omega * (self.omega * self.swing + 2 * _SLOSH_DAMPING * self.swing_rate)
 
     def advance(self, velocity: np.ndarray, accel: np.ndarray, step: float) -> None:
@@ -91,5 +92,6 @@ class Foreign:
             rate = velocity[X] / self.hysteresis[1]
             self.bristle = np.clip(self.bristle + step * (rate - np.abs(rate) * self.bristle), -1.0, 1.0)
         if "alien.slosh" in self.here:
-            self.swing_rate = self.swing_rate - step * (self._pull_swing() + accel[X])
+            self.climb = accel[Z]
+            self.swing_rate = self.swing_rate - step * (self._pull_swing() + self.climb)
             self.swing = self.swing + step * self.swing_rate

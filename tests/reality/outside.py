@@ -25,9 +25,9 @@ ALIEN: dict[str, dict[str, Size]] = {
     "alien.crosswind": {"gain": Size("N s^2/m^2", 0.0, ((0.15, 0.40),))},
     "alien.side_thrust": {"gain": Size("1", 0.0, either_sign(0.15, 0.40))},
     "alien.g_sensitivity": {"gain": Size("rad s/m", 0.0, either_sign(0.010, 0.025))},
-    # Memory: a Dahl element that takes `reach` m to turn round; a mass on a spring that swings along x.
+    # Memory: a Dahl element that takes `reach` m to turn round; some of the craft's mass hangs on a spring along z.
     "alien.hysteresis": {"force": Size("N", 0.0, ((0.3, 0.8),)), "reach": Size("m", 0.2, ((0.15, 0.40),))},
-    "alien.slosh": {"mass": Size("kg", 0.0, ((0.05, 0.12),)), "frequency": Size("Hz", 1.2, ((0.8, 2.0),))},
+    "alien.slosh": {"mass": Size("kg", 0.0, ((0.08, 0.16),)), "frequency": Size("Hz", 1.2, ((0.8, 2.0),))},
 }
 
 ALIEN_KINDS: dict[str, str] = {
@@ -65,19 +65,19 @@ FORMS: dict[str, Form] = {
     "form.creep": Form(
         "rail_x.coulomb",
         {"force": Size("N", 0.0, ((0.12, 0.50),)), "velocity": Size("m/s", 0.04, ((0.02, 0.06),))},
-        ("rail_x.viscous",),
+        ("rail_x.viscous", "rail_x.lugre"),
     ),
     # force exp(-|v| / velocity) at breakaway, where ours has the square
     "form.stribeck": Form(
         "rail_x.stiction",
         {"force": Size("N", 0.0, ((0.20, 0.45),)), "velocity": Size("m/s", 0.06, ((0.04, 0.10),))},
-        ("rail_x.coulomb",),
+        ("rail_x.coulomb", "rail_x.lugre"),
     ),
     # damping |v|^exponent
     "form.grease": Form(
         "rail_z.viscous",
         {"damping": Size("N (s/m)^exponent", 0.0, ((0.15, 0.60),)), "exponent": Size("1", 0.7, ((0.6, 0.8),))},
-        ("rail_z.coulomb",),
+        ("rail_z.coulomb", "rail_z.lugre"),
     ),
     # k |v|^exponent, where ours is the square
     "form.drag": Form(
