@@ -123,6 +123,7 @@ def test_the_documented_mistakes_are_told_so(
         drone + "effects: {rail_x.coulomb: {mass: 0.3}}",
         drone + "efects: {}",
         rig + "signals: {joints: {slide: /joint_states}}",
+        rig + "signals: {joints: {rail_x: /joint_states}, driven: {rail_z: /joint_states}}",
         rig,
     )
     (shown,) = find_blocks("text")
@@ -256,7 +257,7 @@ def test_diagnose_prints_what_a_reader_needs(diagnosed: Run) -> None:
     """The sentence with the cause first, errors before and after, and where the files lie; progress aside."""
     lines = diagnosed.said.strip().splitlines()
     assert re.match(r"Dry friction of 0\.\d+ ± 0\.\d+ N on the horizontal rail, which the twin lacks, ", lines[0])
-    for words in ("rail_x.coulomb: ", "% sure", "chi²", "noise", "before → after"):
+    for words in ("rail_x.coulomb: ", "% sure", "held-out chi²", "Shares", "noise", "before → after"):
         assert words in diagnosed.said
     for name in ("report.html", "verdict.json", "twin.yaml"):
         assert str(diagnosed.out / name) in diagnosed.said
@@ -302,7 +303,7 @@ def test_compare_prints_and_writes_the_error(tmp_path: Path, capsys: pytest.Capt
     assert written["horizons_s"] == HORIZONS
     check_score(written["error"])
     said = capsys.readouterr().out
-    assert f"chi² {written['error']['chi2']:.3g}" in said
+    assert f"whole-log chi² {written['error']['chi2']:.3g}" in said
     assert f"{1000 * written['error']['position_rmse_m'][2]:.3g}" in said
     assert [file.name for file in tmp_path.iterdir()] == ["score.json"]
 

@@ -291,7 +291,8 @@ def test_controllers_are_named(tmp_path: Path) -> None:
         load_twin(file)
     with pytest.raises(InputError, match="unknown controller 'clever'; expected one of map, adaptive"):
         load_twin("nominal").with_controller("clever")
-    file.write_text("model: rail_rig.xml\ncontroller: adaptive\nsignals: {joints: {rail_x: /joint_states}}\n")
+    joints = "{rail_x: /joint_states, rail_z: /joint_states, pitch: /joint_states}"
+    file.write_text(f"model: rail_rig.xml\ncontroller: adaptive\nsignals: {{joints: {joints}}}\n")
     with pytest.raises(InputError, match="controller 'adaptive' without vehicle"):
         load_twin(file)
     assert replace(load_twin("nominal"), controller="adaptive").controller == "adaptive"

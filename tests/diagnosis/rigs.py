@@ -1,8 +1,9 @@
-"""Rigs that are not ours, simulated without MuJoCo and at a finer step: carts with friction or cogging, a pendulum."""
+"""Rigs that are not ours, simulated without MuJoCo and at a finer step: carts with friction or cogging, pendula."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,14 +43,14 @@ PENDULUM = """<mujoco>
   </worldbody>
   <actuator><motor name="motor" joint="swing" gear="1"/></actuator>
 </mujoco>"""
+UNDRIVEN = re.sub(r"  <actuator>.*\n", "", PENDULUM)
 TWIN = """model: rig.xml
 signals:
   joints: {%s: /joint_states}
-  actuators: {motor: /actuator_command}
 """
 
 Track = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Position, velocity and control input at every sample, (n,) each."""
+"""Position, velocity and control input at every sample, (n,) each; the input (n, 0) where there is no actuator."""
 
 
 def drive_cart(friction: float, seed: int, cogging: float = 0.0) -> Track:
@@ -80,18 +81,28 @@ def drive_cart(friction: float, seed: int, cogging: float = 0.0) -> Track:
 
 
 def swing_pendulum(damping: float, seed: int) -> Track:
-    """A bob of 0.3 kg on 0.4 m with viscous damping [N m s/rad], under torques held for 0.7 s, by Runge and Kutta."""
+    """A bob of 0.3 kg on 0.4 m with viscous damping [N m s/rad], under torques held for 0.7 s."""
     rng = np.random.default_rng(seed)
     count = round(DURATION / STEP / LOG_EVERY)
-    torques = np.repeat(rng.uniform(-0.6, 0.6, count // 140 + 1), 140)[:count]
+    return swing(damping, np.repeat(rng.uniform(-0.6, 0.6, count // 140 + 1), 140)[:count], 0.0)
+
+
+def let_swing(damping: float, seed: int, duration: float = 12.0) -> Track:
+    """The same bob let go at rest from about 1 rad, without any motor: no control input, (n, 0)."""
+    angle, rate, torque = swing(damping, np.zeros(round(duration / STEP / LOG_EVERY)), 1.0 + 0.02 * seed)
+    return angle, rate, torque[:, None][:, :0]
+
+
+def swing(damping: float, torques: np.ndarray, angle: float) -> Track:
+    """The bob from rest at an angle [rad], under torques [N m] held between samples, by Runge and Kutta."""
     inertia, weight = BOB * LENGTH**2, BOB * 9.81 * LENGTH
 
     def slope(state: np.ndarray, torque: float) -> np.ndarray:
         return np.array([state[1], (torque - damping * state[1] - weight * np.sin(state[0])) / inertia])
 
     step = LOG_EVERY * STEP / 10.0
-    log = np.empty((count, 3))
-    state = np.zeros(2)
+    log = np.empty((len(torques), 3))
+    state = np.array([angle, 0.0])
     for i, torque in enumerate(torques):
         log[i] = *state, torque
         for _ in range(10):
@@ -115,6 +126,7 @@ class Case:
 
 CARTS = Case(CART, "slide", drive_cart, (3e-4, 3e-3))
 PENDULA = Case(PENDULUM, "swing", swing_pendulum, (1e-3, 2e-2))
+DECAYS = Case(UNDRIVEN, "swing", let_swing, (1e-3, 2e-2))
 
 
 def record(case: Case, size: float, folder: Path, seed: int) -> tuple[Path, Path]:
@@ -127,12 +139,14 @@ def record(case: Case, size: float, folder: Path, seed: int) -> tuple[Path, Path
         for i, (q, v, u) in enumerate(zip(position, velocity, control)):
             time = i * LOG_EVERY * STEP
             writer.write_joints("/joint_states", time, {case.joint: {"position": q, "velocity": v}})
-            writer.write_joints("/actuator_command", time, {"motor": {"effort": u}})
+            if np.size(u):
+                writer.write_joints("/actuator_command", time, {"motor": {"effort": u}})
     return folder / "log.mcap", write_rig(case, folder)
 
 
 def write_rig(case: Case, folder: Path) -> Path:
     """The twin of a rig on disk, its model beside it."""
     (folder / "rig.xml").write_text(case.model)
-    (folder / "rig.yaml").write_text(TWIN % case.joint)
+    driven = "  actuators: {motor: /actuator_command}\n" if "<actuator>" in case.model else ""
+    (folder / "rig.yaml").write_text(TWIN % case.joint + driven)
     return folder / "rig.yaml"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.actuators.motor import compute_current
-from vpptwin.effects import CATALOGUE, Effect, Parameter, effects_for_rig, find_effect
+from vpptwin.effects import CATALOGUE, Effect, Parameter, effects_for_rig, find_effect, generic_place
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
 
@@ -41,7 +41,9 @@ signals:
   actuators: {motor: /actuator_command}
 """
 
-CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+CART_EFFECTS = effects_for_rig(
+    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
+)
 EFFECTS = {"flown": CATALOGUE, "replayed": CATALOGUE, "cart": CART_EFFECTS}
 """What each rig can have, as known before it is loaded."""
 

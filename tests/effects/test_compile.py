@@ -9,10 +9,12 @@ import numba
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Effect, Stage, effects_for_rig
+from vpptwin.effects import CATALOGUE, Effect, Stage, effects_for_rig, generic_place
 from vpptwin.effects.base import Craft, Motion, Rotor
 
-CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+CART_EFFECTS = effects_for_rig(
+    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
+)
 EVERY_STEP = [e for e in (*CATALOGUE, *CART_EFFECTS) if e.stage is not Stage.CONSTANT]
 COUNT = 200
 ROUNDING = 4 * np.finfo(float).eps

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Site, Stage, effects_for_rig, find_effect
+from vpptwin.effects import CATALOGUE, Site, Stage, effects_for_rig, find_effect, generic_place
 from vpptwin.effects.base import Craft, Motion, Rotor
 
-CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+CART_EFFECTS = effects_for_rig(
+    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
+)
 EFFECTS = (*CATALOGUE, *CART_EFFECTS)
 ROUNDING = 1e-12
 """The numbers below are exact, or carry functions that numpy computes to the last bit or two."""

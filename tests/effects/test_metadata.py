@@ -7,10 +7,12 @@ import re
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect
+from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect, generic_place
 from vpptwin.effects.table import print_catalogue
 
-CART_EFFECTS = effects_for_rig([("slide", False, 1.0), ("swing", True, 1.0)], ["motor"])
+CART_EFFECTS = effects_for_rig(
+    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
+)
 
 # Rows of SPEC 5: names of the parameters with their units.
 DAMPING, FORCE, STRIBECK = {"damping": "N s/m"}, {"force": "N"}, {"force": "N", "velocity": "m/s"}

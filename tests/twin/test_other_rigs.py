@@ -16,6 +16,7 @@ LIFT = """<mujoco><option {option}/><worldbody>
 <inertial pos="0.05 0 0" mass="0.2" diaginertia="2e-3 2e-3 2e-3"/></body></body></worldbody>
 <tendon><fixed name="cable"><joint joint="lift" coef="1"/></fixed></tendon>
 <actuator>{actuator}</actuator></mujoco>"""
+TWIN = "model: lift.xml\nsignals: {joints: {lift: /joint_states, arm: /joint_states}}\n"
 WEIGHT = 1.2 * 9.81
 """Of lift and arm [N]; all of it hangs on the lift."""
 SPARE = 1.6
@@ -45,7 +46,7 @@ RIGS: dict[str, tuple[dict[str, str], float]] = {
 def load_lift(folder: Path, changes: dict[str, str]) -> Twin:
     """A lift with an arm, dry friction in both: 2 N and 0.12 N m, of which the arm's weight takes 0.098."""
     (folder / "lift.xml").write_text(LIFT.format(**(PLAIN | changes)))
-    (folder / "twin.yaml").write_text("model: lift.xml\nsignals: {joints: {lift: /joint_states}}\n")
+    (folder / "twin.yaml").write_text(TWIN)
     twin = Twin(load_twin(folder / "twin.yaml"), 1, active=["lift.coulomb", "arm.coulomb"], num_threads=1)
     twin.set_parameter("lift.coulomb", "force", 2.0)
     twin.set_parameter("arm.coulomb", "torque", 0.12)
@@ -70,7 +71,7 @@ def test_a_lift_stands_still(tmp_path: Path, rig: str) -> None:
 def test_every_generic_effect_at_once(tmp_path: Path) -> None:
     """All effects of two joints and an unnamed actuator together: they are there, and they do no harm."""
     (tmp_path / "lift.xml").write_text(LIFT.format(**PLAIN))
-    (tmp_path / "twin.yaml").write_text("model: lift.xml\nsignals: {joints: {lift: /joint_states}}\n")
+    (tmp_path / "twin.yaml").write_text(TWIN)
     spec = load_twin(tmp_path / "twin.yaml")
     assert {effect.target for effect in spec.catalogue} == {"lift", "arm"}  # the motor has no name
     assert {effect.stage for effect in spec.catalogue} == {*Stage} - {Stage.THRUST}

@@ -111,15 +111,26 @@ def test_other_rigs_get_generic_effects(write: Writer) -> None:
         _ = Twin(spec, 1).vehicle
 
 
-def test_unnamed_joints_and_actuators_have_no_effects(write: Writer) -> None:
+def test_unnamed_actuators_have_no_effects(write: Writer) -> None:
     """What has no name in the MJCF can't be named as a cause, and does not stand in the way of what has one."""
-    body = '<joint type="slide"/><geom size="0.1"/><body><joint name="slide" type="slide"/>'
-    model = FREE_BODY.replace("{joint}", body).replace("</body>", "</body></body>")
-    model = model.replace("{rest}", '<actuator><motor joint="slide"/></actuator>')
+    model = FREE_BODY.format(joint=SLIDE, rest='<actuator><motor joint="slide"/></actuator>')
     spec = load_twin(write(OWN, own_xml=model))
     assert {effect.target for effect in spec.catalogue} == {"slide"}
-    twin = Twin(spec, 1, active=[effect.id for effect in spec.catalogue])
-    assert twin.constant("dof_damping").shape == (1, 2)
+    assert Twin(spec, 1, active=[effect.id for effect in spec.catalogue]).constant("dof_damping").shape == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("joint", "named"),
+    [('<joint name="arm"/>', "joint 'arm'"), ("<joint/>", "a joint without a name")],
+    ids=["named", "unnamed"],
+)
+def test_joints_that_no_signal_names_are_refused(write: Writer, joint: str, named: str) -> None:
+    """They would be simulated from nowhere: the log does not tell where they were."""
+    model = FREE_BODY.format(joint=SLIDE + f'<geom size="0.1"/></body><body>{joint}', rest="")
+    refuse(write(OWN, own_xml=model), f"signals leave out {named}; expected every joint .*`driven`.*remove the rest")
+    if "arm" in joint:
+        twin = load_twin(write(OWN.replace("}}", "}, driven: {arm: /joint_states}}"), own_xml=model))
+        assert twin.robot.driven == ("arm",)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +330,7 @@ def test_effects_of_the_rig_are_refused_on_the_free_craft(write: Writer, effect:
         pytest.param(SLIDE, "rail_x.jamming: {mu: 0.1}", "without carriage and slider", id="the drone's"),
         pytest.param(
             SLIDE + '<geom size="0.1"/></body><body><joint type="slide"/>', "joint1.coulomb: {force: 0.1}",
-            "unknown effect 'joint1.coulomb'.*slide.coulomb", id="unnamed joint",
+            "leave out a joint without a name", id="unnamed joint",
         ),
         pytest.param(
             SLIDE + '<geom size="0.1"/></body><body><freejoint name="ball"/>', "ball.coulomb: {force: 0.1}",

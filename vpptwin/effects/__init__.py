@@ -5,10 +5,18 @@ the makers of hidden test data. This package imports nothing else of vpptwin.
 """
 
 from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage, State
-from vpptwin.effects.catalogue import CATALOGUE, GENERIC_ACTUATOR, GENERIC_JOINT, effects_for_rig, find_effect
+from vpptwin.effects.catalogue import (
+    CATALOGUE,
+    GENERIC_ACTUATOR,
+    GENERIC_JOINT,
+    effects_for_rig,
+    find_effect,
+    generic_place,
+)
 from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
     "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Constants", "Craft", "Effect",
     "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_rig", "find_effect",
+    "generic_place",
 ]  # fmt: skip

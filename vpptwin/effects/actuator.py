@@ -1,6 +1,6 @@
 """Effects on any actuator: gain, delay, lag, limited rate, play, saturation. Those of the drone's rotors are its own.
 
-Control inputs are in MuJoCo's `ctrl`, whatever unit that has; sizes suppose that they are of the order of one.
+Control inputs are in MuJoCo's `ctrl`, whatever unit that has; sizes are for inputs of the order of one (`attach`).
 """
 
 from __future__ import annotations
@@ -47,12 +47,25 @@ def apply_saturation(constants: Constants, site: Site, /, limit: np.ndarray) -> 
     bound[:] = np.minimum(bound, limit)
 
 
-def attach(effect: Effect, actuator: str) -> Effect:
-    """An effect below, which any actuator may have, as that of one actuator; so are its look-alikes."""
+def attach(effect: Effect, actuator: str, typical: float = 1.0, room: float = 1.0) -> Effect:
+    """An effect below, which any actuator may have, as that of one whose inputs are about `typical` [ctrl].
+
+    So are its look-alikes. What is in units of the input is scaled, with `room` times as much between its bounds.
+    """
+    parameters = tuple(scale_input(p, typical, room) if p.unit.startswith("ctrl") else p for p in effect.parameters)
     return replace(
         effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of actuator {actuator}", target=actuator,
-        look_alikes=tuple(f"{actuator}.{kind}" for kind in effect.look_alikes),
+        look_alikes=tuple(f"{actuator}.{kind}" for kind in effect.look_alikes), parameters=parameters,
     )  # fmt: skip
+
+
+def scale_input(parameter: Parameter, typical: float, room: float) -> Parameter:
+    """A parameter in units of an input that is `typical` instead of 1; nothing gets to a limit's off value anyway."""
+    prior = replace(parameter.prior, a=parameter.prior.a * typical, b=parameter.prior.b * typical)
+    if parameter.off >= UNLIMITED:
+        return replace(parameter, low=parameter.low * typical / room, prior=prior)
+    high, size, tolerance = (v * typical for v in (parameter.high * room, parameter.size, parameter.tolerance))
+    return replace(parameter, high=high, prior=prior, size=size, tolerance=tolerance)
 
 
 GAIN = Effect(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from vpptwin.effects import actuator, air, airframe, flex, friction, joint, motor, rail, rotor, sensing, servo, timing
 from vpptwin.effects.base import Effect
@@ -79,10 +79,12 @@ GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
 
-GENERIC_TOLERANCE = 0.001
+GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
 GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
+GENERIC_ROOM = 100.0
+"""Factor on bounds of forces where no log has told yet what a joint's typical force is."""
 
 GENERIC_ACTUATOR: tuple[Effect, ...] = (
     actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.BACKLASH, actuator.RATE_LIMIT, actuator.SATURATION,
@@ -90,20 +92,32 @@ GENERIC_ACTUATOR: tuple[Effect, ...] = (
 """What becomes a.gain, a.delay and so on of actuator a of any rig."""
 
 
-def effects_for_rig(joints: Iterable[tuple[str, bool, float]], actuators: Iterable[str]) -> tuple[Effect, ...]:
+def generic_place(
+    name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, **known: float
+) -> Place:  # fmt: skip
+    """A joint of any rig: its typical force [N] or torque [N m], and what else of `Place` is known of it."""
+    reason = reason or (f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2")
+    where = f"on joint {name}"
+    return Place(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room, **known)
+
+
+def effects_for_rig(
+    joints: Iterable[Place], actuators: Mapping[str, float], room: float = GENERIC_ROOM
+) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
     Args:
-        joints: name, whether it is rotary, and a typical force [N] or torque [N m] for each joint.
-        actuators: names.
+        joints: as `generic_place` makes them.
+        actuators: name → a typical control input; 1 where nobody knows.
+        room: factor on the bounds of what is in units of such an input.
     """
-    effects: list[Effect] = []
-    for name, rotary, scale in joints:
-        reason = f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2"
-        place = Place(name, f"on joint {name}", rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}")
-        for make, alike in GENERIC_JOINT:
-            effects.append(make(place, tuple(f"{name}.{kind}" for kind in alike)))
-    effects += [actuator.attach(effect, name) for name in actuators for effect in GENERIC_ACTUATOR]
+    effects = [
+        make(place, tuple(f"{place.joint}.{kind}" for kind in alike))
+        for place in joints
+        for make, alike in GENERIC_JOINT
+    ]
+    for name, size in actuators.items():
+        effects += [actuator.attach(effect, name, size, room) for effect in GENERIC_ACTUATOR]
     return tuple(effects)
 
 

@@ -30,6 +30,10 @@ class Place:
         tolerance: what a well-built joint may show unremarked, as a share of `scale`.
         size: step for secants, as a share of `scale`.
         reason: what makes that scale typical.
+        speed: a typical speed there [m/s, rad/s], at which damping makes `scale` a typical force.
+        travel: how far from a rest position it gets, where a spring makes it one; 0 for not known [m, rad].
+        carried: mass or moment of inertia that it moves; 0 for what `scale` would accelerate typically [kg, kg m²].
+        room: factor on bounds of forces: what a YAML may say has more room than what a diagnosis looks through.
     """
 
     joint: str
@@ -39,12 +43,16 @@ class Place:
     tolerance: float = TOLERANCE
     size: float = SIZE
     reason: str = "a typical one"
+    speed: float = 1.0
+    travel: float = 0.0
+    carried: float = 0.0
+    room: float = 1.0
 
-    def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior) -> Parameter:
-        """A parameter that is off at 0; bounds and prior are shares of `scale`."""
-        scale = self.scale
+    def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior, over: float = 1.0) -> Parameter:
+        """A parameter that is off at 0; bounds and prior are shares of `scale` at a speed or deflection `over`."""
+        scale = self.scale / over
         return Parameter(
-            name=name, unit=unit, off=0.0, low=low * scale, high=high * scale,
+            name=name, unit=unit, off=0.0, low=low * scale * self.room, high=high * scale * self.room,
             prior=Prior(prior.kind, prior.a * scale, prior.b * scale), size=self.size * scale,
             tolerance=self.tolerance * scale, source=f"assumption: shares of {scale:.3g} {unit} ({self.reason})",
         )  # fmt: skip
@@ -73,7 +81,7 @@ def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> N
 def viscous(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Viscous friction on a joint."""
     unit = "N m s/rad" if place.rotary else "N s/m"
-    parameter = place.parameter("damping", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
+    parameter = place.parameter("damping", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3), place.speed)
     return Effect(
         f"{place.joint}.viscous", f"viscous friction {place.where}", "-damping v", (parameter,), Stage.CONSTANT,
         apply_viscous, JOINT_SHOWS, look_alikes, ("dof_damping",), place.joint, dissipative=True,
@@ -93,7 +101,8 @@ def bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Elastic force on a joint."""
     unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
-    stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3))
+    travel = place.travel or 1.0
+    stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3), travel)
     rest = Parameter(
         name="rest", unit=length, off=0.0, low=-reach, high=reach, prior=Prior("normal", 0.0, 0.1 * reach),
         size=0.1 * reach, tolerance=reach, source="assumption: anywhere a joint gets to, mostly midway",
@@ -107,11 +116,11 @@ def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Mass or moment of inertia that a joint moves besides what the model says."""
     kind, unit = ("moment of inertia", "kg m^2") if place.rotary else ("mass", "kg")
-    carried = place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
+    carried = place.carried or place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
     parameter = Parameter(
-        name="inertia", unit=unit, off=0.0, low=-0.2 * carried, high=2.0 * carried,
-        prior=Prior("normal", 0.0, 0.05 * carried), size=0.05 * carried, tolerance=0.005 * carried,
-        source="assumption: shares of what the joint carries, 5 % likely",
+        name="inertia", unit=unit, off=0.0, low=-0.8 * carried, high=20.0 * carried,
+        prior=Prior("normal", 0.0, 0.2 * carried), size=0.05 * carried, tolerance=0.005 * carried,
+        source="assumption: shares of what the joint carries, 20 % likely",
     )  # fmt: skip
     return Effect(
         f"{place.joint}.inertia", f"a wrong {kind} {place.where}", "M + inertia", (parameter,), Stage.CONSTANT,

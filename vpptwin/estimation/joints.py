@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
@@ -15,6 +16,16 @@ from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
+MIN_SAMPLES = 50
+WILD = 12.0
+"""Third differences beyond so many times the noise are jumps."""
+WHITE = (-0.85, -0.65)
+"""Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
+SPANS, STRAYED = (0.02, 0.25), 4.0
+"""Over which times [s] positions are compared with what velocities integrate to, and the growth that tells that they
+are of different opinion."""
+BELIEVED, SMOOTHED = 0.01, 0.1
+"""Samples of white noise are averaged over so long [s]; errors of what was smoothed are alike for so long."""
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -38,7 +49,8 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
             velocities[dof], found = clean_series(velocity, f"{topic} {joint}: velocity")
             warnings += found
     command = read_efforts(spec, flight, signals.actuators)
-    spans["commands"] = (float(command.time[0]), float(command.time[-1]))
+    if signals.actuators:
+        spans["commands"] = (float(command.time[0]), float(command.time[-1]))
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     measurements = Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
     return replace(measurements, warnings=(*warnings, *tell_cut(spans), *tell_gaps(measurements)))
@@ -53,16 +65,16 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    noise = estimate_noise(stream["position"], POSITION_SHARE)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE)
     position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream["velocity"], VELOCITY_SHARE)
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, agree(stream))
     return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
 def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
-    """Control inputs of all actuators on one time axis, held between samples; unlogged actuators stay at zero."""
+    """Control inputs of all actuators, (n, nu), held between samples; unlogged ones stay at zero, nu may be 0."""
     streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
     if not streams:
         return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)
@@ -91,15 +103,33 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     return joints[name]
 
 
-def estimate_noise(value: np.ndarray, share: float) -> float:
-    """Noise of one sample of somebody's estimator output, 1 sigma in its unit.
+def agree(stream: Stream) -> bool:
+    """Whether a joint's velocity integrates to its position, but for white noise: an estimator's often does not."""
+    if "velocity" not in stream.values or len(stream) < MIN_SAMPLES:
+        return True
+    position, time = stream["position"], stream.time
+    apart = cumulative_trapezoid(stream["velocity"], time, initial=0.0) - position
+    near, far = (max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS)
+    strayed = [float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in (near, far)]
+    return strayed[1] < STRAYED * strayed[0]
 
-    Third differences remove what is smooth and leave the noise; but estimators smooth that away too, so nothing is
-    believed better than a `share` of the range in which the signal moves, 1st to 99th percentile of the samples (n,).
+
+def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, agreed: bool = True) -> float:
+    """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
+
+    Third differences remove what is smooth and leave the noise, and noise that is white shows as such in them. Then
+    it is believed, but no better than a tenth of `share` of the range in which the signal moves, 1st to 99th
+    percentile of the samples (n,). What somebody's estimator smoothed is believed no better than `share`.
     """
     low, high = np.percentile(value, [1.0, 99.0])
     floor = max(share * float(high - low), 1e-9)
-    if len(value) < 8:
+    if len(value) < MIN_SAMPLES:
         return floor
-    spread = np.median(np.abs(np.diff(value, 3))) / 0.6745 / np.sqrt(20.0)
-    return float(max(spread, floor))
+    third = np.diff(value, 3)
+    spread = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
+    third = np.clip(third, -WILD * spread, WILD * spread)
+    likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
+    if not agreed or not WHITE[0] < likeness < WHITE[1]:
+        return max(spread, floor) * np.sqrt(SMOOTHED / BELIEVED)
+    averaged = max(BELIEVED / float(np.median(np.diff(time))), 1.0)
+    return float(max(spread / np.sqrt(averaged), 0.1 * floor))

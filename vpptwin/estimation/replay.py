@@ -69,12 +69,13 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     speed = windows.rotor_speed
     if speed is None:
         speed = np.full_like(windows.command, spec.robot.rotor_speed)
-    nq, nv, nu = spec.model.nq, spec.model.nv, spec.model.nu
+    time, nq, nv, nu = time.reshape(-1), spec.model.nq, spec.model.nv, spec.model.nu
+    shape = len(time), nu  # of which nu may be 0: no number of rows could be told from no numbers
     return Prediction(
-        time=time.reshape(-1),
+        time=time,
         qpos=motion.pose[:, :-1][:, picked].reshape(-1, nq),
         qvel=motion.velocity[:, :-1][:, picked].reshape(-1, nv),
-        blade_pitch=windows.command[:, picked].reshape(-1, nu),
-        rotor_speed=speed[:, picked].reshape(-1, nu),
+        blade_pitch=windows.command[:, picked].reshape(shape),
+        rotor_speed=speed[:, picked].reshape(shape),
         restarts=starts,
     )

@@ -15,7 +15,7 @@ from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.effects import CATALOGUE, Effect
 from vpptwin.errors import InputError
 from vpptwin.twin.model import compile_model, missing_parts
-from vpptwin.twin.robot import Disturbance, Robot
+from vpptwin.twin.robot import Disturbance, Loads, Robot
 from vpptwin.vehicle import Vehicle
 
 CRAFT_JOINTS = ("rail_x", "rail_z", "pitch")
@@ -38,7 +38,9 @@ class PlanarDrone(Robot):
     """
 
     rotorcraft: Vehicle | None = None  # type: ignore[misc]  # every drone has one
-    window: ClassVar[float] = 0.3  # it falls over within a second
+    window: float = 0.3  # it falls over within a second
+    shortest_window: ClassVar[float] = 0.3
+    shortest_log: ClassVar[float] = 5.0
     controllers: ClassVar[tuple[str, ...]] = ("map", "adaptive")
     step: ClassVar[str] = "step_drone"
     attitude: ClassVar[int | None] = PITCH
@@ -88,6 +90,10 @@ class PlanarDrone(Robot):
         airframe = self.vehicle.airframe
         std = GUST * (airframe.mass * self.vehicle.gravity) * np.array([1.0, 1.0, airframe.half_length])
         return Disturbance(std, GUST_TIME, known=True)
+
+    def scale(self, loads: Loads) -> PlanarDrone:
+        """Its scales are known."""
+        return self
 
     @property
     def limits(self) -> dict[str, tuple[int, float]]:

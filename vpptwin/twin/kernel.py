@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -144,7 +144,8 @@ def compile_kernel(
     if key not in _KERNELS:
         check_step()
         _KERNELS[key] = _compile(source, key, pipeline, dtypes)
-    return _KERNELS[key]
+    # Another rig may share the machine code, and call parameters by other names: its table is its own.
+    return replace(_KERNELS[key], pipeline=pipeline)
 
 
 def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: int) -> str:

@@ -8,7 +8,7 @@ it), it registers that for the class (`functools.singledispatch`): nobody asks w
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -17,13 +17,15 @@ import mujoco
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from vpptwin.effects import Effect, Site, effects_for_rig
+from vpptwin.effects import Effect, Site, effects_for_rig, generic_place
 from vpptwin.errors import InputError
 from vpptwin.twin.model import compile_model, describe_joints
 from vpptwin.vehicle import Vehicle
 
-GUST = 0.001
-"""Force that nobody modelled, as a share of the force that moves a joint about: indoors, without rotors."""
+GUST = 0.002
+"""Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
+GUST_TIME = 0.2
+"""Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""
 
 
 class Signals(BaseModel):
@@ -51,11 +53,32 @@ class Disturbance:
         memory: time over which pulses stay alike [s]; 0 for pulses that have nothing in common.
         known: how flights without any effect look is known, so that the strength may be fitted to each flight and
             evidence be trusted. Elsewhere it is an assumption, and errors on held-out flights have the last word.
+        most: strength at most, in multiples of `std`.
     """
 
     std: np.ndarray
     memory: float = 0.0
     known: bool = False
+    most: float = 50.0
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What logs say of a rig's scales, each degree of freedom's (nv,) and actuator's (nu,) own; all positive.
+
+    Attributes:
+        force: that drives, accelerates or weighs on it [N, N m].
+        speed: that it reaches [m/s, rad/s].
+        travel: half the range that it moves through [m, rad].
+        carried: mass or moment of inertia that it moves [kg, kg m²].
+        control: control inputs [ctrl].
+    """
+
+    force: np.ndarray
+    speed: np.ndarray
+    travel: np.ndarray
+    carried: np.ndarray
+    control: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -66,7 +89,9 @@ class Robot:
         name: of its twin, for messages.
         model: the compiled MJCF.
         signals: topics of joints and actuators.
+        loads: what logs say of its scales; None before one was read, when weights must do.
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
+        shortest_window, shortest_log: to which it may be cut for short logs, and the shortest of those [s].
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
         adapt: what is written into the MJCF's specification before it is compiled.
@@ -79,7 +104,10 @@ class Robot:
     name: str
     model: mujoco.MjModel = field(repr=False)
     signals: Signals = NO_SIGNALS
-    window: ClassVar[float] = 1.0
+    window: float = 1.0
+    loads: Loads | None = field(default=None, repr=False)
+    shortest_window: ClassVar[float] = 0.4
+    shortest_log: ClassVar[float] = 4.0
     controllers: ClassVar[tuple[str, ...]] = ("map",)
     step: ClassVar[str] = "step_rig"
     rotorcraft: ClassVar[Vehicle | None] = None
@@ -97,6 +125,11 @@ class Robot:
         model = compile_model(path)
         check_signals(name, model, signals)
         return Robot(name, model, signals or NO_SIGNALS)
+
+    @property
+    def is_short(self) -> bool:
+        """Whether its windows were cut for short logs."""
+        return self.window < type(self).window
 
     @property
     def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:
@@ -151,10 +184,16 @@ class Robot:
     @cached_property
     def disturbance(self) -> Disturbance:
         """What pushes it besides its effects: an assumption."""
+        if self.loads is not None:
+            return Disturbance(GUST * self.loads.force, GUST_TIME, most=1.0 / GUST)
         std = np.zeros(self.model.nv)
         for name, _, typical in describe_joints(self.model):
             std[self.model.joint(name).dofadr[0]] = GUST * typical
-        return Disturbance(std)
+        return Disturbance(std, GUST_TIME, most=1.0 / GUST)
+
+    def scale(self, loads: Loads) -> Robot:
+        """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""
+        return replace(self, loads=loads)
 
     @property
     def limits(self) -> dict[str, tuple[int, float]]:
@@ -175,8 +214,20 @@ class Robot:
 
     def list_effects(self) -> tuple[Effect, ...]:
         """Every effect that it can have, off values bound to its nominal numbers."""
-        joints = [joint for joint in describe_joints(self.model) if joint[0] not in self.signals.driven]
-        return effects_for_rig(joints, filter(None, (self.model.actuator(i).name for i in range(self.model.nu))))
+        model, loads = self.model, self.loads
+        names = [model.actuator(i).name for i in range(model.nu)]
+        joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
+        if loads is None:
+            return effects_for_rig(
+                [generic_place(*joint) for joint in joints], {name: 1.0 for name in names if name}
+            )
+        places = []
+        for name, rotary, _ in joints:
+            dof = int(model.joint(name).dofadr[0])
+            known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
+            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
+        controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
+        return effects_for_rig(places, controls, 1.0)
 
     def nominal(self, key: str) -> float:
         """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""
@@ -212,7 +263,10 @@ class Robot:
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that every signal names a joint or actuator of the MJCF, and that there is no ball or free joint."""
+    """Check that signals name joints and actuators of the MJCF, and every joint, none of them a ball or free one.
+
+    A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
+    """
     if model.nq != model.njnt:
         raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
     joints = [model.joint(i).name for i in range(model.njnt)]
@@ -234,3 +288,11 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
                 listed = ", ".join(filter(None, known))
                 named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
                 raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
+    told = {**signals.joints, **signals.driven}
+    lost = [f"joint {joint!r}" if joint else "a joint without a name" for joint in joints if joint not in told]
+    if lost:
+        raise InputError(
+            f"{name}: signals leave out {' and '.join(lost)}",
+            "every joint of the MJCF under `joints` (simulated) or `driven` (follows its log)",
+            "name what was logged there, and remove the rest from the MJCF: bodies without joints are fixed",
+        )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from vpptwin.diagnosis.evidence.flights import SETTLE, list_starts, long_starts, split_flights, thin_out
+from tests.diagnosis.carts import load_cart
+from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, split_flights, thin_out
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin.spec import load_twin
 
 
 def fly(duration: float, rate: float = 100.0) -> Measurements:
@@ -80,10 +84,36 @@ def test_long_windows_overlap_by_half_at_most() -> None:
     np.testing.assert_allclose(np.diff(starts), 0.6)
 
 
-@pytest.mark.parametrize(
-    ("flight", "words"), [(fly(4.9), "4.9 s"), (fly(8.0, rate=15.0), "measured 15 times a second")]
-)
-def test_short_or_sparse_flights_are_refused(flight: Measurements, words: str) -> None:
-    """Under 5 s, or under 20 poses a second, there is nothing to diagnose."""
-    with pytest.raises(InputError, match=words):
-        split_flights([fly(8.0), flight], 0.3)
+def test_sparse_flights_are_refused() -> None:
+    """Under 20 poses a second there is nothing to diagnose."""
+    with pytest.raises(InputError, match="measured 15 times a second"):
+        split_flights([fly(8.0), fly(8.0, rate=15.0)], 0.3)
+
+
+@pytest.mark.parametrize(("duration", "window", "judges"), [(4.0, 0.4, 3), (6.0, 0.6, 3), (9.0, 0.9, 3), (9.5, 1.0, 3)])
+def test_windows_are_as_short_as_a_lone_log_asks_for(
+    tmp_path: Path, duration: float, window: float, judges: int
+) -> None:
+    """Nine windows fit into (duration - 0.2 s) / 9, in steps of 0.1 s; every third judges, and the log warns."""
+    spec, (flight,) = choose_window(load_cart(tmp_path), [fly(duration)])
+    assert spec.robot.window == window
+    assert spec.robot.is_short == (window < 1.0) == bool(flight.warnings)
+    split = split_flights([flight], window, short=spec.robot.is_short)
+    assert len(split.held_out[0]) == judges
+    if window < 1.0:
+        np.testing.assert_allclose(split.held_out[0], SETTLE + window * np.array([2, 5, 8]))
+        assert f"windows of {window:g} s" in flight.warnings[0]
+
+
+def test_several_logs_of_some_seconds_keep_the_usual_window(tmp_path: Path) -> None:
+    """Where whole logs judge, three windows each are enough: 4.5 s hold four of 1 s."""
+    spec, flights = choose_window(load_cart(tmp_path), [fly(4.5), fly(4.5)])
+    assert (spec.robot.window, [f.warnings for f in flights]) == (1.0, [(), ()])
+
+
+def test_too_short_logs_are_refused_and_the_drone_keeps_its_windows(tmp_path: Path) -> None:
+    """Below 4 s, of the drone below 5 s; its windows are 0.3 s whatever the log."""
+    for spec, duration, least in ((load_cart(tmp_path), 3.9, "4 s"), (load_twin(), 4.9, "5 s")):
+        with pytest.raises(InputError, match=f"{duration} s in which all .* at least {least}"):
+            choose_window(spec, [fly(8.0), fly(duration)])
+    assert choose_window(load_twin(), [fly(5.0)])[0].robot.window == 0.3

@@ -106,7 +106,7 @@ def test_no_two_elements_share_an_id(page: str) -> None:
     [
         CAUSES[1].summary[1:],
         "2.4 sigma, 6 % probable",
-        "4.7 sigma beyond flights without an effect",
+        "4.7 sigma beyond logs without an effect",
         "it follows rail_x position",
         "−70 to −60 %",
         "sensor noise",
@@ -138,11 +138,25 @@ def test_a_long_list_is_folded(page: str) -> None:
     assert "onbeforeprint" in page
 
 
+def test_what_could_not_be_seen_is_folded_behind_its_number(page: str) -> None:
+    """One line tells how many."""
+    folded = r"<details><summary>3 suspects that these logs could not have shown</summary>\s*<ul><li>air.ground_effect"
+    assert re.search(folded, page)
+
+
+def test_the_page_explains_its_figures(page: str) -> None:
+    """What percentages are shares of, which chi² it is, and why the last horizon stays large."""
+    assert page.index("explains 79 % of the error") < page.index("Shares are of the held-out excess chi²") < 30_000
+    assert "Held-out chi² (mean squared" in page
+    assert "predicts open loop" in page
+
+
 def test_a_twin_that_is_right_has_a_short_report(tmp_path: Path) -> None:
     """Without causes there is no column `after`, no rival, nothing to fly, and the sentence says so."""
     diagnosis = make_diagnosis()
+    right = replace(diagnosis.verdict.before, chi2=1.05)
     verdict = replace(
-        diagnosis.verdict, causes=[], gap=False, after=diagnosis.verdict.before, experiment=None, improvement={},
+        diagnosis.verdict, causes=[], gap=False, before=right, after=right, experiment=None, improvement={},
         unexplained=Unexplained(False, 0.0, None, []), cleared=[], unseen=[], warnings=[],
     )  # fmt: skip
     page = write(replace(diagnosis, verdict=verdict, values={}, leftover_plot=None), tmp_path)

@@ -20,7 +20,14 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.diagnosis.report.error_table import tabulate_errors
-from vpptwin.diagnosis.report.summary import describe_cause, describe_cleared, format_value, headline, summarise
+from vpptwin.diagnosis.report.summary import (
+    describe_cause,
+    describe_cleared,
+    describe_unexplained,
+    format_value,
+    headline,
+    summarise,
+)
 from vpptwin.effects import CATALOGUE, Effect
 
 SILENT = NoiseFloor({}, {})
@@ -115,9 +122,53 @@ def test_a_twin_that_has_some_already() -> None:
 
 
 def test_a_share_is_between_nothing_and_all() -> None:
-    """A gain beyond 1, where the fit ends below the noise floor, is all of the error."""
-    assert "100 % of the error" in describe_cause(replace(SURE, gain=1.03))
-    assert " 0 % of the error" in describe_cause(replace(SURE, gain=-0.1))
+    """Slightly more, where the fit ends below the noise floor, is all of the error; nothing is clipped silently."""
+    assert describe_cause(replace(SURE, gain=1.12), 8.9).endswith(", explains all of the error.")
+    for gain in (0.0, -0.1, 0.004):
+        cause = replace(SURE, gain=gain)
+        assert describe_cause(cause).endswith(" does not reduce the error on held-out log.")
+    below = describe_cause(replace(SURE, gain=8e6), chi2=0.9)
+    assert below.endswith("reduces the error on held-out log, in which there was little beyond the assumed noise.")
+    assert "%" not in below
+    doubtful = replace(SURE, gain=0.12, gain_interval=(-0.05, 0.3))
+    assert describe_cause(doubtful).endswith(
+        "explains 12 % of the error, perhaps by chance (90 % interval −5 to 30 %)."
+    )
+    assert "chance" not in describe_cause(replace(SURE, gain_interval=(0.5, 0.7)))
+
+
+def test_what_a_share_is_of_is_said_beside_it() -> None:
+    """Wherever a percentage of the error stands, and only there."""
+    assert "held-out excess chi²" in summarise(VERDICT, NOISE, {}).share
+    assert summarise(replace(VERDICT, causes=[]), NOISE, {}).share == ""
+
+
+@pytest.mark.parametrize("chi2", [1.65, 85.0, 9e4, float("nan")])
+def test_an_error_far_above_noise_is_never_called_explained(chi2: float) -> None:
+    """Whatever stands out or does not: above the floor the sentences say how large the error is."""
+    verdict = replace(VERDICT, causes=[], after=replace(AFTER, chi2=chi2))
+    told = headline(verdict), describe_unexplained(verdict), describe_unexplained(replace(verdict, causes=[SURE]))
+    for sentence in told:
+        assert f"held-out chi² {chi2:.3g}, noise floor 1" in sentence
+        assert "nothing is accused" not in sentence
+        assert not sentence.startswith("Nothing")
+    odd = replace(verdict, unexplained=Unexplained(True, 0.5, "x", []))
+    assert describe_unexplained(odd).endswith(
+        f"It still is {chi2**0.5:.3g} times what sensor noise makes (held-out chi² {chi2:.3g}, noise floor 1)."
+    )
+
+
+def test_words_are_true_for_every_rig() -> None:
+    """A cart is not flown and no wind blows on it."""
+    left = Unexplained(True, 0.24, "slide", ["slide position"], 5.13)
+    for causes in ([], [SURE]):
+        for unexplained in (VERDICT.unexplained, left):
+            for score in (AFTER, BEFORE):
+                verdict = replace(VERDICT, causes=causes, unexplained=unexplained, after=score)
+                summary = summarise(verdict, NOISE, {})
+                told = " ".join([summary.headline, summary.error, summary.unexplained, summary.share])
+                assert "flight" not in told
+                assert "gust" not in told
 
 
 def test_without_a_cause_the_headline_tells_two_cases_apart() -> None:
@@ -163,8 +214,8 @@ def test_what_is_left_in_words() -> None:
     left = Unexplained(True, 0.24, "force on rail_x", ["rail_x position", "rail_x velocity"], 5.13)
     assert summarise(VERDICT, NOISE, {}).unexplained.startswith("Nothing")
     assert summarise(replace(VERDICT, unexplained=left), NOISE, {}).unexplained == (
-        "24 % of the error is left unexplained, 5.1 sigma beyond flights without an effect, most of it in force on "
-        "rail_x; it follows rail_x position and rail_x velocity."
+        "24 % of the force that the twin missed is left unexplained, 5.1 sigma beyond logs without an effect, "
+        "most of it in force on rail_x; it follows rail_x position and rail_x velocity."
     )
 
 
@@ -172,7 +223,7 @@ def test_the_error_in_words() -> None:
     """Before, after, the interval of the change and the noise of the sensors, a quarter of a second ahead."""
     change = {"position_rmse_m": [(-0.1, 0.02), (-0.2, -0.1), (-0.66, -0.51), (-0.5, -0.4), (-0.3, -0.2)]}
     assert summarise(replace(VERDICT, improvement=change), NOISE, {}).error == (
-        "On flight that no fit has seen, the position error 0.25 s ahead goes from 5 to 2 mm (−66 to −51 %, 90 % "
+        "On log that no fit has seen, the position error 0.25 s ahead goes from 5 to 2 mm (−66 to −51 %, 90 % "
         "interval); sensor noise alone makes 0.566 mm."
     )
     assert "the position error 0.25 s ahead is 5 mm" in summarise(replace(VERDICT, causes=[]), SILENT, {}).error

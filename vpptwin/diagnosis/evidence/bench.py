@@ -23,6 +23,10 @@ from vpptwin.twin.twin import Twin
 
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
+ASTRAY = 1e4
+"""Noises by which a simulation that diverged is taken to miss."""
+FAR, UNSEEN = 8.0, 1e4
+"""Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 Key = tuple[str, str]
 """Effect id and parameter name."""
 
@@ -101,8 +105,12 @@ class Bench:
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured."""
-        predicted = self.predict([Variation(dict(values))], values)[0]
-        return np.where(self.valid, self.measured - predicted, 0.0)
+        return self.miss(self.predict([Variation(dict(values))], values)[0])
+
+    def miss(self, predicted: np.ndarray) -> np.ndarray:
+        """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""
+        missed = np.where(np.isfinite(predicted), self.measured - predicted, ASTRAY * self.std)
+        return np.where(self.valid, missed, 0.0)
 
     def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
         """The channels in every variation, (V, K, C B).
@@ -140,6 +148,25 @@ class Bench:
         """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
         rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
         return {(e.id, e.parameters[0].name): e.parameters[0].off for e in rubbing}
+
+    def regime(self, values: Mapping[Key, float]) -> frozenset[tuple[str, int]]:
+        """Which effects are so far from the twin's own that derivatives and responses there are others, and how far.
+
+        Effect id and the binary logarithm of how many times `FAR` typical sizes it lies away.
+        """
+        found = set()
+        for effect in self.spec.catalogue:
+            strength = effect.parameters[0]
+            away = abs(values.get((effect.id, strength.name), 0.0) - self.spec.value(effect, strength.name))
+            if (effect.id, strength.name) in values and FAR * strength.size < away < strength.size * UNSEEN:
+                found.add((effect.id, int(np.log2(away / (FAR * strength.size)))))
+        return frozenset(found)
+
+    def loosen(self, values: Mapping[Key, float]) -> dict[Key, float]:
+        """Values of a twin like the one with `values`, but without dry friction: what sticks in a twin may yield."""
+        rubbing = {e.id for e in self.spec.catalogue if e.stage in (Stage.FRICTION, Stage.SLIP)}
+        far = {effect for effect, _ in self.regime(values)} - rubbing
+        return self.without_dry_friction | {key: value for key, value in values.items() if key[0] in far}
 
     @cached_property
     def _observed(self) -> frozenset[str]:

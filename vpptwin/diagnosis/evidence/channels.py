@@ -13,6 +13,8 @@ from vpptwin.twin.sensors import Constants, age_of_pose, body_force, measure_coo
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
+MOST_BINS = 300
+"""Values in a window of a rig whose sensors are only assumed, at most."""
 LEAD = 0.05
 """Start of a window in which poses are not compared: a delayed pose would reach back before it [s]."""
 TRAIL = 0.02
@@ -57,29 +59,30 @@ class Channel:
 
 def bin_channel(
     windows: Windows, series: Series, value: np.ndarray, kind: str, axis: int, delayed: bool, lead: float, name: str,
-    floor: float = 0.0,
+    floor: float = 0.0, bin_length: float = BIN,
 ) -> Channel:  # fmt: skip
     """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start.
 
-    No rigid-body twin is believed below the roughness `floor`, which is added to the sensors' noise.
+    No rigid-body twin is believed below the roughness `floor`, which is added to the sensors' noise. Noise that is not
+    white is that of a mean over `BIN`.
     """
     length = windows.steps * windows.dt
-    bins = round(length / BIN)
-    edges = windows.start[:, None] + BIN * np.arange(bins + 1)
+    bins = int(length / bin_length + 1e-6)
+    edges = windows.start[:, None] + bin_length * np.arange(bins + 1)
     first = np.searchsorted(series.time, edges - 1e-9)
     count = np.diff(first, axis=1)
     samples = max(int(count.max()), 1)
     index = first[:, :-1, None] + np.arange(samples)
     inside = np.arange(samples) < count[..., None]
     if delayed:
-        inside &= (BIN * np.arange(bins) >= lead - 1e-9)[None, :, None]
+        inside &= (bin_length * np.arange(bins) >= lead - 1e-9)[None, :, None]
         if lead > 0.0:
-            inside &= (BIN * np.arange(1, bins + 1) <= length - TRAIL + 1e-9)[None, :, None]
+            inside &= (bin_length * np.arange(1, bins + 1) <= length - TRAIL + 1e-9)[None, :, None]
     index = np.clip(index, 0, len(series.time) - 1)
     number = inside.sum(axis=2)
     weight = inside / np.maximum(number, 1)[..., None]
     mean = (value[index] * weight).sum(axis=2)
-    averaging = np.sqrt(np.maximum(number, 1)) if series.white else 1.0
+    averaging = np.sqrt(np.maximum(number, 1)) if series.white else np.sqrt(bin_length / BIN)
     noise = np.hypot(series.std / averaging, floor if series.white else 0.0)
     std = np.where(number > 0, noise, MISSING * series.std)
     offset = np.where(inside, series.time[index] - windows.start[:, None, None], 0.5 * length)
@@ -87,21 +90,31 @@ def bin_channel(
 
 
 def observe_windows(
-    windows: Windows, measurements: Measurements, lead: float = LEAD, criteria: Criteria = CRITERIA
-) -> list[Channel]:
-    """All channels of one flight's windows; motion capture is compared from `lead` [s] on."""
+    windows: Windows, measurements: Measurements, lead: float = LEAD, criteria: Criteria = CRITERIA,
+    bin_length: float = BIN,
+) -> list[Channel]:  # fmt: skip
+    """All channels of one flight's windows, in bins [s]; motion capture is compared from `lead` [s] on."""
     channels = []
     for dof, series in sorted(measurements.positions.items()):
         delayed = dof in measurements.delayed
-        channels.append(bin_channel(windows, series, series.value, "position", dof, delayed, lead, series.name))
+        told = "position", dof, delayed, lead, series.name, 0.0, bin_length
+        channels.append(bin_channel(windows, series, series.value, *told))
     for dof, series in sorted(measurements.velocities.items()):
-        floor = criteria.velocity_floor
-        channels.append(bin_channel(windows, series, series.value, "velocity", dof, False, 0.0, series.name, floor))
+        told = "velocity", dof, False, 0.0, series.name, criteria.velocity_floor, bin_length
+        channels.append(bin_channel(windows, series, series.value, *told))
     if (force := measurements.specific_force) is not None:
         for axis, label in ((0, "body x"), (1, "body z")):
             name, value, floor = f"{force.name}, {label}", force.value[:, axis], criteria.specific_force_floor
-            channels.append(bin_channel(windows, force, value, "specific force", axis, False, 0.0, name, floor))
+            told = "specific force", axis, False, 0.0, name, floor, bin_length
+            channels.append(bin_channel(windows, force, value, *told))
     return channels
+
+
+def choose_bin(measurements: Measurements, length: float) -> float:
+    """Length of bins [s] in windows of a length [s]: so that what is compared stays few, as its square costs."""
+    number = len(measurements.positions) + len(measurements.velocities)
+    coarser = [times for times in (1, 2, 5, 10) if number * length <= MOST_BINS * times * BIN]
+    return BIN * (coarser or [10])[0]
 
 
 def join_channels(parts: list[list[Channel]]) -> list[Channel]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.channels import LEAD, join_channels, observe_windows
+from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
@@ -25,14 +25,14 @@ SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
 """A single flight is split into blocks of at most this length [s], every third of them held out."""
-MIN_DURATION = 5.0
-"""Shortest flight that can be diagnosed [s]."""
 MIN_JUDGES = 3
 """Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
 MIN_RATE = 20.0
 """Lowest mean rate of poses [Hz]: a window needs a few of them."""
 MAX_WINDOWS = 400
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
+MAX_LONG_WINDOWS = 90
+"""The same of windows of a rig that nobody knows, which are longer."""
 
 
 @dataclass(frozen=True)
@@ -44,20 +44,54 @@ class Split:
     whole: bool
 
 
+def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple[TwinSpec, list[Measurements]]:
+    """The twin with windows short enough for these logs, and the logs, which warn if that is shorter than usual.
+
+    Raises:
+        InputError: if a log is too short for any.
+    """
+    robot = spec.robot
+    for flight in measurements:
+        if flight.duration < robot.shortest_log:
+            raise InputError(
+                f"{flight.name}: {max(flight.duration, 0.0):.1f} s in which all needed topics were recorded",
+                f"at least {robot.shortest_log:g} s",
+                "log a longer flight",
+            )
+    shorter = range(round((robot.window - robot.shortest_window) / SEGMENT) + 1)
+    lengths = [round(robot.window - SEGMENT * i, 6) for i in shorter]
+    judges = (count_judges(measurements, length, length < robot.window) for length in lengths)
+    chosen = next((length for length, n in zip(lengths, judges) if n >= MIN_JUDGES), lengths[-1])
+    if chosen == robot.window:
+        return spec, list(measurements)
+    told = (
+        f"so short that windows of {chosen:g} s take the place of {robot.window:g} s: what acts strongly all the time "
+        "shows; what is weak, slow, rare or only elsewhere does not, the gain is known roughly, and errors further "
+        "ahead than a window are not wholly on held-out log; log longer or again"
+    )
+    return spec.with_robot(window=chosen), [replace(m, warnings=(*m.warnings, told)) for m in measurements]
+
+
+def count_judges(measurements: Sequence[Measurements], window: float, short: bool) -> int:
+    """How many windows of a length [s] judge: those held out of a lone flight, else all of the poorest flight."""
+    starts = [cut_flight(flight, window) for flight in measurements]
+    return min(len(s) for s in starts) if len(starts) > 1 else int(is_held_out(starts[0], window, short).sum())
+
+
+def cut_flight(flight: Measurements, window: float) -> np.ndarray:
+    """Start times of adjacent windows of a length [s] that no gap spoils, (K,) s."""
+    found = np.arange(flight.start + SETTLE, flight.end - window, window)
+    return found[usable_starts(flight, found, window)]
+
+
 def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.ndarray]:
     """Start times of adjacent windows over every flight.
 
     Raises:
-        InputError: if a flight is too short.
+        InputError: if a flight was recorded too rarely or with too many gaps.
     """
     starts = []
     for flight in measurements:
-        if flight.duration < MIN_DURATION:
-            raise InputError(
-                f"{flight.name}: {max(flight.duration, 0.0):.1f} s in which all needed topics were recorded",
-                f"at least {MIN_DURATION:g} s",
-                "log a longer flight",
-            )
         for series in flight.positions.values():
             rate = (len(series.time) - 1) / max(float(np.ptp(series.time)), 1e-9)
             if rate < MIN_RATE:
@@ -66,8 +100,7 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
                     f"at least {MIN_RATE:g} Hz",
                     "look for what interrupts the tracker or the recorder",
                 )
-        found = np.arange(flight.start + SETTLE, flight.end - window, window)
-        kept = found[usable_starts(flight, found, window)]
+        kept = cut_flight(flight, window)
         if len(kept) < MIN_JUDGES:
             raise InputError(
                 f"{flight.name}: gaps leave {len(kept)} usable windows of {window:g} s",
@@ -78,17 +111,17 @@ def list_starts(measurements: Sequence[Measurements], window: float) -> list[np.
     return starts
 
 
-def split_flights(measurements: Sequence[Measurements], window: float, judges: Collection[int] = ()) -> Split:
-    """Hold out the flights `judges` where there are several, else every third block of the only one."""
+def split_flights(
+    measurements: Sequence[Measurements], window: float, judges: Collection[int] = (), short: bool = False
+) -> Split:
+    """Hold out the flights `judges` where there are several, else every third block, or if `short` window, of one."""
     starts = list_starts(measurements, window)
     count = len(measurements)
     if count > 1:
         empty = np.empty(0)
         fitted = [empty if i in judges else s for i, s in enumerate(starts)]
         return Split(fitted, [s if i in judges else empty for i, s in enumerate(starts)], True)
-    since = starts[0] - starts[0][0]
-    block = (since / min(BLOCK, (since[-1] + window) / 3.0) + 1e-9).astype(int)
-    judging, flight = block % 3 == 2, measurements[0]
+    judging, flight = is_held_out(starts[0], window, short), measurements[0]
     if judging.sum() < MIN_JUDGES:
         raise InputError(
             f"{flight.name}: {flight.duration:.1f} s, of which {judging.sum()} windows can be held out",
@@ -98,17 +131,29 @@ def split_flights(measurements: Sequence[Measurements], window: float, judges: C
     return Split([starts[0][~judging]], [starts[0][judging]], False)
 
 
-def thin_out(starts: list[np.ndarray], limit: int) -> list[np.ndarray]:
-    """At most `limit` start times, evenly spread over all flights."""
+def is_held_out(starts: np.ndarray, window: float, short: bool) -> np.ndarray:
+    """Which windows of a lone flight, from `starts` (K,) [s] on, judge: every third block, (K,) bool.
+
+    Of a short flight every third window: a block at its end would show little of what decays, or else only that.
+    """
+    since = starts - starts[:1]
+    length = window if short else min(BLOCK, (since[-1:].sum() + window) / 3.0)
+    return np.asarray((since / length + 1e-9).astype(int) % 3 == 2)
+
+
+def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
+    """As many start times as are looked at, evenly spread over all flights; half of them where they are `judging`."""
+    limit = (MAX_WINDOWS if spec.robot.disturbance.known else MAX_LONG_WINDOWS) // (1 + judging)
     total = sum(len(s) for s in starts)
     return [s[:: max(-(-total // limit), 1)] for s in starts] if total > limit else starts
 
 
 def build_bench(
     spec: TwinSpec, measurements: Sequence[Measurements], starts: Sequence[np.ndarray], length: float, causal: bool,
-    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA,
+    progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, fine: bool = False,
 ) -> Bench:  # fmt: skip
-    """Windows and channels of several flights on one bench."""
+    """Windows and channels of several flights on one bench, in bins of `BIN` where they are `fine` or sensors known."""
+    fine = fine or spec.robot.disturbance.known
     windows, channels = [], []
     motors = all(None not in (flight.throttle, flight.rotor_speed, flight.current) for flight in measurements)
     for i, (flight, times) in enumerate(zip(measurements, starts)):
@@ -118,10 +163,13 @@ def build_bench(
             cut = cut_windows(spec, flight, times, length, causal, i)
             windows.append(cut)
             lead = 0.0 if causal and length > spec.robot.window else LEAD
-            seen = observe_windows(cut, flight, lead, criteria)
+            seen = observe_windows(cut, flight, lead, criteria, BIN if fine else choose_bin(flight, length))
             if motors:
                 seen += observe_motor(cut, flight, spec.vehicle.motor, criteria)
             channels.append(seen)
+    if not windows:
+        found = f"{' and '.join(flight.name for flight in measurements)}: no {length:g} s in one piece to predict"
+        raise InputError(found, "such a stretch without gaps, on what is held out too", "log a longer flight")
     names = [[c.name for c in part] for part in channels]
     if any(n != names[0] for n in names):
         raise InputError(

@@ -48,6 +48,7 @@ class Preflight:
         inverted: share of time upside down; None for rigs of which that can't be said.
         ranges: quantity → least and greatest value, in SI units.
         units: joint → unit of its position.
+        window: length of the windows that it is cut into, where it is too short for the usual one [s]; else None.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Preflight:
     inverted: float | None
     ranges: dict[str, tuple[float, float]]
     units: dict[str, str]
+    window: float | None = None
 
     def as_dict(self) -> dict[str, object]:
         """All of it as numbers, strings, lists and dicts."""
@@ -71,6 +73,7 @@ class Preflight:
     def describe(self) -> str:
         """The flight in one line."""
         parts = [f"{self.duration:.1f} s, {self.usable:.0%} of it usable"]
+        parts += [f"short: in windows of {self.window:g} s"] if self.window else []
         rates = (f"{name} {check.rate:.0f} Hz{tell_missing(check)}" for name, check in self.streams.items())
         parts.append(", ".join(rates))
         parts += [f"{name} moves {share:.0%} of the time{self.tell_reach(name)}" for name, share in self.moving.items()]
@@ -123,6 +126,7 @@ def inspect_flight(spec: TwinSpec, measurements: Measurements) -> Preflight:
         inverted=None if attitude is None else float(np.mean(np.cos(measurements.positions[attitude].value) < 0.0)),
         ranges=describe_range([measurements]),
         units={series.name: series.unit for series in measurements.positions.values()},
+        window=spec.robot.window if spec.robot.is_short else None,
     )
 
 
@@ -149,7 +153,7 @@ def list_quantities(flight: Measurements) -> Iterator[tuple[str, np.ndarray]]:
         if dof not in flight.velocities:
             yield f"{series.name} rate", measure_speed(series)
     for measured in (*flight.velocities.values(), flight.specific_force, flight.command, flight.rotor_speed):
-        if measured is not None:
+        if measured is not None and measured.value.size:  # a rig without actuators has no control inputs
             yield measured.name, measured.value
     if drone:
         x, z, angle = (flight.positions[dof] for dof in range(3))
@@ -169,7 +173,7 @@ def list_series(measurements: Measurements) -> Iterator[tuple[str, Series]]:
     for series in measurements.positions.values():
         yield "poses" if measurements.delayed else series.name, series
     for other in (*measurements.velocities.values(), measurements.command, measurements.rotor_speed):
-        if other is not None:
+        if other is not None and other.value.size:
             yield other.name, other
 
 

@@ -12,19 +12,20 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
-    MAX_WINDOWS,
     build_bench,
+    choose_window,
     long_starts,
     split_flights,
     thin_out,
 )
+from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
-from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Unexplained, Verdict
+from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Misfit, Unexplained, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
@@ -38,8 +39,8 @@ from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
 CONTRADICTED = (
-    "held-out poses are predicted worse with these causes than without: one set of parameters may not fit all of "
-    "these flights; diagnose them one by one"
+    "left out {}: the logs that were fitted ask for it, held-out log is predicted worse with it; one set of parameters "
+    "may not fit all of these logs: diagnose them one by one"
 )
 
 Stage = Callable[[str], None]
@@ -93,6 +94,7 @@ def diagnose(
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
         material = prepare(spec, flights, stage, progress, criteria)
+        spec = material.search.bench.spec
         if causes is None:
             selection = select_causes(material.search, material.held_out, stage)
         else:
@@ -116,15 +118,17 @@ def prepare(
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+    spec, measurements = choose_window(spec, measurements)
+    spec = scale_twin(spec, measurements)
     window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()
     if len(flights) > 1:
         stage("choosing the flights that judge")
         judges = choose_judges(measure_information(spec, measurements, unknowns, progress, criteria), criteria)
-    split = split_flights(measurements, window, judges)
+    split = split_flights(measurements, window, judges, spec.robot.is_short)
     stage("linearising the twin about the flights")
-    fitted = thin_out(split.fitted, MAX_WINDOWS)
+    fitted = thin_out(spec, split.fitted)
     search = Search(build_bench(spec, measurements, fitted, window, False, progress, criteria), unknowns)
     return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress, criteria))
 
@@ -159,8 +163,8 @@ def open_held_out(
 ) -> HeldOut:  # fmt: skip
     """Benches of the held-out windows."""
     window = spec.robot.window
-    short = build_bench(spec, measurements, thin_out(starts, MAX_WINDOWS // 2), window, True, progress, criteria)
-    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria)
+    short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
+    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
     return HeldOut(short, long)
 
 
@@ -174,13 +178,14 @@ def conclude(
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
     least = search.criteria.sober
     sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
+    most = search.criteria.suggested if unexplained.significant else 1.0
     contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
     causes = []
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, nominal)
         own = [u for u in search.unknowns if u.effect.id == effect]
-        confidence = (least if contradicted else sober) * selection.confidence(effect)
+        confidence = min((least if contradicted else sober) * selection.confidence(effect), most)
         found = {u.parameter.name: estimate(u, fit) for u in own}
         rivals, summary = selection.rivals[effect], own[0].effect.summary
         causes.append(Cause(effect, confidence, found, gain, rivals, summary, interval))
@@ -194,19 +199,25 @@ def conclude(
         held_out_windows=len(held_out.short.windows),
         before=before,
         after=after,
-        gap=bool(causes) or unexplained.significant,
+        gap=bool(causes) or unexplained.significant or after.chi2 > search.criteria.missed,
         causes=causes,
         unexplained=unexplained,
         cleared=cleared,
         unseen=unseen,
         improvement=held_out.change(nominal, fit.values) if causes else {},
-        warnings=[CONTRADICTED] * contradicted
+        misfit=find_misfit(held_out, fit.values, after.chi2),
+        warnings=[CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
         + [
             f"{flight.path.name}: {warning}"
             for flight, measured in zip(flights, material.measurements)
             for warning in (*flight.warnings, *measured.warnings)
         ],
     )
+
+
+def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Misfit | None:
+    """How far the extended twin is off, where that is far above what the sensors make."""
+    return Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(values)) if chi2 > held_out.criteria.missed else None
 
 
 def estimate(unknown: Unknown, fit: Fit) -> Estimate:

@@ -20,7 +20,9 @@ from vpptwin.diagnosis.search.likelihood import (
     measure_response,
     whiten_with,
 )
+from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin.manifold import difference_poses
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class HeldOut:
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
         self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._near: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -83,7 +86,8 @@ class HeldOut:
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         residual, found = self.residual(fit.likeliest), []
-        for values in (self.short.without_dry_friction, fit.values) if sticks else ({},):
+        loose = self.short.loosen(fit.values)
+        for values in (loose, fit.values) if sticks else (loose,):
             likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
             square = (likelihood.whiten(residual) ** 2).sum(axis=1) / fit.frame.scale
             usual = fit.frame.criteria.usual_misfit * float(np.median(square))
@@ -117,6 +121,10 @@ class HeldOut:
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
         return any(bool(np.any((mean > np.log1p(self.criteria.worse)) & (mean > error))) for mean, error in grown)
 
+    def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether a twin with `after` predicts worse than one with `before`: nearby, or altogether."""
+        return self.worsens(before, after) or self.chi2(after) > max(self.chi2(before), 1.0)
+
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`."""
         ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
@@ -139,15 +147,28 @@ class HeldOut:
         return found
 
     @cached_property
-    def _noise(self) -> dict[str, float]:
-        """Variance of the sensors as `squares` names them."""
-        rotary = self.long.spec.robot.rotary
-        found: dict[str, float] = {}
+    def _noise(self) -> dict[str, np.ndarray]:
+        """Variance that sensors, and estimates of starting states, put into errors near every horizon, (H,) each.
+
+        Where nobody told how good sensors are, so do the estimates: by how far one that looks ahead too is from one
+        that doesn't.
+        """
+        rotary, windows, horizons = self.long.spec.robot.rotary, self.long.windows, np.array(HORIZONS_S)
+        off = np.zeros((2, len(rotary)))
+        if not self.long.spec.robot.disturbance.known and self.long.flights:
+            gravity = -float(self.long.spec.model.opt.gravity[2])
+            for i in np.unique(windows.flight):
+                rows = windows.flight == i
+                seen = estimate_states(self.long.flights[i], windows.start[rows], len(rotary), gravity, False)
+                moved = difference_poses(self.long.spec.model, seen[0], windows.pose[rows])
+                off += ((moved**2).sum(axis=0), ((seen[1] - windows.velocity[rows]) ** 2).sum(axis=0))
+            off /= len(windows)
+        found: dict[str, np.ndarray] = {}
         for channel in self.long.channels:
             if channel.kind in ("position", "velocity"):
-                unit = "rad" if rotary[channel.axis] else "m"
-                name = channel.name if channel.kind == "velocity" else unit
-                found[name] = found.get(name, 0.0) + channel.sensor_std**2
+                unit, (place, speed) = "rad" if rotary[channel.axis] else "m", off[:, channel.axis]
+                name, start = (unit, place + speed * horizons**2) if channel.kind == "position" else (channel.name, speed)
+                found[name] = found.get(name, 0.0) + channel.sensor_std**2 + start + 0.0 * horizons
         return found
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
@@ -169,7 +190,7 @@ class HeldOut:
         noise = self.short.std[:, pose]
         residual, found = self.residual(values)[:, pose], []
         # What sticks leaves a wrong starting state no way out; a real slider yields.
-        for response in (self.response(self.short.without_dry_friction), self.response(values)):
+        for response in (self.response(self.short.loosen(values)), self.response(values)):
             state = response.state[:, pose] * response.state_std
             covariance = np.einsum("kmi,kni->kmn", state, state)
             diagonal = np.arange(covariance.shape[1])
@@ -191,6 +212,22 @@ class HeldOut:
             self._squares[key] = self._measure_squares(values)
         return self._squares[key]
 
+    def locate_miss(self, values: Mapping[Key, float]) -> tuple[str, float | None, float, str]:
+        """Where a twin is off most of what its sensors make: joint, from which horizon [s] on, error at the last, unit.
+
+        An error stands out at twice the sensors' noise, or at none: then the horizon is None.
+        """
+        self.squares(values)
+        worst: tuple[float, str, float | None, float, str] = (-1.0, "", None, 0.0, "")
+        for channel in self.long.channels:
+            if channel.kind == "position":
+                error = np.array(mean_over(self._near[frozenset(values.items())][channel.name]))
+                out = np.flatnonzero(error > 2.0 * channel.sensor_std)
+                start = HORIZONS_S[int(out[0])] if len(out) else None
+                found = float(error[-1]), channel.unit
+                worst = max(worst, (found[0] / channel.sensor_std, channel.name, start, *found), key=lambda w: w[0])
+        return worst[1:]
+
     def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
         rotary = self.long.spec.robot.rotary
@@ -203,6 +240,7 @@ class HeldOut:
             measured = channel.weight.sum(axis=2) > 0
             square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
             near = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
+            self._near.setdefault(frozenset(values.items()), {})[channel.name] = near
             if channel.kind == "velocity":
                 squares[channel.name] = near
             else:

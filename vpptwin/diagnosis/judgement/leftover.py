@@ -12,7 +12,7 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut, blocks_of
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std
+from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, tune_gust
 from vpptwin.diagnosis.search.search import Search
 
 FITTED = 10**6
@@ -79,12 +79,12 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     the twin missed before.
     """
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
-    looser = search.responses.without_dry_friction(fit.frame.floor)
+    looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
     parts = [
         with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser),
         with_looser_response(
             Part(held_out.short, held_out.response(fit.values), judged),
-            held_out.response(held_out.short.without_dry_friction),
+            held_out.response(held_out.short.loosen(fit.values)),
         ),
     ]
     before = [
@@ -92,7 +92,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         Part(held_out.short, held_out.response({}), held_out.residual({})),
     ]
     if not search.bench.spec.robot.disturbance.known:
-        return judge_structure(parts[1], before[1], fit.likeliest)
+        return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     names = np.unique(flights)
     criteria = search.criteria
@@ -128,20 +128,37 @@ def with_looser_response(part: Part, response: Response) -> Part:
     return min(part, replace(part, response=response), key=lambda p: float(p.squares_of_force().sum()))
 
 
-def judge_structure(part: Part, before: Part, values: Mapping[Key, float]) -> Leftover:
-    """The same for rigs of which no flights without an effect are known: what is left must follow something.
+def share_left(held_out: HeldOut, fit: Fit) -> float:
+    """Share of the held-out excess chi² that a fit leaves."""
+    before, after = held_out.chi2({}), held_out.chi2(fit.values)
+    return float(np.clip((after - 1.0) / max(before - 1.0, 1e-9), 0.0, 1.0)) if after > 1.0 else 0.0
 
-    Whatever a rig's state or command predicts of the missing force on stretches of flight that it was not learnt from
-    is no noise, however strong noise may be.
+
+def judge_structure(part: Part, before: Part, values: Mapping[Key, float], left: float) -> Leftover:
+    """The same for rigs of which no logs without an effect are known: what is left must be large, or follow something.
+
+    How strong a random force would have to be that makes the held-out error is fitted to it: a share of what drives
+    each joint. Whatever a rig's state or command predicts of it on stretches that it was not learnt from is no noise.
+
+    Args:
+        part: held-out windows.
+        before: the same before the fit.
+        values: of the fit.
+        left: share of the excess chi² that it leaves.
     """
+    bench, criteria = part.bench, part.bench.criteria
+    loads = bench.spec.robot.loads
+    force = np.full(bench.spec.model.nv, np.inf) if loads is None else loads.force
+    shares = tune_gust(bench, part.response, part.residual) * gust_std(bench) / force
     found = find_dependence(part, before, values)
-    channels = part.squares_of_channels().mean(axis=1)
-    share = found.share * found.kept
-    sigma = float(found.share / max(1.0 - found.share, 1e-6) * np.sqrt(len(part.bench.windows)))
-    if found.share < part.bench.criteria.structure or share < part.bench.criteria.matters:
-        return Leftover(Unexplained(False, share, None, [], sigma), None)
-    channel = part.bench.channels[int(np.argmax(channels))].name
-    return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
+    structured = found.share >= criteria.structure and found.kept >= criteria.matters
+    sigma = float(found.share / max(1.0 - found.share, 1e-6) * np.sqrt(len(bench.windows)))
+    dof = int(np.argmax(shares))
+    if shares[dof] < (criteria.noticed if structured else criteria.material):
+        return Leftover(Unexplained(False, left, None, [], sigma, float(shares[dof])), None)
+    joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[dof])).name
+    depends = found.depends_on if found.share >= criteria.depends else []
+    return Leftover(Unexplained(True, max(left, found.share * found.kept), joint, depends, sigma, float(shares[dof])), found.plot)
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,9 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
         return Unseen(effect.id, describe_blindness(effect, parameter.size / max(std, 1e-12), search))
     value = float(fit.about.at[i] + solution.deviation[i])
     low, high = (float(parameter.clip(np.array(value + side * 1.645 * std))) for side in (-1.0, 1.0))
+    if not low - parameter.tolerance <= strength.nominal <= high + parameter.tolerance:
+        bounds = f"{parameter.name} lies between {low:.2g} and {high:.2g} {parameter.unit}".strip()
+        return Unseen(effect.id, f"{bounds}, which is neither needed nor excluded")
     return Cleared(effect.id, parameter.name, low, high, parameter.unit)
 
 

@@ -28,6 +28,7 @@ class Selection:
         rivals: cause → effects that explain the fitted windows nearly as well in its place.
         instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
+        left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
     """
 
     fit: Fit
@@ -35,6 +36,7 @@ class Selection:
     rivals: dict[str, list[Rival]]
     instead: dict[str, list[Fit]]
     evidence: dict[str, float]
+    left_out: frozenset[str] = frozenset()
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
@@ -47,6 +49,7 @@ class Selection:
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
     fit, barred, swaps, steps, criteria = search.start, frozenset[str](), 0, 0, search.criteria
+    left_out = frozenset[str]()
     earlier_drops: dict[str, float] = {}
     first: Step | None = None
     while True:
@@ -57,8 +60,13 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
         if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(search.reframe(best))
+            fit = search.drop_superfluous(search.refine(search.reframe(best)))
             barred |= step.before.effects - fit.effects
+            continue
+        if fit.effects and held_out.is_worse({}, fit.values):
+            lesser = drop_harmful(search, held_out, fit)
+            left_out |= fit.effects - lesser.effects
+            barred, fit = barred | left_out, lesser
             continue
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
@@ -67,16 +75,20 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             for effect, step in replaced.items()
         }
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
+        if better is None and (other := exchange_causes(search, held_out, fit, barred, stage)) is not None:
+            if steps + swaps < criteria.most_steps:
+                fit, swaps = search.drop_superfluous(search.refine(search.reframe(other))), swaps + 1
+                continue
         if better is None:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-            return Selection(fit, first, rivals, instead, beside)
+            return Selection(fit, first, rivals, instead, beside, left_out - fit.effects)
         cause, rival = better
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
         earlier_drops[rival] = earlier_drops.get(cause, 0.0)
-        fit = search.drop_superfluous(search.reframe(replaced[cause].tried[rival]))
+        fit = search.drop_superfluous(search.refine(search.reframe(replaced[cause].tried[rival])))
         swaps += 1
 
 
@@ -96,6 +108,34 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
         found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts[: search.criteria.starts]]
         fit = search.reframe(find_cheapest(found))
     return fit
+
+
+def drop_harmful(search: Search, held_out: HeldOut, fit: Fit) -> Fit:
+    """A fit without the cause that held-out windows can best do without."""
+    lesser = [search.without(fit, effect) for effect in sorted(fit.effects)]
+    best = min(lesser, key=lambda other: held_out.chi2(other.values))
+    return search.reframe(best) if best.effects else search.start
+
+
+def exchange_causes(
+    search: Search, held_out: HeldOut, fit: Fit, barred: frozenset[str], stage: Stage
+) -> Fit | None:  # fmt: skip
+    """A set of causes that differs in two and is better, on the fitted windows and not worse on the others; or None.
+
+    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other.
+    """
+    if not fit.effects:
+        return None
+    stage("exchanging causes two by two")
+    best: tuple[float, Fit | None] = (0.0, None)
+    for other in search.neighbours(fit):
+        more = max(len(other.effects) - len(fit.effects), 0)
+        won = other.evidence_against(fit) - search.criteria.better - more * search.criteria.bar
+        if won > best[0] and not other.effects & barred and len(other.effects) <= search.criteria.most_causes:
+            gain, error = compare(search, held_out, fit, other)
+            if gain > -search.criteria.sigmas_against * error and not held_out.worsens(fit.values, other.values):
+                best = won, other
+    return best[1]
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:

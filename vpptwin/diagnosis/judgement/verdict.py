@@ -48,7 +48,9 @@ class Cause:
 class Unexplained:
     """What is left: whether it exceeds no-effect flights, its share of the excess, its channel and what it follows.
 
-    `sigma` is the excess in standard deviations of what flights without an effect leave.
+    `sigma` is the excess in standard deviations of what flights without an effect leave; `force`, on rigs whose scales
+    a log told, how strong a random force would have to be that makes the held-out error, as a share of what drives
+    the joint.
     """
 
     significant: bool
@@ -56,6 +58,26 @@ class Unexplained:
     channel: str | None
     depends_on: list[str]
     sigma: float = 0.0
+    force: float | None = None
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Held-out error far above what the sensors make, explained or not.
+
+    Attributes:
+        times: of what the sensors make, root mean square.
+        joint: where most of it is.
+        horizon_s: from which on it stands out there; None if at none.
+        rmse: the error there at the last horizon, in `unit`.
+        unit: of the joint.
+    """
+
+    times: float
+    joint: str
+    horizon_s: float | None
+    rmse: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -114,6 +136,7 @@ class Verdict:
     improvement: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     """90 % interval of the change in error per horizon, as a share of the error before, from blocks of flight."""
     experiment: Experiment | None = None
+    misfit: Misfit | None = None
     warnings: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, object]:
@@ -123,7 +146,7 @@ class Verdict:
             "logs": self.logs, "twin": self.twin,
             "samples": {"windows": self.windows, "held_out_windows": self.held_out_windows},
             "horizons_s": list(HORIZONS_S), "before": self.before.as_dict(), "after": self.after.as_dict(),
-            "gap": self.gap, "causes": causes, "unexplained": asdict(self.unexplained),
+            "gap": self.gap, "misfit": None if self.misfit is None else asdict(self.misfit), "causes": causes, "unexplained": asdict(self.unexplained),
             "suggested_experiment": self.experiment.manoeuvre if self.experiment is not None else None,
             "experiment": asdict(self.experiment) if self.experiment is not None else None,
             "cleared": [asdict(suspect) for suspect in self.cleared],

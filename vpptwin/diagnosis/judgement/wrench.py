@@ -63,17 +63,21 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
 
 
 def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rotary: bool) -> tuple[np.ndarray, str]:
-    """What an effect's force follows, averaged over each gust segment of each window, (K segments,), and its label."""
+    """What an effect's force follows, averaged over each gust segment of each window, (K segments,), and its label.
+
+    Where there are no commands, what would follow them is shown against the position.
+    """
     windows = bench.windows
-    if effect.follows in ("velocity", "position"):
+    follows = effect.follows if windows.command.shape[2] or effect.follows == "velocity" else "position"
+    if follows in ("velocity", "position"):
         motion = bench.simulate([Variation()])
-        track = (motion.velocity if effect.follows == "velocity" else motion.pose)[0, :, 1:, dof]
+        track = (motion.velocity if follows == "velocity" else motion.pose)[0, :, 1:, dof]
         unit = "rad" if rotary else "m"
-        label = f"{joint} {effect.follows} [{unit}{'/s' if effect.follows == 'velocity' else ''}]"
+        label = f"{joint} {follows} [{unit}{'/s' if follows == 'velocity' else ''}]"
     else:
         shares, label = bench.spec.robot.weigh_commands(effect, dof)
         track = command = windows.command @ shares
-        if effect.follows == "command change":
+        if follows == "command change":
             track, label = np.gradient(command, windows.dt, axis=1), f"rate of {label.replace(']', '/s]')}"
     parts = np.array_split(track, bench.segments, axis=1)
     return np.stack([part.mean(axis=1) for part in parts], axis=1).ravel(), label

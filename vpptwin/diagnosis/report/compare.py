@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.evidence.flights import HORIZONS_S, list_starts
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_starts
 from vpptwin.diagnosis.evidence.noise import find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
@@ -35,6 +35,7 @@ def compare_logs(
         check_target(json)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+    spec, measurements = choose_window(spec, measurements)
     starts = list_starts(measurements, spec.robot.window)
     with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare") as bar:
         held_out = open_held_out(spec, measurements, starts, bar.update)
@@ -43,7 +44,9 @@ def compare_logs(
         console = Console(highlight=False)
         tables = tabulate_errors(score, None, find_noise_floor(measurements))
         print_errors(console, f"prediction error of twin {twin}", tables)
-        console.print(f"chi² {score.chi2:.3g} (1 = noise floor)")
+        console.print(
+            f"whole-log chi² {score.chi2:.3g} (1 = noise floor; that of `diagnose` is of held-out windows only)"
+        )
     if json is not None:
         content = {
             "logs": [str(log) for log in logs], "twin": twin, "samples": {"windows": len(held_out.short.windows)},

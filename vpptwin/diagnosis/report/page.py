@@ -11,7 +11,7 @@ from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.pictures import Pictures
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.diagnosis.report.ranking import Suspect
-from vpptwin.diagnosis.report.summary import Summary, format_plain, format_value
+from vpptwin.diagnosis.report.summary import HORIZON, Summary, format_plain, format_value
 
 FIRST_SUSPECTS = 10
 """Suspects of the ranking that are not folded away."""
@@ -39,6 +39,7 @@ def render_report(
     return environment.get_template("report.html.j2").render(
         verdict=verdict, summary=summary, ranking=ranking, first_suspects=FIRST_SUSPECTS, few=FEW, pictures=pictures,
         preflight=preflight, origin=origin, meanings=meanings, format_value=format_value, format_plain=format_plain,
+        horizon=HORIZON,
     )  # fmt: skip
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import floor, log10
 
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Experiment, Rival, Verdict
@@ -19,7 +19,21 @@ SHOWN_HORIZON = 2
 REACHABLE = 0.1 * UNLIMITED
 """Limits below this are some; a twin with more has none."""
 OPEN = 30.0
-"""Ratio of bounds from which the upper one says nothing: of a limit that these flights never ran into."""
+"""Ratio of bounds from which the upper one says nothing: of a limit that the logs never ran into."""
+FLOOR = 1.5
+"""Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
+NOTHING = 0.005
+"""Shares of the error up to this are written as no gain at all."""
+SHARE = (
+    "Shares are of the held-out excess chi², that part of the squared error of positions and angles which sensor noise "
+    "does not account for."
+)
+"""What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
+HORIZON = (
+    "The twin predicts open loop, without corrections: errors of the starting state and disturbances grow over the "
+    "horizon, so that the last one may stay large though nothing is wrong with the twin."
+)
+"""Why errors at long horizons stay."""
 SIZE_FITS = re.compile(
     r"^(?!.*\b(?:wrong|of|that|whose)\b.* (?:on|in|from|between|along) )(.+?)( (?:on|in|from|between) .*)$"
 )
@@ -36,6 +50,7 @@ class Summary:
         headline: the sentence to read if one reads no other.
         others: one sentence for each further cause.
         certainty: for each cause how sure it is, then what else it could be.
+        share: what shares of the error are shares of; "" where none is named.
         error: the error before and after.
         tables: errors by horizon.
         unexplained: what is left.
@@ -47,6 +62,7 @@ class Summary:
     headline: str
     others: list[str]
     certainty: list[str]
+    share: str
     error: str
     tables: list[ErrorTable]
     unexplained: str
@@ -61,9 +77,12 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
     cleared: dict[str, list[str]] = {}
     for suspect in verdict.cleared:
         cleared.setdefault(suspect.effect.split(".")[0], []).append(describe_cleared(suspect))
+    others = [describe_cause(cause, verdict.before.chi2) for cause in verdict.causes[1:]]
+    shared = any("of the error" in sentence for sentence in (headline(verdict), *others))
     return Summary(
-        headline=headline(verdict), others=[describe_cause(cause) for cause in verdict.causes[1:]],
+        headline=headline(verdict), others=others,
         certainty=[line for cause in verdict.causes for line in describe_certainty(cause, meanings)],
+        share=SHARE if shared else "",
         error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
         unseen=describe_unseen(verdict), cleared=cleared,
         experiment=describe_experiment(verdict.experiment) if verdict.experiment is not None else None,
@@ -73,14 +92,27 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
 def headline(verdict: Verdict) -> str:
     """The sentence to read if one reads no other."""
     if verdict.causes:
-        return describe_cause(verdict.causes[0])
+        return describe_cause(verdict.causes[0], verdict.before.chi2)
     if verdict.unexplained.significant:
-        return "Something that no known effect explains separates the twin from these flights."
-    return "The twin explains these flights as well as sensor noise and gusts allow; nothing is accused."
+        return "Something that no known effect explains separates the twin from these logs."
+    if not is_floor(verdict):
+        return f"The twin misses these logs by {describe_miss(verdict)}; nothing can be named for it."
+    return "The twin explains these logs as well as sensor noise and disturbances allow; nothing is accused."
 
 
-def describe_cause(cause: Cause) -> str:
-    """One sentence: what, how much, what the twin has instead, what it explains, and what might as well."""
+def is_floor(verdict: Verdict) -> bool:
+    """Whether the error that is left may be noise."""
+    return verdict.after.chi2 <= FLOOR
+
+
+def describe_miss(verdict: Verdict) -> str:
+    """How large the error that is left is."""
+    chi2 = verdict.after.chi2
+    return f"{math.sqrt(chi2):.3g} times what sensor noise makes (held-out chi² {chi2:.3g}, noise floor 1)"
+
+
+def describe_cause(cause: Cause, chi2: float = math.inf) -> str:
+    """One sentence: what, how much, what the twin has instead, what it explains of held-out `chi2`, and rivals."""
     (name, strength), *shape = cause.parameters.items()
     wrong = cause.summary.startswith("a wrong ")
     size = format_value(strength, signed=wrong and strength.nominal == 0.0)
@@ -95,11 +127,28 @@ def describe_cause(cause: Cause) -> str:
         what += f", where the twin has {format_plain(strength.nominal, strength)},"
     else:
         what += "," if wrong else ", which the twin lacks,"
-    verb = "explain" if is_plural(cause.summary) else "explains"
-    share = 100.0 * min(max(cause.gain, 0.0), 1.0)
     rivals = join_words([rival.effect for rival in cause.also_explained_by], "or")
     also = f"; so might {rivals}" if rivals else ""
-    return f"{what[0].upper()}{what[1:]} {verb} {share:.0f} % of the error{also}."
+    return f"{what[0].upper()}{what[1:]} {describe_gain(cause, chi2)}{also}."
+
+
+def describe_gain(cause: Cause, chi2: float) -> str:
+    """The verb of a cause's sentence: which share of the error goes away with it, or that none does.
+
+    Beyond 1 are gains that go below the noise floor, or that the other causes made necessary, and all gains where
+    `chi2`, before, hardly was above that floor.
+    """
+    many = is_plural(cause.summary)
+    explain, reduce = ("explain", "reduce") if many else ("explains", "reduces")
+    if not cause.gain > NOTHING:
+        return f"{'do' if many else 'does'} not reduce the error on held-out log"
+    if cause.gain > 1.0 and chi2 <= FLOOR:
+        return f"{reduce} the error on held-out log, in which there was little beyond the assumed noise"
+    share = f"{explain} {'all' if cause.gain > 1.0 else f'{100.0 * cause.gain:.0f} %'} of the error"
+    if cause.gain_interval is not None and cause.gain_interval[0] <= 0.0:
+        low, high = (100.0 * bound for bound in cause.gain_interval)
+        return f"{share}, perhaps by chance (90 % interval {low:.0f} to {high:.0f} %)".replace("-", "−")
+    return share
 
 
 def describe_certainty(cause: Cause, meanings: Mapping[str, str]) -> list[str]:
@@ -118,31 +167,35 @@ def describe_rival(rival: Rival, cause: Cause, meanings: Mapping[str, str]) -> s
 
 
 def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
-    """The error before and after at one horizon, on flight that no fit has seen."""
+    """The error before and after at one horizon, on log that no fit has seen."""
     table = tables[0]
     row = table.rows[SHOWN_HORIZON]
     ahead = f"{table.quantity} error {row.horizon} ahead"
     floor = f"; {table.noise_label} alone makes {table.noise} {table.unit}" if table.noise else ""
     if not row.after:
-        return f"On flight that no fit has seen, the {ahead} is {row.before} {table.unit}{floor}."
+        return f"On log that no fit has seen, the {ahead} is {row.before} {table.unit}{floor}."
     change = f" ({row.change}, 90 % interval)" if row.change else ""
     errors = f"{row.before} to {row.after} {table.unit}"
-    return f"On flight that no fit has seen, the {ahead} goes from {errors}{change}{floor}."
+    return f"On log that no fit has seen, the {ahead} goes from {errors}{change}{floor}."
 
 
 def describe_unexplained(verdict: Verdict) -> str:
-    """What remains unexplained."""
+    """What remains unexplained: what stands out, and how large the error still is where that is more than noise."""
     left = verdict.unexplained
+    if not left.significant and is_floor(verdict):
+        return "Nothing beyond noise and disturbances is left unexplained."
     if not left.significant:
-        return "Nothing beyond noise and gusts is left unexplained."
+        return f"The error still is {describe_miss(verdict)}; nothing that was looked at explains that."
     follows = f"; it follows {join_words(left.depends_on)}" if left.depends_on else ""
-    beyond = f", {left.sigma:.1f} sigma beyond flights without an effect" if left.sigma else ""
+    beyond = f", {left.sigma:.1f} sigma beyond logs without an effect" if left.sigma else ""
     where = f", most of it in {left.channel}" if left.channel else ""
-    return f"{100.0 * left.share:.0f} % of the error is left unexplained{beyond}{where}{follows}."
+    miss = "" if is_floor(verdict) else f" It still is {describe_miss(verdict)}."
+    what = f"{100.0 * left.share:.0f} % of the force that the twin missed" if left.share > NOTHING else "Something"
+    return f"{what} is left unexplained{beyond}{where}{follows}.{miss}"
 
 
 def describe_unseen(verdict: Verdict) -> list[str]:
-    """What these flights could not have shown, grouped by reason."""
+    """What the logs could not have shown, grouped by reason."""
     reasons: dict[str, list[str]] = {}
     for suspect in verdict.unseen:
         reasons.setdefault(suspect.reason, []).append(suspect.effect)
@@ -156,7 +209,7 @@ def describe_cleared(suspect: Cleared) -> str:
     low, high = factor * suspect.low, factor * suspect.high
     if low > 0.0 and high > OPEN * low:
         return f"{suspect.effect}: {parameter}above {low:.2g} {unit}".rstrip()
-    digits = 1 - floor(log10(high - low)) if high > low else 3
+    digits = 1 - math.floor(math.log10(high - low)) if high > low else 3
     bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
     return f"{suspect.effect}: {parameter}{bounds} {unit}".rstrip()
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.error_table import ErrorTable
-from vpptwin.diagnosis.report.summary import Summary
+from vpptwin.diagnosis.report.summary import HORIZON, Summary
 
 MOST_WARNINGS = 3
 """Warnings that fit on a screen beside the rest."""
@@ -31,7 +31,8 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
     console.print()
     title = f"error on {verdict.held_out_windows} held-out windows{', before → after' if verdict.causes else ''}"
     print_errors(console, title, summary.tables)
-    console.print(f"chi² {verdict.before.chi2:.3g} → {verdict.after.chi2:.3g} (1 = noise floor)")
+    console.print(f"held-out chi² {verdict.before.chi2:.3g} → {verdict.after.chi2:.3g} (1 = noise floor)")
+    console.print(HORIZON, style="dim", markup=False)
     console.print()
     for name in files:
         console.print(str(out / name), markup=False, soft_wrap=True)
@@ -45,11 +46,12 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
     if len(verdict.warnings) > MOST_WARNINGS:
         warnings = [*warnings, f"and {len(verdict.warnings) - MOST_WARNINGS} more in the report"]
     for heading, lines in (
+        ("share", [summary.share] if summary.share else []),
         ("how sure", summary.certainty),
         ("error", [summary.error]),
         ("left over", [summary.unexplained]),
-        ("cleared", [f"{len(cleared)} suspects that these flights would have shown"] if cleared else []),
-        ("not seen", ["; ".join(summary.unseen)] if summary.unseen else []),
+        ("cleared", [f"{len(cleared)} suspects that these logs would have shown"] if cleared else []),
+        ("not seen", [f"{len(verdict.unseen)} suspects; the report tells why"] if verdict.unseen else []),
         ("warnings", warnings),
         ("fly next", [summary.experiment] if summary.experiment else []),
     ):

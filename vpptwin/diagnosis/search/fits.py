@@ -10,7 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, tune_gust
-from vpptwin.diagnosis.search.responses import Responses
+from vpptwin.diagnosis.search.responses import Regime, Responses
 from vpptwin.diagnosis.search.shortlist import advance
 from vpptwin.diagnosis.search.solution import Solution, price_of_freedom, scatter_by_stretch, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
@@ -19,6 +19,8 @@ from vpptwin.effects import Stage
 ITERATIONS = 6
 POLISH = 2
 """Steps of Gauss-Newton once a hypothesis has its own likelihood."""
+ROUNDS, CALM = 4, 0.25
+"""Times at most that gusts and parameters are fitted in turn; change of the log of the gusts under which that ends."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
 
@@ -93,7 +95,7 @@ class Fitter:
         self.criteria = bench.criteria
         self.trials = list_trials(self.unknowns, bench)
         self.responses = Responses(bench)
-        self._derivatives: dict[frozenset[str], Derivatives] = {}
+        self._derivatives: dict[Regime, Derivatives] = {}
         floor = np.zeros(bench.valid.shape)
         self.start = self._settle(frozenset(), {}, self.dry_friction_of(frozenset()), floor)
         """The twin as it is, in a frame of its own."""
@@ -108,8 +110,9 @@ class Fitter:
         return bool(self.dry_friction_of(effects))
 
     def fit(
-        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS
-    ) -> Fit:
+        self, effects: frozenset[str], values: Mapping[Key, float], known: Linearisation, iterations: int = ITERATIONS,
+        turned: frozenset[str] | None = None,
+    ) -> Fit:  # fmt: skip
         """Gauss-Newton on the parameters of `effects`; the others stay linear within their tolerance.
 
         Args:
@@ -117,17 +120,19 @@ class Fitter:
             values: where to start.
             known: linearisation whose frame and likelihood are kept, and its derivatives by all other effects.
             iterations: at most.
+            turned: effects by which derivatives are taken anew on the way, the others' as in `known`; None for all.
         """
+        turned = effects if turned is None else turned
         point = {key: value for key, value in values.items() if key[0] in effects}
-        about = self._linearise(point, effects, known)
+        about = self._linearise(point, turned, known)
         best, stride = (about, point, self._tolerate(about, effects).cost), 1.0
         for _ in range(iterations if effects else 0):
             about, point, cost = best
             ahead = advance(about, self.unknowns, effects, solve_hypothesis(about, self.unknowns, effects), stride)
-            there = self._linearise(ahead, effects, about)
+            there = self._look(ahead, about)
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
             cost_there = self._tolerate(there, effects).cost
-            if cost_there > cost:
+            if not cost_there <= cost:
                 stride *= 0.4
                 if stride < 0.1:
                     break
@@ -135,6 +140,7 @@ class Fitter:
             best, stride = (there, ahead, cost_there), min(1.0, 2.0 * stride)
             if cost - cost_there < SETTLED:
                 break
+            best = (self._linearise(ahead, turned, there), ahead, cost_there)
         return self._sum_up(effects, *best)
 
     def judge_alone(self, fit: Fit) -> Fit:
@@ -146,7 +152,7 @@ class Fitter:
         polished; derivatives by effects that are not freed are kept.
         """
         floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
-        loose = self._polish(fit, self.responses.without_dry_friction(floor))
+        loose = self._polish(fit, self.responses.without_dry_friction(floor, fit.values))
         if not sticking:
             return loose
         tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
@@ -166,8 +172,14 @@ class Fitter:
         return self.judge_alone(replace(fit, about=self._linearise(fit.values, fit.effects, known)))
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
-        likelihood = self._tune(fit.about, fit.effects, response)
-        return self.fit(fit.effects, fit.values, fit.about.under(likelihood, fit.frame), POLISH)
+        """Gusts as the fit needs them, and the fit as those gusts let it be, until neither moves the other."""
+        for _ in range(ROUNDS):
+            before = np.log(fit.likelihood.gust)
+            likelihood = self._tune(fit.about, fit.effects, response)
+            fit = self.fit(fit.effects, fit.values, fit.about.under(likelihood, fit.frame), POLISH)
+            if np.abs(np.log(likelihood.gust) - before).max() < CALM:
+                break
+        return fit
 
     def _settle(
         self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray
@@ -224,25 +236,36 @@ class Fitter:
     ) -> Linearisation:
         """Derivatives about a twin with these effects.
 
-        Only what sticks changes the derivatives by everything else much, so that they are taken once for every set of
-        effects that make dry friction, at the parameters that are asked for first. No frame changes them.
+        Only what sticks, and what is large, changes the derivatives by everything else much, so that they are taken
+        once for every set of such effects, at the parameters that are asked for first. No frame changes them.
         """
-        sticking = self.dry_friction_of(effects)
-        if sticking not in self._derivatives:
-            self._derivatives[sticking] = self._differentiate(values, range(len(self.unknowns)), self.trials)
-        return whiten(self._derivatives[sticking], likelihood, frame)
+        regime = self.dry_friction_of(effects), self.bench.regime(values)
+        if regime not in self._derivatives:
+            self._derivatives[regime] = self._differentiate(values, range(len(self.unknowns)), self.trials)
+        return whiten(self._derivatives[regime], likelihood, frame)
 
     def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
-        """About a twin with `values`: derivatives by `effects` anew, all else as in `known`."""
+        """About a twin with `values`: derivatives by `effects` anew, unless `known` has them; all else as there."""
         wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
+        if effects == known.turned and np.array_equal(known.at, self._place(values)):
+            return known
         at, slopes, missed, _ = self._differentiate(values, wanted, ())
-        return known.move(at, wanted, slopes, missed)
+        return replace(known.move(at, wanted, slopes, missed), turned=effects)
+
+    def _look(self, values: Mapping[Key, float], known: Linearisation) -> Linearisation:
+        """About a twin with `values`, all derivatives as in `known`."""
+        missed = self.bench.residual(values)
+        return replace(known.move(self._place(values), [], known.slopes[:0], missed), turned=None)
+
+    def _place(self, values: Mapping[Key, float]) -> np.ndarray:
+        """All unknowns in a twin with `values`, (P,)."""
+        return np.array([values.get(u.key, u.nominal) for u in self.unknowns])
 
     def _differentiate(
         self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial]
     ) -> Derivatives:
         """Point, derivatives by the unknowns `wanted`, residual, and what trials change, of a twin with `values`."""
-        at = np.array([values.get(u.key, u.nominal) for u in self.unknowns])
+        at = self._place(values)
         steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
@@ -252,7 +275,6 @@ class Fitter:
         on = {key[0] for key in values}
         variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
         predicted = self.bench.predict(variations, values)
-        valid = self.bench.valid
-        missed = np.where(valid, self.bench.measured - predicted[0], 0.0)
-        changed = np.where(valid, predicted[1:] - predicted[0], 0.0)
+        missed, changed = self.bench.miss(predicted[0]), predicted[1:] - predicted[0]
+        changed = np.where(self.bench.valid & np.isfinite(changed), changed, 0.0)
         return at, changed[: len(wanted)] / steps[:, None, None], missed, changed[len(wanted) :]

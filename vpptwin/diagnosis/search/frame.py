@@ -48,6 +48,7 @@ class Linearisation:
         columns: whitened derivative, (P, K M).
         residual: whitened residual, (K M,).
         tried: whitened change of the prediction by every trial, (T, K M).
+        turned: effects by whose parameters derivatives were taken at just this point; None if at another.
     """
 
     frame: Frame
@@ -59,6 +60,7 @@ class Linearisation:
     columns: np.ndarray
     residual: np.ndarray
     tried: np.ndarray
+    turned: frozenset[str] | None = None
 
     @cached_property
     def gram(self) -> np.ndarray:
@@ -72,7 +74,8 @@ class Linearisation:
 
     def under(self, likelihood: Likelihood, frame: Frame) -> Linearisation:
         """The same derivatives whitened by another likelihood, in another frame."""
-        return whiten((self.at, self.slopes, self.missed, self.trials), likelihood, frame)
+        found = whiten((self.at, self.slopes, self.missed, self.trials), likelihood, frame)
+        return replace(found, turned=self.turned)
 
     def move(self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray) -> Linearisation:
         """About another point: derivatives by the unknowns `wanted` anew, (n, K, M); the others, and trials, stay."""

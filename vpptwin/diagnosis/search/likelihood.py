@@ -18,8 +18,8 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
-MOST_COUPLED = 48
-"""Windows in a stretch: the cost of coupling them grows with the cube, the loss at a cut is small."""
+MOST_COUPLED = 432
+"""Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -132,7 +132,8 @@ def list_stretches(bench: Bench) -> list[np.ndarray]:
     breaks = np.diff(windows.flight[order]) != 0
     breaks |= np.diff(windows.start[order]) > windows.steps * windows.dt + FORGOTTEN * memory
     whole = np.split(order, np.flatnonzero(breaks) + 1)
-    return [piece for part in whole for piece in np.array_split(part, -(-len(part) // MOST_COUPLED))]
+    most = max(MOST_COUPLED // (bench.segments * bench.spec.model.nv), 1)
+    return [piece for part in whole for piece in np.array_split(part, -(-len(part) // most))]
 
 
 def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likelihood:
@@ -154,16 +155,12 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likeliho
 def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
     """Most probable strength of the gusts as a multiple of what is assumed, (nv,), windows taken one by one.
 
-    On rigs without rotors no wind blows: a gust there would be an excuse, and stays as small as it is assumed.
-
     Args:
         bench: K windows.
         response: what starting states and pulses do in them.
         residual: (K, M).
         scale: variance of the whitened residual.
     """
-    if not bench.spec.robot.disturbance.known:
-        return np.ones(bench.spec.model.nv)
     along, criteria = response.along(residual), bench.criteria
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
     nv = bench.spec.model.nv
@@ -181,7 +178,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
         return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
 
-    low, high = np.log(criteria.least_gust), np.log(criteria.most_gust)
+    low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)
     found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
 
@@ -209,7 +206,7 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
             variations.append(Variation(values, push=(segment, dof, times * float(assumed[dof]))))
             sizes.append(times)
     predicted = bench.predict(variations, values)
-    slopes = (predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
+    slopes = np.nan_to_num(predicted[1:] - predicted[0], posinf=0.0, neginf=0.0) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
     pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
     prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])

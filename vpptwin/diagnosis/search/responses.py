@@ -10,9 +10,12 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench, Key
 from vpptwin.diagnosis.search.likelihood import Response, assemble, measure_response
 
+Regime = tuple[frozenset[str], frozenset[tuple[str, int]]]
+"""Ids of the effects of dry friction, and what `Bench.regime` says of the large ones."""
+
 
 class Responses:
-    """Responses of twins on one bench; only effects of dry friction change them much, so that those are the key.
+    """Responses of twins on one bench; effects of dry friction, and large ones, change them: those are the key.
 
     Measured once for every set of such effects, with the parameters it is first asked for, and never again. With the
     floor of a frame added they take a second of algebra and 100 MB each: those of the last floor asked for are kept.
@@ -20,8 +23,8 @@ class Responses:
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
-        self._measured: dict[frozenset[str], Response] = {}
-        self._floored: dict[frozenset[str], Response] = {}
+        self._measured: dict[Regime, Response] = {}
+        self._floored: dict[Regime, Response] = {}
         self._floor = np.empty(0)
 
     def find(
@@ -41,14 +44,15 @@ class Responses:
         """
         if floor is not self._floor:
             self._floor, self._floored = floor, {}
-        if sticking not in self._measured:
-            self._measured[sticking] = measure_response(self._bench, values, gust)
-        if sticking not in self._floored:
-            found = self._measured[sticking]
+        key = sticking, self._bench.regime(values)
+        if key not in self._measured:
+            self._measured[key] = measure_response(self._bench, values, gust)
+        if key not in self._floored:
+            found = self._measured[key]
             floored = assemble(self._bench, found.state, found.state_std, found.push, floor)
-            self._floored[sticking] = replace(floored, sticking=sticking)
-        return self._floored[sticking]
+            self._floored[key] = replace(floored, sticking=sticking)
+        return self._floored[key]
 
-    def without_dry_friction(self, floor: np.ndarray) -> Response:
-        """That of the nominal twin without dry friction."""
-        return self.find(frozenset(), floor, self._bench.without_dry_friction)
+    def without_dry_friction(self, floor: np.ndarray, values: Mapping[Key, float]) -> Response:
+        """That of a twin like the one with `values`, but without dry friction."""
+        return self.find(frozenset(), floor, self._bench.loosen(values))

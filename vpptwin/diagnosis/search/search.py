@@ -4,11 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
-from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.search.fits import Fit, Fitter, find_cheapest
-from vpptwin.diagnosis.search.shortlist import Start, rank_effects, rank_trials, start_from_look_alikes
-from vpptwin.diagnosis.search.solution import solve_hypothesis
+import numpy as np
+from scipy.stats.qmc import LatinHypercube
+
+from vpptwin.diagnosis.evidence.bench import Key, Variation
+from vpptwin.diagnosis.search.fits import ITERATIONS, Fit, Fitter, find_cheapest
+from vpptwin.diagnosis.search.shortlist import Start, advance, rank_effects, rank_trials, start_from_look_alikes
+from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
+from vpptwin.diagnosis.search.suspects import SIZES
+from vpptwin.effects import Stage
+
+SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
+"""Places that a scan simulates, the factors up and down by which shapes, and all around a fit, differ there, and how
+often a fit is refined."""
+LONG, BRIEF = 3, 2
+"""A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +73,19 @@ class Search(Fitter):
         least = self.criteria.worth_a_refit
         if against in starts:
             least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
-        names = [name for name in starts if starts[name][0].drop > least][: self.criteria.shortlist]
-        found: dict[str, Fit] = {}
+        names, found = self._choose(starts, least, fit, against), dict[str, Fit]()
+        brief = len(names) > LONG and not self.bench.spec.robot.disturbance.known
+        number, iterations = (1, BRIEF) if brief else (self.criteria.starts, ITERATIONS)
         for name in names:
-            self._refit(found, fit, starts[name][: self.criteria.starts])
+            self._refit(found, fit, starts[name][:number], iterations)
+            if places := self._scan(fit, name):  # only by its own likelihood does a law that sticks look its best
+                beside = {name: found[name]}
+                self._refit(beside, fit, places)
+                found[name] = self.judge_alone(beside[name])
+        if brief:  # those that got somewhere go on
+            worth = max(self.criteria.chance * max(each.evidence_against(fit) for each in found.values()), least)
+            hopeful = [name for name, each in found.items() if each.evidence_against(fit) >= 0.5 * worth]
+            found |= {name: self.fit(found[name].effects, found[name].values, found[name].about) for name in hopeful}
         if found:
             best = find_cheapest(list(found.values()))
             (leader,) = best.effects - fit.effects
@@ -81,10 +102,111 @@ class Search(Fitter):
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         return Step(fit, {name: self.judge_alone(found[name]) for name, drop in drops.items() if drop >= least})
 
-    def _refit(self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start]) -> None:
+    def _choose(self, starts: Mapping[str, Sequence[Start]], least: float, fit: Fit, against: str) -> list[str]:
+        """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
+
+        Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it, nor is any
+        law of dry friction of a joint that has one. Those that stand instead of a cause must promise something.
+        """
+        criteria = self.criteria
+        promising = [name for name in starts if starts[name][0].drop > least]
+        if self.bench.spec.robot.disturbance.known:
+            return promising[: criteria.shortlist]
+        if not against and len(starts) <= criteria.few:
+            return list(starts)
+        chosen = promising[: criteria.shortlist if against else criteria.generous]
+        effects = {u.effect.id: u.effect for u in self.unknowns}
+        rubbing = {effects[name].target for name in {*fit.effects, against} - {""} if effects[name].dissipative}
+        laws = [n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].target in rubbing]
+        return list(dict.fromkeys(chosen + laws))
+
+    def _scan(self, fit: Fit, effect: str) -> list[Start]:
+        """Where else to start refitting a law of dry friction beside a fit: the best of many places, all simulated.
+
+        What sticks and slips makes the cost rough: from a wrong share between two laws of a joint no slope leads to
+        the right one.
+        """
+        added = [u for u in self.unknowns if u.effect.id == effect]
+        law = added[0].effect
+        if self.bench.spec.robot.disturbance.known or law.stage is not Stage.FRICTION:
+            return []
+        laws = added + [
+            u for u in self.unknowns
+            if u.effect.id in fit.effects and u.effect.stage is law.stage and u.effect.target == law.target
+        ]  # fmt: skip
+        if len(laws) < 2:
+            return []
+        strengths = [u.key for u in laws if u.parameter is u.effect.parameters[0]]
+        most = 1.5 * sum(abs(fit.values.get(key, 0.0)) for key in strengths) or SIZES[-1] * added[0].parameter.size
+        places = LatinHypercube(len(laws), rng=np.random.default_rng(0)).random(SCANNED)
+        tried = []
+        for place in places:
+            values = dict(fit.values)
+            for unknown, share in zip(laws, place):
+                shape = unknown.nominal * SPREAD ** (2.0 * share - 1.0)
+                value = most * share**2 if unknown.key in strengths else shape
+                values[unknown.key] = float(unknown.parameter.clip(np.array(value)))
+            tried.append(values)
+        return [Start(effect, values, 0.0) for values in self._pick_places(fit, tried)]
+
+    def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
+        """The two of many places that miss least under a fit's likelihood."""
+        predicted = self.bench.predict([Variation(values) for values in tried], fit.values)
+        cost = (fit.about.frame.whiten(self.bench.miss(predicted), fit.about.likelihood) ** 2).sum(axis=1)
+        return [tried[i] for i in np.argsort(cost)[:2]]
+
+    def refine(self, fit: Fit) -> Fit:
+        """A fit with several laws of dry friction, or one with a shape, from the best of many places around it."""
+        own = [u for u in self.unknowns if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION]
+        if self.bench.spec.robot.disturbance.known or len(own) < 2:
+            return fit
+        for _ in range(REFINED):
+            places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
+            around = [
+                fit.values | {u.key: float(u.parameter.clip(np.array(fit.values[u.key] * AROUND ** (2.0 * share - 1.0))))
+                              for u, share in zip(own, place)}
+                for place in places
+            ]  # fmt: skip
+            found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
+            best = find_cheapest([self.judge_alone(each) for each in found])
+            if best.evidence_against(fit) < self.criteria.better:
+                break
+            fit = self.reframe(best)
+        return fit
+
+    def neighbours(self, fit: Fit) -> list[Fit]:
+        """Refits of the most promising sets that lack one or two of a fit's effects and have up to two others.
+
+        Sets that differ by one addition or one exchange are left out: `extend` tries these.
+        """
+        starts: dict[frozenset[str], Start] = {}
+        for number in (1, 2):
+            for out in combinations(sorted(fit.effects), number):
+                left = fit.effects - set(out)
+                for chosen in self._pair_up(fit, left, frozenset(out)):
+                    if len(chosen - fit.effects) + number > 2 or (number == 2 and len(chosen) < len(fit.effects)):
+                        solution = solve_hypothesis(fit.about, self.unknowns, chosen)
+                        values = advance(fit.about, self.unknowns, chosen, solution)
+                        price = price_of_freedom(solution, self.unknowns, chosen)
+                        starts[chosen] = Start(",".join(sorted(chosen)), values, -solution.cost - price)
+        best = sorted(starts, key=lambda chosen: -starts[chosen].drop)[: self.criteria.neighbours]
+        return [self.judge_alone(self.fit(chosen, starts[chosen].values, fit.about)) for chosen in best]
+
+    def _pair_up(self, fit: Fit, left: frozenset[str], out: frozenset[str]) -> list[frozenset[str]]:
+        """What is left with one or two of the suspects that linearisation likes best beside it."""
+        base = solve_hypothesis(fit.about, self.unknowns, left)
+        ranked = rank_effects(fit.about, self.unknowns, base, left, out)
+        names = [start.effect for start in sorted(ranked, key=lambda start: (-start.drop, start.effect))]
+        pairs = combinations(names[: 2 * self.criteria.neighbours], 2)
+        return [left | {name} for name in names[: self.criteria.neighbours]] + [left | set(pair) for pair in pairs]
+
+    def _refit(
+        self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start], iterations: int = ITERATIONS
+    ) -> None:  # fmt: skip
         """Add to `found` the best refit of one suspect beside the effects of a fit, unless a better one is there."""
         effect = starts[0].effect
-        refits = [self.fit(fit.effects | {effect}, start.values, fit.about) for start in starts]
+        freed, turned = fit.effects | {effect}, frozenset({effect}) if iterations == BRIEF else None
+        refits = [self.fit(freed, start.values, fit.about, iterations, turned) for start in starts]
         found[effect] = find_cheapest(refits + ([found[effect]] if effect in found else []))
 
     def without(self, fit: Fit, effect: str) -> Fit:

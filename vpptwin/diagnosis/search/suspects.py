@@ -12,6 +12,8 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
 
+SIZES = (1.0, 5.0, 25.0)
+"""Strengths at which an effect is tried, in typical sizes."""
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
 
@@ -73,27 +75,44 @@ class Trial:
 
 
 def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...]:
-    """Trials of every effect that has a limit, or a shape that matters more than its typical size tells."""
+    """Trials of every effect that has a limit, or a shape that matters more than its typical size tells.
+
+    On a rig whose scales a log told, an effect may be far larger than its typical size, and the twin's own may be
+    wrong altogether: every one is tried at several sizes, and without.
+    """
     effects: dict[str, list[Unknown]] = {}
     for unknown in unknowns:
         effects.setdefault(unknown.effect.id, []).append(unknown)
+    guessed = not bench.spec.robot.disturbance.known
     trials = []
     for effect, (strength, *shapes) in effects.items():
-        if strength.nominal != strength.parameter.off:
-            continue
         if strength.is_limit:
-            for value in list_limits(strength, bench):
-                trials.append(Trial(effect, {strength.key: value}, True))
+            trials += [Trial(effect, {strength.key: value}, True) for value in list_limits(strength, bench)]
+            continue
+        there = strength.nominal != strength.parameter.off
+        if there and not guessed:
             continue
         grids = [grid_of_shape(shape, len(shapes) == 1) for shape in shapes]
-        places = list(product(*grids))
-        if len(places) < 2:
+        places = [()] if there else list(product(*grids))
+        sizes = list_sizes(strength, there) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
+        if len(places) * len(sizes) < 2:
             continue
-        size = strength.nominal + strength.step_from(strength.nominal)
-        for place in places:
+        for size, place in product(sizes, places):
             values = {shape.key: float(value) for shape, value in zip(shapes, place)}
             trials.append(Trial(effect, {strength.key: size, **values}, False))
     return tuple(trials)
+
+
+def list_sizes(strength: Unknown, there: bool) -> list[float]:
+    """Strengths at which an effect is tried: from small to large, or from what the twin has down to none and up."""
+    parameter, nominal = strength.parameter, strength.nominal
+    if there:
+        away = nominal - parameter.off
+        found = [parameter.off, parameter.off + 0.5 * away, parameter.off + 2.0 * away]
+    else:
+        steps = [side * times * parameter.size for times in SIZES for side in (1.0, -1.0)]
+        found = [nominal + step for step in steps]
+    return [value for value in found if parameter.low <= value <= parameter.high]
 
 
 def grid_of_shape(shape: Unknown, alone: bool) -> np.ndarray:

@@ -1,0 +1,138 @@
+"""What moved the joints, by inverse dynamics along the logs: the scales of a rig, and a second opinion on causes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
+from vpptwin.estimation.initial import estimate_states
+from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.windows import average_held
+from vpptwin.twin.model import inertia_at_rest
+from vpptwin.twin.robot import Loads
+from vpptwin.twin.spec import TwinSpec
+
+REACH = 0.025
+"""Accelerations are differences of velocities so long before and after an instant [s]."""
+MOST = 1200
+"""Instants that are looked at, over all logs."""
+USUAL = 90.0
+"""Percentile of a load that is called typical."""
+SLIGHT = 1e-3
+"""Scales of what never moved, as a share of what would move it typically."""
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Generalised forces at n instants of the logs.
+
+    Attributes:
+        flight: index of the log, (n,).
+        time: s since its start, (n,).
+        pose: (n, nq) m, rad.
+        velocity: (n, nv) m/s, rad/s.
+        control: inputs, mean around the instant, (n, nu).
+        inertial: mass times acceleration, (n, nv) N, N m.
+        actuator: what the inputs make of it in the twin, (n, nv).
+        missing: what motion asks for beyond what the twin's model has for it, (n, nv).
+    """
+
+    flight: np.ndarray
+    time: np.ndarray
+    pose: np.ndarray
+    velocity: np.ndarray
+    control: np.ndarray
+    inertial: np.ndarray
+    actuator: np.ndarray
+    missing: np.ndarray
+
+
+def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements]) -> Forces:
+    """Inverse dynamics of the twin's MJCF, none of its effects on, along every log."""
+    parts = [measure_log(spec, log, i, MOST // len(measurements)) for i, log in enumerate(measurements)]
+    return Forces(*(np.concatenate(rows) for rows in zip(*parts)))
+
+
+def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int) -> tuple[np.ndarray, ...]:
+    """The rows of `Forces` of one log, at most so many."""
+    model, gravity = spec.model, -float(spec.model.opt.gravity[2])
+    times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
+    times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
+    around = [estimate_states(log, times + side, model.nv, gravity, False) for side in (-REACH, 0.0, REACH)]
+    for dof, series in log.driven.items():
+        track = [np.interp(times + side, series.time, series.value) for side in (-REACH, 0.0, REACH)]
+        speed = (track[2] - track[0]) / (2.0 * REACH), (track[1] - track[0]) / REACH, (track[2] - track[1]) / REACH
+        for (pose, velocity), place, rate in zip(around, track, (speed[1], speed[0], speed[2])):
+            pose[:, dof], velocity[:, dof] = place, rate
+    pose, velocity = around[1]
+    acceleration = (around[2][1] - around[0][1]) / (2.0 * REACH)
+    edges = times[:, None] + np.array([-REACH, REACH])
+    control = average_held(log.command, edges)[:, 0]
+    inertial, actuator, missing = invert(model, pose, velocity, acceleration, control)
+    return np.full(len(times), index), times, pose, velocity, control, inertial, actuator, missing
+
+
+def invert(
+    model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, control: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inertial, actuators' and missing force at n instants, (n, nv) each."""
+    data = mujoco.MjData(model)
+    inertial, actuator, missing = (np.zeros_like(velocity) for _ in range(3))
+    for i in range(len(pose)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = pose[i], velocity[i], control[i]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        actuator[i] = data.qfrc_actuator
+        data.qacc[:] = acceleration[i]
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_mulM(model, data, inertial[i], acceleration[i])
+        missing[i] = data.qfrc_inverse - actuator[i]
+    return inertial, actuator, missing
+
+
+def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec:
+    """The twin with sizes, bounds and disturbances of effects that suit what the logs show of its rig."""
+    loads = measure_loads(spec, measure_forces(spec, measurements))
+    robot = spec.robot.scale(loads)
+    if robot is spec.robot:
+        return spec
+    scaled = {effect.id: effect for effect in robot.list_effects()}
+    catalogue = []
+    for effect in spec.catalogue:
+        values, found = spec.effects.get(effect.id, {}), scaled.get(effect.id, effect)
+        parameters = tuple(  # what the twin has may lie beyond what these logs would ask for
+            replace(p, low=min(p.low, values.get(p.name, p.low)), high=max(p.high, values.get(p.name, p.high)))
+            for p in found.parameters
+        )
+        catalogue.append(replace(found, parameters=parameters))
+    return replace(spec, robot=robot, catalogue=tuple(catalogue))
+
+
+def measure_loads(spec: TwinSpec, forces: Forces) -> Loads:
+    """A rig's scales along its logs."""
+    model, rotary = spec.model, spec.robot.rotary
+    carried = np.diag(inertia_at_rest(model)).copy()
+    weight = forces.missing + forces.actuator - forces.inertial
+    loads = np.max([np.abs(part) for part in (forces.inertial, forces.actuator, weight)], axis=0)
+    low, high = np.percentile(forces.pose, [2.0, 98.0], axis=0)
+    reach = np.where(rotary, 1.0, 0.3)
+    return Loads(
+        force=np.maximum(np.percentile(loads, USUAL, axis=0), SLIGHT * 10.0 * carried),
+        speed=np.maximum(np.percentile(np.abs(forces.velocity), USUAL, axis=0), SLIGHT * reach),
+        travel=np.maximum(0.5 * (high - low), SLIGHT * reach),
+        carried=carried,
+        control=usual_input(forces.control),
+    )
+
+
+def usual_input(control: np.ndarray) -> np.ndarray:
+    """A typical input of every actuator, (nu,), of inputs (n, nu); 1 where nothing was ever asked for."""
+    if not control.size:
+        return np.ones(control.shape[1])
+    found = np.percentile(np.abs(control), USUAL, axis=0)
+    return np.asarray(np.where(found > 0.0, found, np.maximum(np.abs(control).max(axis=0), 1e-6)))
