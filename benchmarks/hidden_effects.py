@@ -78,8 +78,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
     parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
     options = parser.parse_args(argv)
-    if options.rigs == "other" and (options.nightly or options.time or options.effects or options.baselines):
-        parser.error("--rigs other knows neither --nightly nor --time, --effects nor --baselines")
+    if options.rigs == "other" and any(
+        (options.nightly, options.time, options.effects, options.baselines, options.pictures)
+    ):
+        parser.error("--rigs other knows no --nightly, --time, --effects, --baselines or --pictures")
     if options.nightly:
         options.seed, options.oracle = NIGHTLY, False
     return options

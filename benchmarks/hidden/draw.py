@@ -96,10 +96,11 @@ class Plan:
         return true_size(effect, parameter, self.hidden[effect][parameter], self.rig)
 
     @property
-    def conditions(self) -> str:
-        """What else a failure should tell."""
-        told = f"small {self.small}, " if self.small else ""
-        return f"{told}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
+    def about(self) -> str:
+        """What else there is to know about a session, in a few words."""
+        strength = f"strength {self.strength:.2g}, " if self.hidden else ""
+        small = f"small {self.small}, " if self.small else ""
+        return f"{strength}{small}gusts {self.wind.kind} {self.wind.strength:.2g} % {self.wind.time:.2g} s"
 
     @property
     def gusts(self) -> str:

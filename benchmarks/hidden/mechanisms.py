@@ -8,6 +8,8 @@ from typing import Any
 
 from tests.mechanisms import SEEN, Recorded, Session
 
+QUIET = 0.25
+"""Chi square that jitter and small effects may add where a verdict is to be silent."""
 Effects = dict[str, dict[str, float]]
 
 
@@ -30,6 +32,7 @@ class MechanismPlan:
         alike: what these logs cannot tell from what is hidden.
         detectable: whether they show all that is hidden.
         separable: whether they tell it from all look-alikes too.
+        unasked: what jitter and small effects make of free predictions, in sigma of what noise and disturbances make.
         disturbance: kind, rms as a share of typical force, time [s] of the force that nobody modelled.
         logged: what was done in each log, samples a second, which velocities.
     """
@@ -49,6 +52,7 @@ class MechanismPlan:
     alike: list[str] = field(default_factory=list)
     detectable: bool = True
     separable: bool | None = None
+    unasked: float = 0.0
     disturbance: str = ""
     logged: str = ""
 
@@ -68,15 +72,21 @@ class MechanismPlan:
         return min((seen / SEEN for seen in self.seen.values()), default=float("nan"))
 
     @property
+    def quiet(self) -> bool:
+        """Whether what nobody asks for adds so little to a chi square that nothing needs to be said of it."""
+        return self.unasked**2 < QUIET
+
+    @property
     def outside(self) -> str:
         """What the catalogue lacks, "" for nothing."""
         return next((effect.removeprefix("outside:") for effect in self.hidden if effect.startswith("outside:")), "")
 
     @property
-    def conditions(self) -> str:
-        """What else a failure should tell."""
+    def about(self) -> str:
+        """What else there is to know about a session, in a few words."""
+        strength = f"strength {self.strength:.2g}, " if self.hidden else ""
         alike = f", like {', '.join(self.alike)}" if self.alike else ""
-        return f"{self.family}: {self.logged}; disturbance {self.disturbance}{alike}"
+        return f"{strength}{self.family}: {self.logged}; disturbance {self.disturbance}{alike}"
 
     def find_truth(self, effect: str, parameter: str) -> float:
         """What the rig has of a hidden effect, its jitter included."""
@@ -99,6 +109,7 @@ class MechanismPlan:
         return cls(
             session.number, session.kind, session.family, truth.hidden, truth.small, truth.true, truth.joints,
             truth.by_sensor, seen, apart, shift, nearest, truth.alike, truth.detectable, truth.separable,
+            truth.unasked,
             f"{push.kind} {100.0 * push.strength:.2g} % {push.time:.2g} s",
             f"{done}, {session.rate} Hz, velocities {session.sensors.velocity}",
         )  # fmt: skip

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import resource
 import shutil
+import signal
 import time
 import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import count as count_up
 from itertools import islice
@@ -23,6 +25,8 @@ from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
+SECONDS, MEMORY = 1200, 10 * 2**30
+"""That no diagnosis may take more of [s], [bytes]; one that does has failed."""
 UNRECORDED = "unrecorded"
 """Kind of a session that could not be recorded."""
 
@@ -59,7 +63,8 @@ def run_session(seed: int, number: int, folder: Path) -> Case:
     watch_memory()
     began = time.perf_counter()
     try:
-        verdict = diagnose(load_twin(recorded.twin), [read_flight(log) for log in recorded.logs]).verdict
+        with limited():
+            verdict = diagnose(load_twin(recorded.twin), [read_flight(log) for log in recorded.logs]).verdict
     except Exception as error:
         return Case(plan, None, error=tell_error(error))
     found = read_verdict(verdict, time.perf_counter() - began)
@@ -70,6 +75,24 @@ def tell_error(error: Exception) -> str:
     """An exception and where it was raised."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
+
+
+@contextmanager
+def limited(seconds: int = SECONDS, memory: int = MEMORY) -> Iterator[None]:
+    """Raise a TimeoutError or MemoryError in whatever takes more than that; bytes are of address space."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"took more than {seconds} s")
+
+    before, usual = resource.getrlimit(resource.RLIMIT_AS), signal.signal(signal.SIGALRM, stop)
+    resource.setrlimit(resource.RLIMIT_AS, (memory, before[1]))
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, usual)
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def watch_memory() -> None:
@@ -118,7 +141,9 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
         count("two effects, these logs tell both: named or in groups", (c.all_suspected for c in clear_two)),
         count("two effects: both named", (c.all_named for c in two)),
         count("confidently wrong", (bool(c.wrong) for c in cases if c.plan.kind != "alien"), "<= 0.02"),
-        count("nothing hidden: silent", map(is_silent, none), ">= 0.98"),
+        count("nothing hidden, jitter does not show: silent", (is_silent(c) for c in none if c.plan.quiet), ">= 0.98"),
+        count("nothing hidden: silent", map(is_silent, none)),
+        count("nothing hidden: nothing named with confidence", (c.found is not None and not c.wrong for c in none)),
         count("outside the catalogue, like nothing in it: flagged", map(is_flagged, apart), ">= 0.85"),
         count("outside the catalogue: flagged", map(is_flagged, alien)),
         count("outside the catalogue: misnamed with confidence", (bool(c.wrong) for c in alien)),

@@ -204,7 +204,7 @@ def list_failures(cases: Sequence[Case]) -> list[str]:
             continue
         said = [f"{c.effect} {c.confidence:.2f}{f' or {list(c.rivals)}' * bool(c.rivals)}" for c in
                 (case.found.causes if case.found else [])]  # fmt: skip
-        about = f"strength {case.plan.strength:.2g}, " * bool(case.plan.hidden) + case.plan.conditions
+        about = getattr(case.plan, "about", "")
         about += {True: ", separable", False: ", not separable", None: ""}[case.separable] if case.plan.known else ""
         left = " + unexplained" if leaves_something(case) else ""
         claim = " CONFIDENTLY WRONG" if case.wrong else ""

@@ -7,6 +7,7 @@ own drives; of vpptwin only the log writer is used.
 
 from .families import FAMILIES
 from .measure import APART, SEEN, Visibility
-from .session import DECK, Recorded, Session, Truth, draw_session
+from .recording import Recorded, Truth
+from .session import DECK, Session, draw_session
 
 __all__ = ["APART", "DECK", "FAMILIES", "SEEN", "Recorded", "Session", "Truth", "Visibility", "draw_session"]

@@ -85,6 +85,7 @@ DRIVE_KINDS = {
 """Actuator effects → span: logarithm of the gain, seconds, play over the rms input, share of time at the limit."""
 OUTSIDE = ("ripple", "drag", "place_friction", "hysteresis", "memory", "periodic", "sudden", "cable")
 OUTSIDE_DRIVEN = ("load_friction", "sensor_dead_band", "drive_dead_band", "quantised_torque")
+KINDS, KINDS_OUTSIDE = (*JOINT_KINDS, *DRIVE_KINDS), (*OUTSIDE, *OUTSIDE_DRIVEN, "cross_coupling")
 EITHER = ("bias", "gain")
 FAINT, FAINTER = 0.2, (0.15, 0.6)
 """Share of effects that are drawn fainter than these spans, and how much."""
@@ -100,10 +101,11 @@ def list_kinds(rig: Rig, outside: bool) -> list[tuple[str, int]]:
     return found + [("cross_coupling", j) for j in joints if len(rig.links) > 1 and set(driven) - {j}]
 
 
-def draw_hidden(rng: np.random.Generator, rig: Rig, outside: bool = False) -> Hidden:
-    """An effect that this rig can have: kinds are equally likely, then joints."""
+def draw_hidden(rng: np.random.Generator, rig: Rig, outside: bool = False, turn: str = "") -> Hidden:
+    """An effect that this rig can have: the kind whose turn it is, or else any, all equally likely; then a joint."""
     known = list_kinds(rig, outside)
-    kind = str(rng.choice(sorted({kind for kind, _ in known})))
+    kinds = sorted({kind for kind, _ in known})
+    kind = turn if turn in kinds else str(rng.choice(kinds))
     joint = int(rng.choice([j for k, j in known if k == kind]))
     driven = bool(rig.driven[joint])
     low, high = FORCES if driven else FREE

@@ -1,8 +1,9 @@
 """Whether logs show what is hidden, and tell it from its nearest look-alike: linear, about what really happened.
 
 A hidden law is a force along the log. What it adds to free predictions of a window follows from the nominal rig,
-linearised about the motion; disturbances and the encoders' noise limit how well it is seen, and where a window
-starts is not known. A look-alike may have any size; what it leaves of the hidden law's trace tells them apart.
+linearised about the motion; disturbances, counted as Ornstein's and Uhlenbeck's whatever they are, and the encoders'
+noise limit how well it is seen, and where a window starts is not known. A look-alike may have any size; what it leaves
+of the hidden law's trace tells them apart.
 """
 
 from __future__ import annotations
@@ -71,19 +72,31 @@ class Evidence:
 
 def measure_visibility(
     rig: Rig, scale: Scale, logs: Sequence[Evidence], effects: Sequence[tuple[Hidden, Values]], sensors: Sensors,
-    disturbance: Disturbance,
-) -> list[Visibility]:  # fmt: skip
-    """How visible each hidden effect is in a session's logs."""
-    rivals = list_rivals(rig, scale)
-    columns = [[*(trace_hidden(rig, log, h, v, scale) for h, v in effects)] for log in logs]
-    free = [[trace(rig, log, kind, j, v, scale) for _, kind, j, v in rivals] for log in logs]
-    every = [[*own, *other] for own, other in zip(columns, free)]
+    disturbance: Disturbance, real: Rig, small: Sequence[tuple[Hidden, Values]],
+) -> tuple[list[Visibility], float]:  # fmt: skip
+    """How visible each hidden effect is in a session's logs, and what nobody asks for.
+
+    That is what the build's jitter and small effects make of free predictions, rms in sigma of what noise and
+    disturbances make of them: 1 doubles a chi square.
+    """
+    rivals, n = list_rivals(rig, scale), len(rig.links)
+    weights = [trace_weight(rig, log, scale) for log in logs]
+    every = [
+        [
+            trace_build(rig, real, log, small, scale),
+            *(trace_hidden(rig, log, h, v, scale) for h, v in effects),
+            *(trace(rig, log, kind, j, v, scale) for _, kind, j, v in rivals),
+            *(weight * np.eye(n)[j] for j in range(n)),
+        ]
+        for log, weight in zip(logs, weights)
+    ]
     traces, shift = whiten_windows(rig, scale, logs, every, sensors, disturbance)
-    own, other = traces[:, : len(effects)], traces[:, len(effects) :]
+    unasked, own, other, heavy = np.split(traces, np.cumsum([1, len(effects), len(rivals)]), axis=1)
+    shift = shift[1:]
     usual = [(k, scale.carried[j] if kind == "inertia" else 1.0) for k, (_, kind, j, _) in enumerate(rivals)
              if kind in ("inertia", "gain")]  # fmt: skip
-    jitter = JITTER * other[:, [k for k, _ in usual]] * [size for _, size in usual]
-    ridge = np.concatenate([jitter, np.eye(len(usual))])
+    jitter = np.concatenate([other[:, [k for k, _ in usual]] * [size for _, size in usual], heavy], axis=1)
+    ridge = np.concatenate([JITTER * jitter, np.eye(jitter.shape[1])])
     found = []
     for i in range(len(effects)):
         beside = np.delete(own, i, axis=1)
@@ -94,7 +107,7 @@ def measure_visibility(
         nearest = min(left, key=lambda name: left[name])
         alike = [name for name, sigma in left.items() if sigma < min(APART, 0.5 * seen)]
         found.append(Visibility(round(seen, 2), round(left[nearest], 2), nearest, round(float(shift[i]), 3), alike))
-    return found
+    return found, round(float(np.sqrt(np.mean(unasked**2))), 3)
 
 
 def residual(y: np.ndarray, free: np.ndarray, ridge: np.ndarray) -> float:
@@ -134,6 +147,30 @@ def list_forms(rivals: Sequence[tuple[str, str, int, Values]], name: str) -> lis
     """Columns of one look-alike: all together, of a spring each for itself."""
     some = [k for k, rival in enumerate(rivals) if rival[0] == name]
     return [[k] for k in some] if rivals[some[0]][1] == "spring" else [some]
+
+
+def trace_weight(rig: Rig, log: Evidence, scale: Scale) -> Column:
+    """Gravity's force along a log."""
+    stride, find, zero = max(round(0.02 / scale.period), 1), choose_dynamics(rig), np.zeros(len(rig.links))
+    rows = log.track.moved[::stride, 0]
+    return np.repeat([-find(q, zero)[1] for q in rows], stride, axis=0)[: len(log.inputs)]
+
+
+def trace_build(rig: Rig, real: Rig, log: Evidence, small: Sequence[tuple[Hidden, Values]], scale: Scale) -> Column:
+    """Force that the twin lacks along a log because numbers are a little off, and of small effects."""
+    stride, told, true = max(round(0.02 / scale.period), 1), choose_dynamics(rig), choose_dynamics(real)
+    moved, rows = log.track.moved, []
+    speed = np.diff(moved[:, 1], axis=0, append=moved[-1:, 1]) / scale.period
+    for k in range(0, len(moved), stride):
+        (M, h), (M_real, h_real) = (find(moved[k, 0], moved[k, 1]) for find in (told, true))
+        rows.append((M - M_real) @ speed[k : k + stride].mean(0) + h - h_real)
+    column = np.repeat(rows, stride, axis=0)[: len(moved)]
+    for i, (believed, built) in enumerate(zip(rig.drives, real.drives)):
+        column[:, built.joint] += (built.gear - believed.gear) * log.inputs[:, i]
+    for j, (believed_link, built_link) in enumerate(zip(rig.links, real.links)):
+        if believed_link.damping:  # where the MJCF has forgotten it, it is hidden
+            column[:, j] -= (built_link.damping - believed_link.damping) * moved[:, 1, j]
+    return column + sum(trace_hidden(rig, log, hidden, values, scale) for hidden, values in small)
 
 
 def trace_hidden(rig: Rig, log: Evidence, hidden: Hidden, values: Values, scale: Scale) -> Column:

@@ -165,13 +165,16 @@ def advance(
     """One step.
 
     Args:
-        M, h: mass matrix and bias forces half a step on.
-        laws, drives: of the joints, of the drives.
+        M: mass matrix half a step on.
+        h: bias forces there.
+        laws: of the joints.
+        drives: as `build_drives` makes them.
         cross: force at joint i per drive force at joint j, (n, n).
         inputs: of the drives now, (m,).
         push: disturbing force, (n,) [N, N m].
         state: position, velocity, acceleration, memory, hysteresis' deflection, friction, (6, n); written.
-        lagged, played: states of the drives, (m,); written.
+        lagged: where the drives' lags are, (m,); written.
+        played: where what they drag through play is, (m,); written.
         nominal: force that a nominal twin has from its drives, (n,).
         time: s.
         dt: s.

@@ -19,12 +19,13 @@ would topple under a slower one."""
 
 @dataclass(frozen=True)
 class Motion:
-    """What is done in a log: `tracked`, `open`, `balanced` or `released`; its reference; duration [s]; seed."""
+    """What is done in a log: `tracked`, `open`, `balanced` or `released`; reference; duration [s]; seed; how far."""
 
     style: str
     kind: str
     duration: float
     seed: int
+    reach: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,14 +80,14 @@ def plan_trial(rig: Rig, motion: Motion, period: float) -> Trial:
     reference = np.zeros((samples, 2, n))
     limit = np.array([drive.limit for drive in rig.drives])
     if motion.style == "released":
-        start[0] = np.array(rig.travel) * rng.uniform(0.6, 1.0) * rng.choice([-1.0, 1.0])
+        start[0] = motion.reach * np.array(rig.travel) * rng.uniform(0.6, 1.0) * rng.choice([-1.0, 1.0])
         start[1] = 0.2 * rig.pace * rng.uniform(-1.0, 1.0, n) * (rng.random() < 0.5)
         return Trial(period, start, feed, stiff, damp, reference, limit)
     time = np.arange(samples) * period
     wished = np.zeros((samples, n))
     for drive in rig.drives:
         j = drive.joint
-        wished[:, j] = rig.travel[j] * KINDS[motion.kind](rng, time, rig.pace * rng.uniform(0.8, 1.1))
+        wished[:, j] = motion.reach * rig.travel[j] * KINDS[motion.kind](rng, time, rig.pace * rng.uniform(0.8, 1.1))
     path = differentiate(wished, period)
     reference[:] = path[:, :2]
     if motion.style == "balanced":
