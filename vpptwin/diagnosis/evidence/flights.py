@@ -33,6 +33,8 @@ MAX_WINDOWS = 400
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
 MAX_LONG_WINDOWS = 90
 """The same of windows of a rig that nobody knows, which are longer."""
+MANY_JOINTS = 1.5
+"""Degrees of freedom from which fewer windows do: each shows more, and costs more."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,8 @@ def is_held_out(starts: np.ndarray, window: float, short: bool) -> np.ndarray:
 
 def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
     """As many start times as are looked at, evenly spread over all flights; half of them where they are `judging`."""
-    limit = (MAX_WINDOWS if spec.robot.disturbance.known else MAX_LONG_WINDOWS) // (1 + judging)
+    long = round(MAX_LONG_WINDOWS / max(spec.model.nv / MANY_JOINTS, 1.0))
+    limit = (MAX_WINDOWS if spec.robot.disturbance.known else long) // (1 + judging)
     total = sum(len(s) for s in starts)
     return [s[:: max(-(-total // limit), 1)] for s in starts] if total > limit else starts
 

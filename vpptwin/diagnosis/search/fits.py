@@ -241,7 +241,11 @@ class Fitter:
         """
         regime = self.dry_friction_of(effects), self.bench.regime(values)
         if regime not in self._derivatives:
-            self._derivatives[regime] = self._differentiate(values, range(len(self.unknowns)), self.trials)
+            every, guessed = range(len(self.unknowns)), not self.bench.spec.robot.disturbance.known
+            first = next(iter(self._derivatives.values()), None) if guessed else None
+            found = self._differentiate(values, every, self.trials if first is None else ())
+            # Where every effect is tried at several sizes, that is done once: it only finds where to start.
+            self._derivatives[regime] = found if first is None else (*found[:3], first[3])
         return whiten(self._derivatives[regime], likelihood, frame)
 
     def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:

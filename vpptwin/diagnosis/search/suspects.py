@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -14,6 +14,8 @@ from vpptwin.twin.spec import TwinSpec
 
 SIZES = (1.0, 5.0, 25.0)
 """Strengths at which an effect is tried, in typical sizes."""
+MANY = 40
+"""Suspects beyond which each is tried at one of them only."""
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
 
@@ -84,6 +86,7 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     for unknown in unknowns:
         effects.setdefault(unknown.effect.id, []).append(unknown)
     guessed = not bench.spec.robot.disturbance.known
+    sized = SIZES if len(effects) <= MANY else SIZES[1:2]
     trials = []
     for effect, (strength, *shapes) in effects.items():
         if strength.is_limit:
@@ -94,7 +97,7 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
             continue
         grids = [grid_of_shape(shape, len(shapes) == 1) for shape in shapes]
         places = [()] if there else list(product(*grids))
-        sizes = list_sizes(strength, there) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
+        sizes = list_sizes(strength, there, sized) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
         if len(places) * len(sizes) < 2:
             continue
         for size, place in product(sizes, places):
@@ -103,14 +106,14 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     return tuple(trials)
 
 
-def list_sizes(strength: Unknown, there: bool) -> list[float]:
+def list_sizes(strength: Unknown, there: bool, sizes: Sequence[float] = SIZES) -> list[float]:
     """Strengths at which an effect is tried: from small to large, or from what the twin has down to none and up."""
     parameter, nominal = strength.parameter, strength.nominal
     if there:
         away = nominal - parameter.off
         found = [parameter.off, parameter.off + 0.5 * away, parameter.off + 2.0 * away]
     else:
-        steps = [side * times * parameter.size for times in SIZES for side in (1.0, -1.0)]
+        steps = [side * times * parameter.size for times in sizes for side in (1.0, -1.0)]
         found = [nominal + step for step in steps]
     return [value for value in found if parameter.low <= value <= parameter.high]
 
