@@ -89,6 +89,8 @@ class Criteria:
     powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
         "50 at 71b4e15, 25 since e1272d1")
     bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
+    judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
+        "issue 20, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
     kinship: float = by_hand(0.05, "", "share of a cause's evidence that another of its kind must bring beside it",
         "b8eee32; taken for how inexact laws of friction are since 496fb2c")
@@ -107,6 +109,8 @@ class Criteria:
     better: float = by_hand(2.0, "cost", "by which a rival must win to take a cause's place", "e1272d1")
     most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "issue 20")
+    explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
+        "issue 20, rigs whose sensors and disturbances are assumed")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow", "e1272d1, b200008")
     inexact: float = calibrated(0.02, "", "what the law of an effect may be wrong by, as a share of its strength",
         "sessions of seed 8001 at 99e2077: nine in ten 90 % intervals held the truth")

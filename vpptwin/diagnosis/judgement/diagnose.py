@@ -22,7 +22,7 @@ from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.judgement.leftover import judge_leftover
+from vpptwin.diagnosis.judgement.leftover import judge_leftover, share_left
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Misfit, Unexplained, Verdict
@@ -178,7 +178,9 @@ def conclude(
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
     least = search.criteria.sober
     sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
-    most = search.criteria.suggested if unexplained.significant else 1.0
+    guessed = not spec.robot.disturbance.known
+    doubtful = unexplained.significant or (guessed and share_left(held_out, fit) > search.criteria.explained)
+    most = search.criteria.suggested if doubtful else 1.0
     contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
     causes = []
     for effect in sorted(fit.effects):
@@ -231,7 +233,7 @@ def estimate(unknown: Unknown, fit: Fit) -> Estimate:
     if unknown.parameter is unknown.effect.parameters[0]:
         friction = unknown.effect.stage is EffectStage.FRICTION
         share = criteria.inexact_friction if friction else criteria.inexact
-        std = np.hypot(std, share * abs(value - unknown.nominal))
+        std = np.hypot(std, share * abs(value if unknown.is_limit else value - unknown.nominal))
     return Estimate(float(value), unknown.parameter.unit, float(std), float(unknown.nominal))
 
 

@@ -165,7 +165,9 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
 
 
 def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
-    """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
+    """Whether two fits predict so much the same for held-out windows that these cannot judge, or are too few to."""
+    if len(held_out.short.windows) < after.frame.criteria.judges and not held_out.short.spec.robot.disturbance.known:
+        return True
     likelihood = held_out.likelihood({}, after.likelihood.gust)
     changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
     return bool((changed**2).sum() < after.frame.criteria.powerless)

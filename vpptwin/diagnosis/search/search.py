@@ -16,6 +16,8 @@ from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import SIZES
 from vpptwin.effects import Stage
 
+LOWER = 4.0
+"""How far below the limits that the commands suggest a scan looks."""
 SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
 """Places that a scan simulates, the factors up and down by which shapes, and all around a fit, differ there, and how
 often a fit is refined."""
@@ -121,14 +123,21 @@ class Search(Fitter):
         return list(dict.fromkeys(chosen + laws))
 
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
-        """Where else to start refitting a law of dry friction beside a fit: the best of many places, all simulated.
+        """Where else to start refitting a limit or a law of dry friction beside a fit: the best of many, all simulated.
 
-        What sticks and slips makes the cost rough: from a wrong share between two laws of a joint no slope leads to
+        What limits, or sticks and slips makes the cost rough: from a wrong share between two laws of a joint no slope leads to
         the right one.
         """
         added = [u for u in self.unknowns if u.effect.id == effect]
         law = added[0].effect
-        if self.bench.spec.robot.disturbance.known or law.stage is not Stage.FRICTION:
+        if self.bench.spec.robot.disturbance.known:
+            return []
+        if added[0].is_limit:
+            limits = [t.values[added[0].key] for t in self.trials if t.effect == effect]
+            span = np.geomspace(min(limits) / LOWER, max(limits), SCANNED) if limits else np.empty(0)
+            values = [fit.values | {added[0].key: float(added[0].parameter.clip(limit))} for limit in span]
+            return [Start(effect, each, 0.0) for each in (self._pick_places(fit, values) if values else [])]
+        if law.stage is not Stage.FRICTION:
             return []
         laws = added + [
             u for u in self.unknowns
