@@ -21,11 +21,10 @@ WILD = 12.0
 """Third differences beyond so many times the noise are jumps."""
 WHITE = (-0.85, -0.65)
 """Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
-SPANS, STRAYED = (0.02, 0.25), 4.0
-"""Over which times [s] positions are compared with what velocities integrate to, and the growth that tells that they
-are of different opinion."""
-BELIEVED, SMOOTHED = 0.01, 0.1
-"""Samples of white noise are averaged over so long [s]; errors of what was smoothed are alike for so long."""
+SPANS = (0.02, 0.25)
+"""Over which times [s] positions are compared with what velocities integrate to."""
+BELIEVED = 0.01
+"""Samples of white noise are averaged over so long [s]."""
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -65,11 +64,12 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE)
+    apart = measure_disagreement(stream)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, apart)
     position = Series(joint, length, stream.time, stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, agree(stream))
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, (apart or 0.0) / SPANS[1])
     return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
 
 
@@ -103,23 +103,34 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     return joints[name]
 
 
-def agree(stream: Stream) -> bool:
-    """Whether a joint's velocity integrates to its position, but for white noise: an estimator's often does not."""
+def measure_disagreement(stream: Stream) -> float | None:
+    """How far a joint's position strays from what its velocity integrates to within `SPANS[1]` [m, rad].
+
+    What strays as far within `SPANS[0]` is noise. An estimator's errors show so, that of its lag too; None without
+    velocities.
+    """
     if "velocity" not in stream.values or len(stream) < MIN_SAMPLES:
-        return True
-    position, time = stream["position"], stream.time
-    apart = cumulative_trapezoid(stream["velocity"], time, initial=0.0) - position
-    near, far = (max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS)
-    strayed = [float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in (near, far)]
-    return strayed[1] < STRAYED * strayed[0]
+        return None
+    time = stream.time
+    apart = cumulative_trapezoid(stream["velocity"], time, initial=0.0) - stream["position"]
+    steps = [max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS]
+    near, far = (float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in steps)
+    return float(np.sqrt(max(far**2 - near**2, 0.0))) / 0.6745 / np.sqrt(2.0)
 
 
-def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, agreed: bool = True) -> float:
+def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None) -> float:
     """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
 
-    Third differences remove what is smooth and leave the noise, and noise that is white shows as such in them. Then
-    it is believed, but no better than a tenth of `share` of the range in which the signal moves, 1st to 99th
-    percentile of the samples (n,). What somebody's estimator smoothed is believed no better than `share`.
+    Third differences remove what is smooth and leave the noise; but estimators smooth that away too. How far position
+    and velocity disagree tells what is left, but for a tenth of `share` of the range in which the signal moves, 1st to
+    99th percentile of the samples (n,). Where only one was logged, it is believed so far if its noise is white, which
+    shows in third differences, and else no better than `share`.
+
+    Args:
+        time: of the samples, (n,) s.
+        value: (n,).
+        share: of its range.
+        apart: the disagreement; None for not known.
     """
     low, high = np.percentile(value, [1.0, 99.0])
     floor = max(share * float(high - low), 1e-9)
@@ -129,7 +140,8 @@ def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, agreed: bo
     spread = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
     third = np.clip(third, -WILD * spread, WILD * spread)
     likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
-    if not agreed or not WHITE[0] < likeness < WHITE[1]:
-        return max(spread, floor) * np.sqrt(SMOOTHED / BELIEVED)
-    averaged = max(BELIEVED / float(np.median(np.diff(time))), 1.0)
-    return float(max(spread / np.sqrt(averaged), 0.1 * floor))
+    if white := WHITE[0] < likeness < WHITE[1]:
+        spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))
+    if apart is None:
+        apart = 0.0 if white else floor
+    return float(max(spread, 0.1 * floor, min(apart, floor)))

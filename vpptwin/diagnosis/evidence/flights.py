@@ -21,6 +21,8 @@ HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
 """How far ahead predictions are judged [s]."""
 SEGMENT = 0.1
 """Length of a gust pulse [s]."""
+MANY_PULSES = 3
+"""Degrees of freedom beyond which pulses are twice as long."""
 SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
@@ -180,7 +182,8 @@ def build_bench(
             "the same topics in every log",
             "diagnose logs of one kind together",
         )
-    segments = max(round(length / SEGMENT), 1)
+    pulse = SEGMENT if spec.model.nv <= MANY_PULSES else 2.0 * SEGMENT
+    segments = max(round(length / pulse), 1)
     joined = join_windows(windows), join_channels(channels)
     return Bench(spec, *joined, segments, measurements, causal, progress, criteria)
 
