@@ -49,7 +49,7 @@ def open_search(spec: TwinSpec, flight: Measurements) -> Search:
     return Search(cut(spec, flight, FITTED), list_unknowns(spec))
 
 
-def open_judges(spec: TwinSpec, flight: Measurements) -> HeldOut:
+def open_judges(spec: TwinSpec, flight: Measurements, starts: np.ndarray = JUDGING) -> HeldOut:
     """The windows that judge."""
-    bench = cut(spec, flight, JUDGING)
+    bench = cut(spec, flight, starts)
     return HeldOut(bench, bench)

@@ -81,7 +81,11 @@ def test_usable_span_is_common_to_all() -> None:
 
 
 def test_other_rigs_streams_are_sorted(cart: TwinSpec) -> None:
-    """Positions and velocities of a rig's joints go to their degrees of freedom, noise read off the samples."""
+    """Positions and velocities of a rig's joints go to their degrees of freedom, noise read off the samples.
+
+    What is smooth to the last digit somebody smoothed: it is not believed better than 0.3 % of its range, alike over
+    ten times as long as a bin.
+    """
     measured = read_measurements(cart, log_cart())
     assert sorted(measured.positions) == [0, 1]
     assert sorted(measured.velocities) == [0]
@@ -89,7 +93,8 @@ def test_other_rigs_streams_are_sorted(cart: TwinSpec) -> None:
     # Third differences of 400 samples give the noise within 4/sqrt(2 * 400/3) or so.
     assert measured.positions[0].std == pytest.approx(NOISE, rel=0.25)
     assert measured.velocities[0].std == pytest.approx(2 * NOISE, rel=0.25)
-    assert measured.positions[1].std < 0.2 * NOISE  # noise-free
+    low, high = np.percentile(measured.positions[1].value, [1.0, 99.0])
+    assert measured.positions[1].std == pytest.approx(np.sqrt(10.0) * 0.003 * (high - low), rel=0.02)  # noise-free
     assert measured.specific_force is None
     assert measured.rotor_speed is None
     assert measured.delayed == ()

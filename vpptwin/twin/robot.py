@@ -218,9 +218,7 @@ class Robot:
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
         if loads is None:
-            return effects_for_rig(
-                [generic_place(*joint) for joint in joints], {name: 1.0 for name in names if name}
-            )
+            return effects_for_rig([generic_place(*joint) for joint in joints], {name: 1.0 for name in names if name})
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])

@@ -11,7 +11,7 @@ from tests.diagnosis.carts import load_cart
 from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, split_flights, thin_out
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.spec import load_twin
+from vpptwin.twin.spec import TwinSpec, load_twin
 
 
 def fly(duration: float, rate: float = 100.0) -> Measurements:
@@ -66,16 +66,35 @@ def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
 
 
 def test_too_many_windows_are_thinned_out_evenly() -> None:
-    """Of 25 + 15 windows at most 15 stay: every third, 9 and 5."""
-    thinned = thin_out([np.arange(25.0), np.arange(15.0)], 15)
-    np.testing.assert_array_equal(thinned[0], np.arange(0.0, 25.0, 3.0))
-    np.testing.assert_array_equal(thinned[1], np.arange(0.0, 15.0, 3.0))
+    """Of 700 + 380 windows of the drone at most 400 stay: every third; of those that judge 200: every sixth."""
+    starts = [np.arange(700.0), np.arange(380.0)]
+    for judging, every in ((False, 3), (True, 6)):
+        for all_of_them, kept in zip(starts, thin_out(load_twin(), starts, judging)):
+            np.testing.assert_array_equal(kept, all_of_them[::every])
+
+
+@pytest.mark.parametrize(("joints", "every"), [(1, 2), (2, 3), (3, 4), (6, 9)])
+def test_of_somebody_elses_rig_fewer_windows_are_looked_at(tmp_path: Path, joints: int, every: int) -> None:
+    """Of 180 windows at most 90, which 1.5 joints are worth; of two 90/(2/1.5) = 68, of three 45, of six 22: every ninth."""
+    spec = lay_chain(tmp_path, joints)
+    (kept,) = thin_out(spec, [np.arange(180.0)])
+    np.testing.assert_array_equal(kept, np.arange(0.0, 180.0, every))
+
+
+def lay_chain(folder: Path, joints: int) -> TwinSpec:
+    """A twin of so many hinges in a row."""
+    body = '<body pos="0.1 0 0"><joint name="j{}" axis="0 1 0"/><geom size="0.05" mass="1"/>'
+    chain = "".join(body.format(i) for i in range(joints)) + "</body>" * joints
+    (folder / "rig.xml").write_text(f"<mujoco><worldbody>{chain}</worldbody></mujoco>")
+    signals = ", ".join(f"j{i}: /joint_states" for i in range(joints))
+    (folder / "rig.yaml").write_text(f"model: rig.xml\nsignals:\n  joints: {{{signals}}}\n")
+    return load_twin(folder / "rig.yaml")
 
 
 def test_few_windows_all_stay() -> None:
     """Nothing is left out below the limit."""
-    starts = [np.arange(7.0), np.arange(3.0)]
-    assert thin_out(starts, 10) is starts
+    starts = [np.arange(300.0), np.arange(100.0)]
+    assert thin_out(load_twin(), starts) is starts
 
 
 def test_long_windows_overlap_by_half_at_most() -> None:

@@ -22,6 +22,7 @@ from vpptwin.diagnosis.judgement.holdout import (
     sum_blocks,
 )
 from vpptwin.diagnosis.search.frame import Frame
+from vpptwin.twin.robot import GUST_TIME
 
 TRUTH = {("slide.coulomb", "force"): FRICTION}
 DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}
@@ -168,12 +169,18 @@ def test_the_truth_surprises_least(rubbing: HeldOut) -> None:
 def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
     """Without couplings rᵀ S⁻¹ r + ln det S of every window, S written from the response; the scale divides the first.
 
-    The twin without friction, whose response is the only one there is.
+    The twin without friction, whose response is the only one there is, in windows 2.2 s apart, over which pushes are
+    forgotten; those of a window, a tenth apart, are alike to e^(-0.1/0.2).
     """
+    flight = rubbing.short.flights[0]
+    rubbing = open_judges(rubbing.short.spec, flight, 11.5 + 2.2 * np.arange(5))
     response, residual = rubbing.response({}), rubbing.residual({})
     state = response.state * response.state_std
     covariance = np.stack([np.diag(std**2) for std in rubbing.short.std])
-    covariance += state @ np.swapaxes(state, 1, 2) + response.push @ np.swapaxes(response.push, 1, 2)
+    covariance += state @ np.swapaxes(state, 1, 2)
+    tenth = np.arange(response.push.shape[2])
+    alike = np.exp(-0.1 * np.abs(tenth[:, None] - tenth) / GUST_TIME)
+    covariance += response.push @ alike @ np.swapaxes(response.push, 1, 2)
     square = np.einsum("km,km->k", residual, np.linalg.solve(covariance, residual[..., None])[..., 0])
     logdet = np.linalg.slogdet(covariance)[1]
     noisy = Frame(np.ones(1), 4.0, np.zeros(1))

@@ -10,6 +10,7 @@ import pytest
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges, open_search
 from tests.diagnosis.rigs import drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.judgement.leftover import FOLDS, Leftover, judge_leftover, predicted_share
 
 COUNT = 1200
@@ -59,17 +60,23 @@ def test_what_lasts_for_a_stretch_is_not_learnt_from_itself() -> None:
 
 def judge(folder: Path, cogging: float) -> Leftover:
     """What the plain twin of a cart leaves, before any cause is named."""
-    spec, flight = load_cart(folder), measure_cart(drive_cart(0.0, 3, cogging), 7)
+    flight = measure_cart(drive_cart(0.0, 3, cogging), 7)
+    spec = scale_twin(load_cart(folder), [flight])
     search = open_search(spec, flight)
     return judge_leftover(open_judges(spec, flight), search, search.start)
 
 
 def test_a_force_that_no_effect_makes_is_found(tmp_path: Path) -> None:
-    """A motor that cogs by 1.5 N every 0.4 m: significant, along the slide, and it follows the position."""
+    """A motor that cogs by 1.5 N every 0.4 m: significant, along the slide, and it follows the position.
+
+    A sine of 1.5 N has 1.06 N rms, a fifth to a tenth of the 5 to 10 N with which the cart is driven.
+    """
     found = judge(tmp_path, 1.5)
     assert found.unexplained.significant
     assert found.unexplained.share > 0.3
-    assert found.unexplained.channel in ("slide", "slide rate")
+    assert found.unexplained.channel == "slide"
+    assert found.unexplained.force is not None
+    assert 0.05 < found.unexplained.force < 0.3
     assert found.unexplained.depends_on[0] == "slide position"
     assert found.unexplained.sigma > 0.0
     assert found.plot is not None
@@ -81,6 +88,8 @@ def test_nothing_is_found_where_the_twin_is_right(tmp_path: Path) -> None:
     """A cart without friction or cogging, as its twin has it: nothing significant, no channel, no picture."""
     found = judge(tmp_path, 0.0)
     assert not found.unexplained.significant
+    assert found.unexplained.force is not None
+    assert found.unexplained.force < CRITERIA.noticed
     assert found.unexplained.channel is None
     assert found.unexplained.depends_on == []
     assert found.plot is None

@@ -71,7 +71,7 @@ def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
             {"effect": "air.drag", "confidence": 0.04, "sigma": 0.0},
         ],
     }
-    left = {"significant": False, "share": 0.01, "channel": None, "depends_on": [], "sigma": 0.0}
+    left = {"significant": False, "share": 0.01, "channel": None, "depends_on": [], "sigma": 0.0, "force": None}
     assert content["unexplained"] == left
     assert content["suggested_experiment"] is None
     assert content["warnings"] == ["late"]

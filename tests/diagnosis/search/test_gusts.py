@@ -116,11 +116,15 @@ def test_a_stretch_ends_where_gusts_have_forgotten_each_other() -> None:
 
 
 def test_long_stretches_are_cut() -> None:
-    """2.5 times as many windows as are coupled at most: three stretches, in order, none lost, none longer."""
-    count = int(2.5 * MOST_COUPLED)
+    """2.5 times as many windows as are coupled at most: three stretches, in order, none lost, none longer.
+
+    Pulses are what costs: of 432, with three tenths and two degrees of freedom, 72 windows.
+    """
+    most = MOST_COUPLED // (SEGMENTS * NV)
+    count = int(2.5 * most)
     found = list_stretches(lay_bench(LENGTH * np.arange(count)))
     assert len(found) == 3
-    assert max(len(part) for part in found) <= MOST_COUPLED
+    assert max(len(part) for part in found) <= most
     np.testing.assert_array_equal(np.concatenate(found), np.arange(count))
 
 
@@ -208,16 +212,22 @@ def test_a_window_astray_makes_no_storm() -> None:
     np.testing.assert_allclose(tune_gust(bench, response, residual), calm, rtol=0.1)
 
 
-def test_indoors_no_wind_blows() -> None:
-    """On a rig without rotors a strong gust would be an excuse: as assumed, whatever is left."""
-    outdoors, indoors = (lay_bench(2.0 * np.arange(20.0), outdoors=outdoors) for outdoors in (True, False))
-    residual = draw_flight(outdoors, draw_response(20), np.full(2, 9.0), 1)
-    np.testing.assert_array_equal(tune_gust(indoors, draw_response(20), residual), [1.0, 1.0])
+def test_indoors_strength_is_fitted_too() -> None:
+    """Of a rig that nobody knows the strength of pushes is an assumption: it is as the log asks for, 9 times as strong.
+
+    20 windows of three pulses that have nothing in common know a standard deviation to 1/√120 = 9 %.
+    """
+    indoors = lay_bench(2.0 * np.arange(20.0), outdoors=False)
+    rng, response = np.random.default_rng(1), draw_response(20)
+    residual = rng.standard_normal((20, VALUES))
+    residual += np.einsum("kmg,kg->km", response.push, 9.0 * rng.standard_normal((20, SEGMENTS * NV)))
+    np.testing.assert_allclose(tune_gust(indoors, response, residual), 9.0, rtol=0.25)
 
 
 def test_gusts_stay_within_what_can_be() -> None:
-    """Nothing at all to be seen, or a catastrophe: the bounds."""
+    """Nothing at all to be seen, or a catastrophe: the bounds, the upper one the rig's own."""
     bench, response = lay_bench(2.0 * np.arange(20.0)), draw_response(20)
+    most = bench.spec.robot.disturbance.most
     np.testing.assert_allclose(tune_gust(bench, response, np.zeros((20, VALUES))), CRITERIA.least_gust, rtol=1e-6)
-    storm = 1e3 * draw_flight(bench, response, np.full(2, CRITERIA.most_gust), 1)
-    np.testing.assert_allclose(tune_gust(bench, response, storm), CRITERIA.most_gust, rtol=1e-6)
+    storm = 1e3 * draw_flight(bench, response, np.full(2, most), 1)
+    np.testing.assert_allclose(tune_gust(bench, response, storm), most, rtol=1e-6)

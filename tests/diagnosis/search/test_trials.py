@@ -11,6 +11,7 @@ import pytest
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.suspects import (
     LIMIT_STEP,
+    MANY,
     Unknown,
     grid_of_shape,
     list_limits,
@@ -18,7 +19,7 @@ from vpptwin.diagnosis.search.suspects import (
     list_unknowns,
 )
 from vpptwin.effects import Effect, Parameter, Prior
-from vpptwin.effects.joint import Place, bias, spring
+from vpptwin.effects.joint import Place, bias, spring, viscous
 from vpptwin.effects.servo import RATE_LIMIT
 from vpptwin.twin.spec import load_twin
 
@@ -29,12 +30,15 @@ CLIP = Unknown(replace(RATE_LIMIT, id="servo.clip", parameters=(LEVEL,), follows
 PLACE = Place("rail", "on a rail")
 
 
-def command(values: np.ndarray) -> Bench:
-    """A bench of which only the commands count, (K, steps, nu)."""
-    return SimpleNamespace(windows=SimpleNamespace(command=values))  # type: ignore[return-value]
+def command(values: np.ndarray, known: bool = True) -> Bench:
+    """A bench of which only the commands count, (K, steps, nu), and whether it is the drone's."""
+    spec = SimpleNamespace(robot=SimpleNamespace(disturbance=SimpleNamespace(known=known)))
+    return SimpleNamespace(windows=SimpleNamespace(command=values), spec=spec)  # type: ignore[return-value]
 
 
 UNIFORM = command(np.linspace(-1.0, 1.0, 100001).reshape(1, -1, 1))
+FOREIGN = command(UNIFORM.windows.command, False)
+"""The same on a rig that nobody knows."""
 
 
 def shaped(size: float, low: float = -9.0) -> tuple[Effect, tuple[Unknown, ...]]:
@@ -159,3 +163,43 @@ def test_what_the_twin_has_is_not_tried() -> None:
     assert list_trials(there, UNIFORM) == ()
     _, broad = shaped(2.0)
     assert list_trials(broad, UNIFORM) == ()
+
+
+def test_on_a_rig_that_nobody_knows_effects_are_tried_at_several_sizes() -> None:
+    """A constant force at 1, 5 and 25 typical sizes either way; what cannot be negative that way only."""
+    force = replace(bias(PLACE).parameters[0], low=-10.0, high=10.0, size=0.1)
+    damping = replace(viscous(PLACE).parameters[0], low=0.0, high=1.0, size=0.1)
+    for effect, parameter, sizes in (
+        (bias(PLACE), force, [0.1, -0.1, 0.5, -0.5, 2.5, -2.5]),
+        (viscous(PLACE), damping, [0.1, 0.5]),  # 25 sizes would be 2.5
+    ):
+        trials = list_trials((Unknown(effect, parameter, 0.0),), FOREIGN)
+        assert [list(t.values) for t in trials] == [[(effect.id, parameter.name)]] * len(sizes)
+        np.testing.assert_allclose([t.values[effect.id, parameter.name] for t in trials], sizes)
+        assert list_trials((Unknown(effect, parameter, 0.0),), UNIFORM) == ()
+
+
+def test_shapes_are_tried_at_every_size() -> None:
+    """A spring at three sizes and seven rests."""
+    effect, unknowns = shaped(0.16)
+    trials = list_trials(unknowns, FOREIGN)
+    sizes = [s for s in effect.parameters[0].size * np.array([1.0, 5.0, 25.0]) if s <= effect.parameters[0].high]
+    assert len(trials) == 7 * len(sizes)
+    assert {t.values["rail.spring", "stiffness"] for t in trials} == set(sizes)
+
+
+def test_what_the_twin_has_may_be_wrong_altogether() -> None:
+    """Damping of 0.4 that the twin of such a rig has is tried off, halved and doubled: up to its bound."""
+    damping = replace(viscous(PLACE).parameters[0], low=0.0, high=1.0, size=0.1)
+    for nominal, sizes in ((0.4, [0.0, 0.2, 0.8]), (0.6, [0.0, 0.3])):
+        trials = list_trials((Unknown(viscous(PLACE), damping, nominal),), FOREIGN)
+        np.testing.assert_allclose([t.values["rail.viscous", "damping"] for t in trials], sizes)
+
+
+def test_of_many_suspects_each_is_tried_at_one_size() -> None:
+    """Of an arm's more than 40: five typical sizes either way."""
+    force = replace(bias(PLACE).parameters[0], low=-10.0, high=10.0, size=0.1)
+    many = tuple(Unknown(replace(bias(PLACE), id=f"j{i}.bias"), force, 0.0) for i in range(MANY + 1))
+    trials = list_trials(many, FOREIGN)
+    assert len(trials) == 2 * len(many)
+    np.testing.assert_allclose([t.values["j0.bias", "force"] for t in trials if t.effect == "j0.bias"], [0.5, -0.5])

@@ -167,7 +167,9 @@ class HeldOut:
         for channel in self.long.channels:
             if channel.kind in ("position", "velocity"):
                 unit, (place, speed) = "rad" if rotary[channel.axis] else "m", off[:, channel.axis]
-                name, start = (unit, place + speed * horizons**2) if channel.kind == "position" else (channel.name, speed)
+                name, start = (
+                    (unit, place + speed * horizons**2) if channel.kind == "position" else (channel.name, speed)
+                )
                 found[name] = found.get(name, 0.0) + channel.sensor_std**2 + start + 0.0 * horizons
         return found
 

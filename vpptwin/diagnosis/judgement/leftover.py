@@ -158,7 +158,9 @@ def judge_structure(part: Part, before: Part, values: Mapping[Key, float], left:
         return Leftover(Unexplained(False, left, None, [], sigma, float(shares[dof])), None)
     joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[dof])).name
     depends = found.depends_on if found.share >= criteria.depends else []
-    return Leftover(Unexplained(True, max(left, found.share * found.kept), joint, depends, sigma, float(shares[dof])), found.plot)
+    return Leftover(
+        Unexplained(True, max(left, found.share * found.kept), joint, depends, sigma, float(shares[dof])), found.plot
+    )
 
 
 @dataclass(frozen=True)

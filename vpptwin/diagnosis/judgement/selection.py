@@ -75,10 +75,10 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             for effect, step in replaced.items()
         }
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
-        if better is None and (other := exchange_causes(search, held_out, fit, barred, stage)) is not None:
-            if steps + swaps < criteria.most_steps:
-                fit, swaps = search.drop_superfluous(search.refine(search.reframe(other))), swaps + 1
-                continue
+        other = exchange_causes(search, held_out, fit, barred, stage) if better is None else None
+        if other is not None and steps + swaps < criteria.most_steps:
+            fit, swaps = search.drop_superfluous(search.refine(search.reframe(other))), swaps + 1
+            continue
         if better is None:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}

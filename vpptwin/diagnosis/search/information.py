@@ -9,7 +9,7 @@ import numpy as np
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.evidence.bench import Variation
 from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
-from vpptwin.diagnosis.search.suspects import Unknown, list_trials
+from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec
 
@@ -33,11 +33,15 @@ def measure_information(
             moved = unknown.parameter.clip(np.array(unknown.nominal + unknown.step_from(unknown.nominal)))
             variations.append(Variation({unknown.key: float(moved)}))
             rows.append(effects.index(unknown.effect.id))
+    shares = [1.0] * len(rows)
+    strengths = {u.effect.id: u for u in reversed(unknowns)}
     for trial in list_trials(unknowns, bench):
         variations.append(Variation(trial.values))
         rows.append(effects.index(trial.effect))
+        shares.append(1.0 if trial.limit else share_of_typical(strengths[trial.effect], trial))
     predicted = bench.predict(variations)
     signal = (np.where(bench.valid, predicted[1:] - predicted[0], 0.0) / bench.std) ** 2
+    signal *= np.array(shares)[:, None, None] ** 2
     found = np.zeros((len(measurements), len(effects)))
     for flight, all_starts in enumerate(starts):
         mine = bench.windows.flight == flight
@@ -45,6 +49,12 @@ def measure_information(
         for row, values in zip(rows, signal[:, mine].sum(axis=(1, 2)) * share):
             found[flight, row] = max(found[flight, row], values)
     return found
+
+
+def share_of_typical(strength: Unknown, trial: Trial) -> float:
+    """A typical size as a share of that at which an effect is tried, 1 at most: a large one would show anywhere."""
+    away = abs(trial.values[strength.key] - strength.nominal)
+    return float(min(abs(strength.step_from(strength.nominal)) / away, 1.0)) if away > 0.0 else 0.0
 
 
 def choose_judges(information: np.ndarray, criteria: Criteria) -> set[int]:

@@ -171,11 +171,11 @@ class Search(Fitter):
             return fit
         for _ in range(REFINED):
             places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
+            now = np.array([fit.values[u.key] for u in own])
             around = [
-                fit.values | {u.key: float(u.parameter.clip(np.array(fit.values[u.key] * AROUND ** (2.0 * share - 1.0))))
-                              for u, share in zip(own, place)}
-                for place in places
-            ]  # fmt: skip
+                fit.values | {u.key: float(u.parameter.clip(value)) for u, value in zip(own, row)}
+                for row in now * AROUND ** (2.0 * places - 1.0)
+            ]
             found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
             best = find_cheapest([self.judge_alone(each) for each in found])
             if best.evidence_against(fit) < self.criteria.better:

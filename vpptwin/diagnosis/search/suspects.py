@@ -97,7 +97,9 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
             continue
         grids = [grid_of_shape(shape, len(shapes) == 1) for shape in shapes]
         places = [()] if there else list(product(*grids))
-        sizes = list_sizes(strength, there, sized) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
+        sizes = (
+            list_sizes(strength, there, sized) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
+        )
         if len(places) * len(sizes) < 2:
             continue
         for size, place in product(sizes, places):
