@@ -14,7 +14,7 @@ from tests.diagnosis.made_up import CAUSES, EXPERIMENT, FLIP, LEFT, UNSEEN, make
 from tests.viz.browser import Browser
 from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
-from vpptwin.diagnosis.judgement.verdict import Unexplained
+from vpptwin.diagnosis.judgement.verdict import Misfit, Unexplained
 from vpptwin.diagnosis.report.command import write_results
 from vpptwin.diagnosis.report.page import tie_units
 from vpptwin.diagnosis.report.provenance import trace_origin
@@ -163,6 +163,17 @@ def test_a_twin_that_is_right_has_a_short_report(tmp_path: Path) -> None:
     assert "nothing is accused" in page
     for absent in ("after</th>", "How sure", "fly next", "Left unexplained", "Cleared", "The logs", "twin after"):
         assert absent not in page
+
+
+def test_a_misfit_comes_first_with_what_would_help(tmp_path: Path) -> None:
+    """The heading says how far off the twin is, the line below it what would help, the causes follow."""
+    diagnosis = make_diagnosis()
+    verdict = replace(diagnosis.verdict, misfit=Misfit(9.2, "pitch", 0.1, 0.36, "rad"))
+    text = write(replace(diagnosis, verdict=verdict), tmp_path).replace("\N{NO-BREAK SPACE}", " ")
+    heading, remedy, cause = (
+        text.index(words) for words in ("<h1>The twin with ", "What would help:", "ry friction of")
+    )
+    assert heading < remedy < cause
 
 
 def test_other_peoples_names_cannot_break_the_page(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from vpptwin.diagnosis.judgement.verdict import (
     Cleared,
     Estimate,
     Experiment,
+    Misfit,
     Rival,
     Unexplained,
     Unseen,
@@ -158,6 +159,93 @@ def test_an_error_far_above_noise_is_never_called_explained(chi2: float) -> None
     )
 
 
+MISFIT = Misfit(9.2195, "elbow", 0.1, 0.3612, "rad")
+FAR = replace(VERDICT, causes=[], after=replace(AFTER, chi2=85.0), misfit=MISFIT)
+
+
+def test_a_misfit_is_said_first() -> None:
+    """How large, in which joint, from which horizon on, the error at 1 s; causes and what would help come after it."""
+    assert headline(FAR) == (
+        "The twin misses these logs by 9.22 times what sensor noise makes (held-out chi² 85, noise floor 1), most of "
+        "all in elbow from 0.1 s ahead on: 0.361 rad 1 s ahead; nothing can be named for it."
+    )
+    named = summarise(replace(FAR, causes=[SURE]), NOISE, {})
+    assert named.headline.startswith("The twin with rail_x.coulomb misses these logs by 9.22 times")
+    assert named.headline.endswith("0.361 rad 1 s ahead.")
+    assert named.others == [describe_cause(SURE)]
+    assert "held-out excess chi²" in named.share
+    assert named.unexplained == "Nothing that was looked at explains the error that is left."
+
+
+@pytest.mark.parametrize(
+    ("misfit", "words"),
+    [
+        (replace(MISFIT, horizon_s=None, rmse=0.012, unit="m"), "in elbow, where it is 12 mm off 1 s ahead;"),
+        (replace(MISFIT, horizon_s=1.0), "in elbow, which is 0.361 rad off 1 s ahead, no sooner;"),
+        (replace(MISFIT, rmse=float("inf")), "in elbow, whose simulation diverges;"),
+        (replace(MISFIT, joint=""), "noise floor 1); nothing"),
+    ],
+)
+def test_every_misfit_has_its_words(misfit: Misfit, words: str) -> None:
+    """Errors that stand out at no horizon, only at the last, without end, or of a joint that nobody can tell."""
+    assert words in headline(replace(FAR, misfit=misfit))
+
+
+def test_a_misfit_comes_with_what_would_help() -> None:
+    """One sentence: an effect of one's own where something follows a quantity, else the log; without a misfit none."""
+    assert summarise(VERDICT, NOISE, {}).remedy == ""
+    assert "check unit, sign, scale, zero and stamps of elbow" in summarise(FAR, NOISE, {}).remedy
+    soon = replace(FAR, misfit=replace(MISFIT, horizon_s=HORIZONS_S[0]))
+    assert "shows so soon" in summarise(soon, NOISE, {}).remedy
+    left = Unexplained(True, 0.4, "elbow", ["elbow velocity"], 7.0, 0.03)
+    follows = summarise(replace(FAR, unexplained=left), NOISE, {}).remedy
+    assert "an effect of your own, as what is missing follows elbow velocity" in follows
+    for verdict in (FAR, soon, replace(FAR, unexplained=left)):
+        assert summarise(verdict, NOISE, {}).remedy.count(".") == 1
+
+
+def test_what_is_left_is_told_as_a_force() -> None:
+    """On rigs whose scales a log told: a random force as a share of what drives the joint, and what it follows."""
+    random = Unexplained(True, 0.4, "elbow", [], 0.3, 0.032)
+    assert describe_unexplained(replace(VERDICT, unexplained=random)) == (
+        "Something is left unexplained: it acts like a random force of 3.2 % of what drives joint elbow, more than "
+        "disturbances usually are."
+    )
+    follows = replace(random, depends_on=["elbow velocity", "time"])
+    assert describe_unexplained(replace(VERDICT, unexplained=follows)).endswith(
+        "3.2 % of what drives joint elbow; it follows elbow velocity and time."
+    )
+    whole = describe_unexplained(replace(VERDICT, unexplained=replace(random, force=1.0)))
+    assert "a random force as strong as what drives joint elbow" in whole
+    little = Unexplained(False, 0.01, None, [], 0.0, 0.004)
+    assert describe_unexplained(replace(VERDICT, unexplained=little)) == (
+        "Nothing beyond noise and disturbances is left unexplained; what is left acts like a random force of 0.4 % of "
+        "what drives a joint."
+    )
+    loud = describe_unexplained(replace(VERDICT, unexplained=little, after=replace(AFTER, chi2=3.0)))
+    assert loud.startswith("The error still is 1.73 times")
+    assert loud.endswith("acts like a random force of 0.4 % of what drives a joint.")
+
+
+def test_a_cause_beside_something_unexplained_is_suggested() -> None:
+    """Up to 0.89 and with something left, no sentence sounds sure; a sure cause or a clean remainder stays as it is."""
+    left = Unexplained(True, 0.4, "elbow", [], 7.0, 0.03)
+    doubtful = replace(SURE, confidence=0.89)
+    for verdict in (
+        replace(VERDICT, causes=[doubtful, doubtful], unexplained=left),
+        replace(FAR, causes=[doubtful]),
+        replace(VERDICT, causes=[doubtful], after=replace(AFTER, chi2=3.0)),
+    ):
+        summary = summarise(verdict, NOISE, {})
+        told = [summary.headline] * (verdict.misfit is None) + summary.others
+        assert len(told) == len(verdict.causes)
+        assert all(sentence.startswith("Suggested: dry friction of") for sentence in told)
+        assert summary.certainty[0].startswith("rail_x.coulomb: 89 % sure, suggested and no more")
+    for sure in (replace(VERDICT, causes=[doubtful]), replace(VERDICT, causes=[SURE], unexplained=left)):
+        assert headline(sure).startswith("Dry friction of")
+        assert "suggested" not in summarise(sure, NOISE, {}).certainty[0]
+
+
 def test_words_are_true_for_every_rig() -> None:
     """A cart is not flown and no wind blows on it."""
     left = Unexplained(True, 0.24, "slide", ["slide position"], 5.13)
@@ -165,10 +253,13 @@ def test_words_are_true_for_every_rig() -> None:
         for unexplained in (VERDICT.unexplained, left):
             for score in (AFTER, BEFORE):
                 verdict = replace(VERDICT, causes=causes, unexplained=unexplained, after=score)
-                summary = summarise(verdict, NOISE, {})
-                told = " ".join([summary.headline, summary.error, summary.unexplained, summary.share])
-                assert "flight" not in told
-                assert "gust" not in told
+                for each in (verdict, replace(verdict, misfit=MISFIT)):
+                    summary = summarise(each, NOISE, {})
+                    told = " ".join(
+                        [summary.headline, summary.remedy, summary.error, summary.unexplained, summary.share]
+                    )
+                    assert "flight" not in told
+                    assert "gust" not in told
 
 
 def test_without_a_cause_the_headline_tells_two_cases_apart() -> None:

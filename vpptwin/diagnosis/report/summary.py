@@ -7,8 +7,19 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
-from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Experiment, Rival, Verdict
+from vpptwin.diagnosis.judgement.verdict import (
+    Cause,
+    Cleared,
+    Estimate,
+    Experiment,
+    Misfit,
+    Rival,
+    Unexplained,
+    Verdict,
+)
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.effects import UNLIMITED
 
@@ -22,6 +33,8 @@ OPEN = 30.0
 """Ratio of bounds from which the upper one says nothing: of a limit that the logs never ran into."""
 FLOOR = 1.5
 """Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
+WHOLE = 0.95
+"""Shares of what drives a joint from which a force is as strong as that."""
 NOTHING = 0.005
 """Shares of the error up to this are written as no gain at all."""
 SHARE = (
@@ -48,7 +61,8 @@ class Summary:
 
     Attributes:
         headline: the sentence to read if one reads no other.
-        others: one sentence for each further cause.
+        remedy: what would help against an error far above the sensors' noise; "" where there is none.
+        others: one sentence for each cause that the headline is not about.
         certainty: for each cause how sure it is, then what else it could be.
         share: what shares of the error are shares of; "" where none is named.
         error: the error before and after.
@@ -60,6 +74,7 @@ class Summary:
     """
 
     headline: str
+    remedy: str
     others: list[str]
     certainty: list[str]
     share: str
@@ -77,12 +92,16 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
     cleared: dict[str, list[str]] = {}
     for suspect in verdict.cleared:
         cleared.setdefault(suspect.effect.split(".")[0], []).append(describe_cleared(suspect))
-    others = [describe_cause(cause, verdict.before.chi2) for cause in verdict.causes[1:]]
-    shared = any("of the error" in sentence for sentence in (headline(verdict), *others))
+    told = [describe_cause(cause, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes]
     return Summary(
-        headline=headline(verdict), others=others,
-        certainty=[line for cause in verdict.causes for line in describe_certainty(cause, meanings)],
-        share=SHARE if shared else "",
+        headline=headline(verdict), remedy=describe_remedy(verdict),
+        others=told[0 if verdict.misfit is not None else 1 :],
+        certainty=[
+            line
+            for cause in verdict.causes
+            for line in describe_certainty(cause, meanings, is_suggested(cause, verdict))
+        ],
+        share=SHARE if any("of the error" in sentence for sentence in told) else "",
         error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
         unseen=describe_unseen(verdict), cleared=cleared,
         experiment=describe_experiment(verdict.experiment) if verdict.experiment is not None else None,
@@ -90,9 +109,11 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
 
 
 def headline(verdict: Verdict) -> str:
-    """The sentence to read if one reads no other."""
+    """The sentence to read if one reads no other: how far off the twin is where that is far, else the first cause."""
+    if verdict.misfit is not None:
+        return describe_misfit(verdict.misfit, verdict)
     if verdict.causes:
-        return describe_cause(verdict.causes[0], verdict.before.chi2)
+        return describe_cause(verdict.causes[0], verdict.before.chi2, is_suggested(verdict.causes[0], verdict))
     if verdict.unexplained.significant:
         return "Something that no known effect explains separates the twin from these logs."
     if not is_floor(verdict):
@@ -111,7 +132,55 @@ def describe_miss(verdict: Verdict) -> str:
     return f"{math.sqrt(chi2):.3g} times what sensor noise makes (held-out chi² {chi2:.3g}, noise floor 1)"
 
 
-def describe_cause(cause: Cause, chi2: float = math.inf) -> str:
+def describe_misfit(misfit: Misfit, verdict: Verdict) -> str:
+    """How far the twin is off where that is far: how much, in which joint, from when on, and by how much at the end."""
+    last = f"{HORIZONS_S[-1]:g} s ahead"
+    if not misfit.joint:
+        where = ""
+    elif not math.isfinite(misfit.rmse):
+        where = f", most of all in {misfit.joint}, whose simulation diverges"
+    elif misfit.horizon_s is None:
+        where = f", most of all in {misfit.joint}, where it is {format_error_of(misfit)} off {last}"
+    elif misfit.horizon_s == HORIZONS_S[-1]:
+        where = f", most of all in {misfit.joint}, which is {format_error_of(misfit)} off {last}, no sooner"
+    else:
+        where = (
+            f", most of all in {misfit.joint} from {misfit.horizon_s:g} s ahead on: {format_error_of(misfit)} {last}"
+        )
+    named = f" with {join_words([cause.effect for cause in verdict.causes])}" if verdict.causes else ""
+    nothing = "" if verdict.causes else "; nothing can be named for it"
+    return f"The twin{named} misses these logs by {describe_miss(verdict)}{where}{nothing}."
+
+
+def format_error_of(misfit: Misfit) -> str:
+    """The error at the last horizon with its unit."""
+    unit, factor = choose_unit(misfit.unit, abs(misfit.rmse))
+    return f"{factor * misfit.rmse:.3g} {unit}"
+
+
+def describe_remedy(verdict: Verdict) -> str:
+    """What would help against a misfit; "" without one."""
+    if verdict.misfit is None:
+        return ""
+    joint = verdict.misfit.joint or "the joints"
+    check = f"check unit, sign, scale, zero and stamps of {joint} in the log and of what drives it"
+    if verdict.unexplained.depends_on:
+        follows = join_words(verdict.unexplained.depends_on)
+        return f"What would help: an effect of your own, as what is missing follows {follows}; before that, {check}."
+    if verdict.misfit.horizon_s == HORIZONS_S[0]:
+        return (
+            f"What would help: {check}, and its inertia, as what shows so soon often is the log's or the model's fault."
+        )
+    return f"What would help: {check}; leave out what somebody touched, or log other motion, {joint} alone."
+
+
+def is_suggested(cause: Cause, verdict: Verdict) -> bool:
+    """Whether a cause is only suggested: not sure, while something material is left."""
+    left = verdict.unexplained.significant or verdict.misfit is not None or not is_floor(verdict)
+    return left and cause.confidence <= CRITERIA.suggested
+
+
+def describe_cause(cause: Cause, chi2: float = math.inf, suggested: bool = False) -> str:
     """One sentence: what, how much, what the twin has instead, what it explains of held-out `chi2`, and rivals."""
     (name, strength), *shape = cause.parameters.items()
     wrong = cause.summary.startswith("a wrong ")
@@ -129,7 +198,8 @@ def describe_cause(cause: Cause, chi2: float = math.inf) -> str:
         what += "," if wrong else ", which the twin lacks,"
     rivals = join_words([rival.effect for rival in cause.also_explained_by], "or")
     also = f"; so might {rivals}" if rivals else ""
-    return f"{what[0].upper()}{what[1:]} {describe_gain(cause, chi2)}{also}."
+    told = f"{what} {describe_gain(cause, chi2)}{also}."
+    return f"Suggested: {told}" if suggested else f"{told[0].upper()}{told[1:]}"
 
 
 def describe_gain(cause: Cause, chi2: float) -> str:
@@ -151,9 +221,10 @@ def describe_gain(cause: Cause, chi2: float) -> str:
     return share
 
 
-def describe_certainty(cause: Cause, meanings: Mapping[str, str]) -> list[str]:
+def describe_certainty(cause: Cause, meanings: Mapping[str, str], suggested: bool = False) -> list[str]:
     """How sure the naming is, and a sentence for everything else that it could be; meanings: effect id → summary."""
     sure = f"{cause.effect}: {100.0 * cause.confidence:.3g} % sure"
+    sure += ", suggested and no more while something is left" if suggested else ""
     if not cause.also_explained_by:
         return [f"{sure}; no other effect of the catalogue comes close."]
     return [f"{sure}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
@@ -180,18 +251,35 @@ def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
 
 
 def describe_unexplained(verdict: Verdict) -> str:
-    """What remains unexplained: what stands out, and how large the error still is where that is more than noise."""
+    """What remains unexplained: what stands out, and how large the error still is where no headline has said it."""
     left = verdict.unexplained
+    told = is_floor(verdict) or verdict.misfit is not None
     if not left.significant and is_floor(verdict):
-        return "Nothing beyond noise and disturbances is left unexplained."
+        like = f"; what is left acts like {describe_force(left)}" if left.force is not None else ""
+        return f"Nothing beyond noise and disturbances is left unexplained{like}."
     if not left.significant:
-        return f"The error still is {describe_miss(verdict)}; nothing that was looked at explains that."
-    follows = f"; it follows {join_words(left.depends_on)}" if left.depends_on else ""
+        like = f" What is left acts like {describe_force(left)}." if left.force is not None else ""
+        if told:
+            return f"Nothing that was looked at explains the error that is left.{like}"
+        return f"The error still is {describe_miss(verdict)}; nothing that was looked at explains that.{like}"
+    miss = "" if told else f" It still is {describe_miss(verdict)}."
+    follows = f"it follows {join_words(left.depends_on)}" if left.depends_on else ""
+    if left.force is not None:
+        more = f"; {follows}" if follows else ", more than disturbances usually are"
+        return f"Something is left unexplained: it acts like {describe_force(left)}{more}.{miss}"
     beyond = f", {left.sigma:.1f} sigma beyond logs without an effect" if left.sigma else ""
     where = f", most of it in {left.channel}" if left.channel else ""
-    miss = "" if is_floor(verdict) else f" It still is {describe_miss(verdict)}."
     what = f"{100.0 * left.share:.0f} % of the force that the twin missed" if left.share > NOTHING else "Something"
-    return f"{what} is left unexplained{beyond}{where}{follows}.{miss}"
+    return f"{what} is left unexplained{beyond}{where}{f'; {follows}' if follows else ''}.{miss}"
+
+
+def describe_force(left: Unexplained) -> str:
+    """How strong a random force would have to be that makes what is left."""
+    joint = f"joint {left.channel}" if left.channel else "a joint"
+    force = left.force or 0.0
+    if not force < WHOLE:
+        return f"a random force as strong as what drives {joint}"
+    return f"a random force of {100.0 * force:.2g} % of what drives {joint}"
 
 
 def describe_unseen(verdict: Verdict) -> list[str]:

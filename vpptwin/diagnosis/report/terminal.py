@@ -24,6 +24,8 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
     console.print()
     for sentence in (summary.headline, *summary.others):
         console.print(sentence, style="bold", markup=False)
+        if sentence == summary.headline and summary.remedy:
+            console.print(summary.remedy, markup=False)
     console.print()
     console.print(list_findings(verdict, summary))
     if verdict.experiment is not None:  # not in the grid, whose breaks would not survive copying
