@@ -34,6 +34,7 @@ LONG = (
     "test_hidden_mechanics.py", "test_hidden_effects.py", "twin/test_independent.py", "test_cli.py",
     "effects/test_catalogue.py", "twin/test_own_effects.py", "train/test_training.py", "test_reality_log.py",
     "train/test_ray.py", "engine/test_cache.py", "test_own_effects.py", "test_antx.py", "test_reality.py",
+    "test_double_pendulum.py", "test_simple_pendulum.py", "test_free_decay.py", "test_mechanisms.py",
     "identification/test_identify.py", "identification/test_free_flight.py", "test_other_rigs.py",
     "viz/test_browser.py", "viz/test_live.py", "viz/test_frames.py", "diagnosis/test_experiment.py",
     "actuators/test_adaptive.py", "train/test_resume.py",
