@@ -49,7 +49,7 @@ class Criteria:
     start_velocity: float = assumed(0.3, "m/s", "prior of a window's starting velocity", "85fc87b")
     start_rate: float = assumed(1.0, "rad/s", "the same of angular rates", "85fc87b")
     gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
-        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.1 % of a typical force elsewhere (e0a0e3b)")
+        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.2 % of a typical force elsewhere, fitted from there (issue 20)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
@@ -89,6 +89,8 @@ class Criteria:
     powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
         "50 at 71b4e15, 25 since e1272d1")
     bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
+    clear_of_off: float = assumed(2.0, "sigma", "by which the strength of a cause must leave its nominal",
+        "issue 20, rigs whose disturbances are assumed: what merely changes how they answer is none")
     judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
         "issue 20, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")

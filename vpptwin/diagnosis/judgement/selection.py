@@ -152,6 +152,9 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     own = [u for u in search.unknowns if u.effect.id == effect]
     if all(abs(tried.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return False
+    away = abs(tried.values[own[0].key] - own[0].nominal)
+    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std[own[0].key]:
+        return False
     gain, error = compare(search, held_out, step.before, tried)
     strong = drop > criteria.bars_strong * criteria.bar
     agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error

@@ -125,7 +125,7 @@ class Search(Fitter):
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
         """Where else to start refitting a limit or a law of dry friction beside a fit: the best of many, all simulated.
 
-        What limits, or sticks and slips makes the cost rough: from a wrong share between two laws of a joint no slope leads to
+        What limits, or sticks and slips, makes the cost rough: from a wrong share of two laws of a joint no slope leads to
         the right one.
         """
         added = [u for u in self.unknowns if u.effect.id == effect]
