@@ -36,9 +36,9 @@ def test_nothing_is_believed_better_than_a_tenth_of_its_share() -> None:
     assert estimate_noise(TIME, noisy, POSITION_SHARE) == pytest.approx(0.1 * POSITION_SHARE * (high - low))
 
 
-@pytest.mark.parametrize("smoothed", [PATH, PATH + np.convolve(draw(0.01), np.ones(5) / 5.0, mode="same")])
+@pytest.mark.parametrize("smoothed", [PATH, PATH + np.convolve(draw(0.01), np.hanning(9) / 4.0, mode="same")])
 def test_what_somebody_smoothed_is_not(smoothed: np.ndarray) -> None:
-    """A noise-free signal, or the mean of five samples: the share of its range, alike for ten bins."""
+    """A noise-free signal, or a smooth mean of some samples: the share of its range, alike for ten bins."""
     low, high = np.percentile(smoothed, [1.0, 99.0])
     assert estimate_noise(TIME, smoothed, POSITION_SHARE) == pytest.approx(
         MEMORY * POSITION_SHARE * (high - low), rel=0.2

@@ -38,9 +38,8 @@ def measure(track: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Measurements:
 def test_inverse_dynamics_by_hand(tmp_path: Path) -> None:
     """A bob at an angle a that accelerates by c under a torque u lacks m L² c + m g L sin a - u."""
     model = load_twin(write_rig(PENDULA, tmp_path)).model
-    angle, rate, acceleration, torque = (
-        np.array(v)[:, None] for v in ([0.0, 0.5, -1.2], [0, 1, 2], [3, -2, 0], [0, 1, -1])
-    )
+    rows = np.array([[0.0, 0.0, 3.0, 0.0], [0.5, 1.0, -2.0, 1.0], [-1.2, 2.0, 0.0, -1.0]])
+    angle, rate, acceleration, torque = np.split(rows, 4, axis=1)
     inertial, actuator, missing = invert(model, angle, rate, acceleration, torque)
     # The bob's own moment of inertia of 1e-6 kg m² is 2e-5 of m L².
     np.testing.assert_allclose(inertial, INERTIA * acceleration, rtol=1e-4)
@@ -102,9 +101,9 @@ def test_loads_of_what_never_moved_are_not_zero(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loads.control, 1.0)
 
 
-@pytest.mark.parametrize(("inputs", "usual"), [(np.zeros((9, 2)), [1e-6, 1e-6]), (np.zeros((0, 2)), [1.0, 1.0])])
+@pytest.mark.parametrize(("inputs", "usual"), [(np.zeros((9, 2)), [1.0, 1.0]), (np.zeros((0, 2)), [1.0, 1.0])])
 def test_inputs_that_never_were(inputs: np.ndarray, usual: list[float]) -> None:
-    """No samples at all, or all of them zero: something positive."""
+    """No samples at all, or all of them zero: 1."""
     np.testing.assert_allclose(usual_input(inputs), usual)
 
 
@@ -121,7 +120,7 @@ def test_a_twin_is_scaled_by_its_log(tmp_path: Path) -> None:
     scaled = scale_twin(spec, [flight])
     assert scaled.robot.loads is not None
     (force,) = scaled.robot.loads.force
-    assert 5.0 < force < 10.5  # the motor's 10 N at most
+    assert 2.0 < force < 10.0  # what the motor gives at most
     np.testing.assert_allclose(scaled.robot.disturbance.std, GUST * force)
     for kind, name, unit in (("bias", "force", force), ("coulomb", "force", force)):
         parameter = next(p for p in find_effect(scaled.catalogue, f"slide.{kind}").parameters if p.name == name)
