@@ -81,7 +81,7 @@ class Search(Fitter):
             if places := self._scan(fit, name):  # only by its own likelihood does a law that sticks look its best
                 beside = {name: found[name]}
                 self._refit(beside, fit, places)
-                found[name] = self._look_around(self.judge_alone(beside[name]))
+                found[name] = self.judge_alone(beside[name])
         if brief:  # those that got somewhere go on
             worth = max(self.criteria.chance * max(each.evidence_against(fit) for each in found.values()), least)
             hopeful = [name for name, each in found.items() if each.evidence_against(fit) >= 0.5 * worth]
@@ -161,23 +161,18 @@ class Search(Fitter):
         if self.bench.spec.robot.disturbance.known or len(own) < 2:
             return fit
         for _ in range(REFINED):
-            best = self._look_around(fit)
+            places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
+            now = np.array([fit.values[u.key] for u in own])
+            around = [
+                fit.values | {u.key: float(u.parameter.clip(value)) for u, value in zip(own, row)}
+                for row in now * AROUND ** (2.0 * places - 1.0)
+            ]
+            found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
+            best = find_cheapest([self.judge_alone(each) for each in found])
             if best.evidence_against(fit) < self.criteria.better:
                 break
             fit = self.reframe(best)
         return fit
-
-    def _look_around(self, fit: Fit) -> Fit:
-        """The best refit, in the same frame, from many places around the laws of dry friction of a fit, or itself."""
-        own = [u for u in self.unknowns if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION]
-        places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
-        now = np.array([fit.values[u.key] for u in own])
-        around = [
-            fit.values | {u.key: float(u.parameter.clip(value)) for u, value in zip(own, row)}
-            for row in now * AROUND ** (2.0 * places - 1.0)
-        ]
-        found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
-        return find_cheapest([fit, *(self.judge_alone(each) for each in found)])
 
     def neighbours(self, fit: Fit) -> list[Fit]:
         """Refits of the most promising sets that lack one or two of a fit's effects and have up to two others.
