@@ -82,3 +82,23 @@ def test_every_generic_effect_at_once(tmp_path: Path) -> None:
     state = twin.replay_commands(twin.initial_state(), np.full((5, 500, 1), WEIGHT)).state
     assert state.finite().all()
     assert np.unique(state.qpos[:, 0]).size == 5
+
+
+@pytest.mark.parametrize("order", [("hinge", "slide"), ("slide", "hinge")])
+def test_rigs_that_share_names_do_not_share_parameters(tmp_path: Path, order: tuple[str, str]) -> None:
+    """A hinge `j` and a slide `j` share machine code; dry friction is a torque on one, a force on the other, on both.
+
+    By hand: 0.5 N on 1 kg, or 0.5 N m on 1 kg m², take 0.05 off 0.2 in 0.1 s.
+    """
+    for kind in order:
+        body = f'<joint name="j" type="{kind}"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        option = '<option gravity="0 0 0" timestep="0.001"/>'
+        (tmp_path / f"{kind}.xml").write_text(f"<mujoco>{option}<worldbody><body>{body}</body></worldbody></mujoco>")
+        path = tmp_path / f"{kind}.yaml"
+        path.write_text(f"model: {kind}.xml\nsignals: {{joints: {{j: /joint_states}}}}\n")
+        twin = Twin(load_twin(path), 1, active=["j.coulomb"], num_threads=1)
+        twin.set_parameter("j.coulomb", "torque" if kind == "hinge" else "force", 0.5)
+        state = twin.initial_state()
+        state.qvel[:] = 0.2
+        qvel = twin.replay_commands(state, np.empty((1, 100, 0))).qvel
+        assert qvel[0, -1, 0] == pytest.approx(0.15, abs=1e-3)

@@ -75,7 +75,7 @@ def test_too_many_windows_are_thinned_out_evenly() -> None:
 
 @pytest.mark.parametrize(("joints", "every"), [(1, 2), (2, 3), (3, 4), (6, 9)])
 def test_of_somebody_elses_rig_fewer_windows_are_looked_at(tmp_path: Path, joints: int, every: int) -> None:
-    """Of 180 windows at most 90, which 1.5 joints are worth; of two 90/(2/1.5) = 68, of three 45, of six 22: every ninth."""
+    """Of 180 windows at most 90 for one joint; for two 90/(2/1.5) = 68, for three 45, for six 22: every ninth."""
     spec = lay_chain(tmp_path, joints)
     (kept,) = thin_out(spec, [np.arange(180.0)])
     np.testing.assert_array_equal(kept, np.arange(0.0, 180.0, every))

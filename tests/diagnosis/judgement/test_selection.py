@@ -17,6 +17,7 @@ from vpptwin.diagnosis.judgement.selection import (
     find_better,
     is_cause,
     look_alike,
+    select_causes,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.verdict import Rival
@@ -292,3 +293,90 @@ def test_costs_of_two_frames_are_not_compared() -> None:
         with pytest.raises(ValueError, match="fits of two frames"):
             compare()
     assert here.evidence_against(fit(50.0)) == 40.0
+
+
+class Script:
+    """A search on another rig that finds what it is told to: every suspect in turn brings so much.
+
+    Args:
+        drops: suspect → drop in cost that it brings beside whatever is there.
+        lasting: which of them stay once they are fitted with the others.
+    """
+
+    def __init__(self, drops: dict[str, float], lasting: set[str]) -> None:
+        self.drops, self.lasting, self.tried = drops, lasting, list[str]()
+        self.unknowns, self.criteria, self.bench = UNKNOWNS, CRITERIA, OTHER_RIG.bench
+        self.start = self.of(frozenset())
+        self.refine = self.reframe = self.rederive = lambda fit: fit
+
+    def of(self, effects: frozenset[str]) -> Fit:
+        """The fit of a set."""
+        found = fit(1e4 - sum(self.drops[e] for e in effects), **{e.replace(".", "_"): 1.0 for e in sorted(effects)})
+        return found
+
+    def extend(
+        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", values: object = None
+    ) -> Step:  # fmt: skip
+        """Every other suspect beside a fit; none in the place of a cause."""
+        if against:
+            return Step(fit, {})
+        names = [name for name in self.drops if name not in fit.effects | barred]
+        self.tried += names[:1]
+        return Step(fit, {name: self.of(fit.effects | {name}) for name in names})
+
+    def drop_superfluous(self, fit: Fit) -> Fit:
+        """What lasts."""
+        return self.of(fit.effects & self.lasting)
+
+    def without(self, fit: Fit, effect: str) -> Fit:
+        """One less."""
+        return self.of(fit.effects - {effect})
+
+    def neighbours(self, fit: Fit) -> list[Fit]:
+        """None."""
+        return []
+
+    def sticks(self, effects: frozenset[str]) -> bool:
+        """Nothing does."""
+        return False
+
+
+class StrictJudges(Judges):
+    """Judges who favour every step, but find each set with one of the `harmful` worse than the plain twin."""
+
+    def __init__(self, *harmful: str) -> None:
+        super().__init__(10.0, favour=10.0)
+        self.harmful = set(harmful)
+
+    def is_worse(self, before: dict, after: dict) -> bool:
+        """Whether a harmful one is there."""
+        return bool({effect for effect, _ in after} & self.harmful)
+
+    def chi2(self, values: dict) -> float:
+        """One more for every harmful one."""
+        return 1.0 + len({effect for effect, _ in values} & self.harmful)
+
+
+def select_from(script: Script, judges: Judges) -> Selection:
+    """Select from what a script finds."""
+    return select_causes(script, judges, lambda text: None)  # type: ignore[arg-type]
+
+
+def test_a_suspect_that_does_not_last_is_taken_in_once() -> None:
+    """What is dropped as superfluous as soon as it is fitted with the others makes way for the next."""
+    script = Script({"a.coulomb": 900.0, "a.bias": 500.0, "b.coulomb": 300.0}, {"a.coulomb", "b.coulomb"})
+    found = select_from(script, StrictJudges())
+    assert found.fit.effects == {"a.coulomb", "b.coulomb"}
+    assert script.tried == ["a.coulomb", "a.bias", "b.coulomb"]
+    assert found.left_out == frozenset()
+
+
+def test_causes_that_predict_other_logs_worse_are_left_out() -> None:
+    """Step by step all is well, and the set predicts held-out log worse than the plain twin: the harmful one goes."""
+    script = Script({"a.coulomb": 900.0, "a.bias": 500.0}, {"a.coulomb", "a.bias"})
+    found = select_from(script, StrictJudges("a.bias"))
+    assert found.fit.effects == {"a.coulomb"}
+    assert found.left_out == {"a.bias"}
+    alone = select_from(Script({"a.bias": 500.0}, {"a.bias"}), StrictJudges("a.bias"))
+    assert alone.fit.effects == frozenset()
+    assert alone.left_out == {"a.bias"}

@@ -35,8 +35,9 @@ ALIKE = np.exp(-APART / robot.GUST_TIME)
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """Eight windows of a cart that coasts at 0.3 m/s, measured without error at 200 Hz, so far apart that pulses in one
-    say nothing of those in the next.
+    """Eight windows of a cart that coasts at 0.3 m/s, measured without error at 200 Hz.
+
+    They are so far apart that pulses in one say nothing of those in the next.
     """
     spec = load_twin(write_rig(CARTS, tmp_path_factory.mktemp("cart")))
     time = np.arange(0.0, 12.5, 0.005)
@@ -100,7 +101,10 @@ def test_covariance_is_that_of_a_free_cart(bench: Bench, response: Response, gus
 
 
 def test_response_holds_the_terms_of_the_covariance(bench: Bench, response: Response, likelihood: Likelihood) -> None:
-    """S = R + J_x P J_xᵀ + J_n Q J_nᵀ to rounding, Q with what pulses have in common, term by term from what the response says it holds."""
+    """S = R + J_x P J_xᵀ + J_n Q J_nᵀ to rounding, term by term from what the response says it holds.
+
+    In Q is what pulses have in common.
+    """
     state = response.state * response.state_std
     written = np.stack([np.diag(std**2) for std in bench.std])
     written += state @ np.swapaxes(state, 1, 2)

@@ -199,3 +199,22 @@ def test_a_rival_is_tried_beside_the_others_as_they_were(rubbing: Search, monkey
     assert 0.05 in [bias for bias, _ in made]
     assert without.values["slide.bias", "force"] != pytest.approx(0.05, rel=0.1)
     assert step.tried["slide.viscous"] is find_cheapest([done for _, done in made])
+
+
+def test_neighbours_of_a_wrong_set_hold_the_right_one(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Damping and inertia in the place of dry friction: sets that differ in two, the best of them with friction."""
+    flight = measure_cart(drive_cart(FRICTION, 3), 7)
+    search = open_search(load_cart(tmp_path_factory.mktemp("cart")), flight)
+    wrong = frozenset({"slide.viscous", "slide.inertia"})
+    values = {u.key: 0.1 for u in search.unknowns if u.effect.id in wrong}
+    fit = search.judge_alone(search.fit(wrong, values, search.start.about))
+    found = search.neighbours(fit)
+    assert 0 < len(found) <= CRITERIA.neighbours
+    for other in found:
+        out, added = wrong - other.effects, other.effects - wrong
+        assert 1 <= len(out) <= 2
+        assert 1 <= len(added) <= 2
+        assert len(out) + len(added) > 2  # one for one is what `extend` tries
+    best = min(found, key=lambda other: other.cost)
+    assert "slide.coulomb" in best.effects
+    assert best.evidence_against(fit) > 100.0

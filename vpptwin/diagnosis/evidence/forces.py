@@ -134,5 +134,5 @@ def usual_input(control: np.ndarray) -> np.ndarray:
     """A typical input of every actuator, (nu,), of inputs (n, nu); 1 where nothing was ever asked for."""
     if not control.size:
         return np.ones(control.shape[1])
-    found = np.percentile(np.abs(control), USUAL, axis=0)
-    return np.asarray(np.where(found > 0.0, found, np.maximum(np.abs(control).max(axis=0), 1e-6)))
+    found, most = np.percentile(np.abs(control), USUAL, axis=0), np.abs(control).max(axis=0)
+    return np.asarray(np.where(found > 0.0, found, np.where(most > 0.0, most, 1.0)))

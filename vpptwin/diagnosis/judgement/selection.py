@@ -61,7 +61,8 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
             fit = search.drop_superfluous(search.refine(search.reframe(best)))
-            barred |= step.before.effects - fit.effects
+            # What made way does not come back, nor what did not last: it would be taken in again and again.
+            barred |= (step.before.effects | {accepted}) - fit.effects
             continue
         if fit.effects and held_out.is_worse({}, fit.values):
             lesser = drop_harmful(search, held_out, fit)
