@@ -49,7 +49,7 @@ class Criteria:
     start_velocity: float = assumed(0.3, "m/s", "prior of a window's starting velocity", "85fc87b")
     start_rate: float = assumed(1.0, "rad/s", "the same of angular rates", "85fc87b")
     gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
-        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.2 % of a typical force elsewhere, fitted from there (issue 20)")
+        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.2 % of a typical force elsewhere (issue 20)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",

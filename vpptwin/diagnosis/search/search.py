@@ -125,8 +125,8 @@ class Search(Fitter):
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
         """Where else to start refitting a limit or a law of dry friction beside a fit: the best of many, all simulated.
 
-        What limits, or sticks and slips, makes the cost rough: from a wrong share of two laws of a joint no slope leads to
-        the right one.
+        What limits, or sticks and slips, makes the cost rough: from a wrong share of two laws no slope leads to the
+        right one.
         """
         added = [u for u in self.unknowns if u.effect.id == effect]
         law = added[0].effect
@@ -135,8 +135,8 @@ class Search(Fitter):
         if added[0].is_limit:
             limits = [t.values[added[0].key] for t in self.trials if t.effect == effect]
             span = np.geomspace(min(limits) / LOWER, max(limits), SCANNED) if limits else np.empty(0)
-            values = [fit.values | {added[0].key: float(added[0].parameter.clip(limit))} for limit in span]
-            return [Start(effect, each, 0.0) for each in (self._pick_places(fit, values) if values else [])]
+            limited = [fit.values | {added[0].key: float(added[0].parameter.clip(limit))} for limit in span]
+            return [Start(effect, each, 0.0) for each in (self._pick_places(fit, limited) if limited else [])]
         if law.stage is not Stage.FRICTION:
             return []
         laws = added + [
