@@ -124,6 +124,8 @@ class Criteria:
         "sessions of tests/reality without an effect (0.68 to 0.75), b8eee32; seeds not on record")
     force_level: float = by_hand(1.2, "", "the same from which something is unexplained",
         "above those sessions; 1.35 at e1272d1, 1.0 at b8eee32, 1.2 since 5844f9d")
+    storm: float = assumed(3.0, "", "gusts at most, in multiples of what is assumed, by which a leftover is whitened",
+        "issue 20: 3 % of weight; what acts like more is no weather indoors")
     channel_level: float = by_hand(1.6, "", "the same of a channel's whitened residual", "e1272d1")
     astray: float = by_hand(6.0, "median", "which a window's square counts at most there", "5844f9d")
     depends: float = by_hand(0.1, "", "share of a missing force that a quantity must predict to be named",

@@ -12,7 +12,7 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut, blocks_of
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, tune_gust
+from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, gust_std, tune_gust
 from vpptwin.diagnosis.search.search import Search
 
 FITTED = 10**6
@@ -29,21 +29,28 @@ class Part:
         bench: K windows.
         response: of the twin to starting states and pulses.
         residual: (K, M), build tolerances taken out.
+        gust: strength of the gusts that whiten it, in multiples of what is assumed; None for as assumed.
     """
 
     bench: Bench
     response: Response
     residual: np.ndarray
+    gust: np.ndarray | None = None
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """What whitens it."""
+        return couple_gusts(
+            self.bench, self.response, np.ones(self.bench.spec.model.nv) if self.gust is None else self.gust
+        )
 
     def squares_of_force(self) -> np.ndarray:
         """Mean square of the innovations of unmodelled force in every window, (K,): 1 for gusts as assumed."""
-        plain = couple_gusts(self.bench, self.response, np.ones(self.bench.spec.model.nv))
-        return (plain.innovate(self.response.along(self.residual)) ** 2).mean(axis=1)
+        return (self.likelihood.innovate(self.response.along(self.residual)) ** 2).mean(axis=1)
 
     def squares_of_channels(self) -> np.ndarray:
         """Mean square of the whitened residual of every channel in every window, (C, K)."""
-        plain = couple_gusts(self.bench, self.response, np.ones(self.bench.spec.model.nv))
-        white, found = plain.whiten(self.residual), []
+        white, found = self.likelihood.whiten(self.residual), []
         for columns in self.bench.columns:
             number = np.maximum(self.bench.valid[:, columns].sum(axis=1), 1)
             found.append((white[:, columns] ** 2).sum(axis=1) / number)
@@ -80,16 +87,18 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     """
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
     looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
+    # A stormy day is no effect: gusts are those that the fit found, up to what weather there is.
+    blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
     parts = [
-        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser),
+        with_looser_response(Part(search.bench, fit.likelihood.response, fitted, blew), looser),
         with_looser_response(
-            Part(held_out.short, held_out.response(fit.values), judged),
+            Part(held_out.short, held_out.response(fit.values), judged, blew),
             held_out.response(held_out.short.loosen(fit.values)),
         ),
     ]
     before = [
-        Part(search.bench, search.start.likelihood.response, search.start.about.missed),
-        Part(held_out.short, held_out.response({}), held_out.residual({})),
+        Part(search.bench, search.start.likelihood.response, search.start.about.missed, blew),
+        Part(held_out.short, held_out.response({}), held_out.residual({}), blew),
     ]
     if not search.bench.spec.robot.disturbance.known:
         return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))
