@@ -203,7 +203,7 @@ def check_power(verdict: dict) -> None:
 def check_verdict(verdict: dict) -> None:
     """verdict.json has the form of SPEC 7, key by key; the last line of keys is ours."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
-    ours = ("experiment", "cleared", "unseen", "improvement", "warnings")
+    ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings")
     assert set(verdict) == {*keys, "suggested_experiment", *ours}
     assert all(isinstance(log, str) for log in verdict["logs"])
     assert isinstance(verdict["twin"], str)
@@ -218,7 +218,7 @@ def check_verdict(verdict: dict) -> None:
     gains = [cause["gain"] for cause in verdict["causes"]]
     assert gains == sorted(gains, reverse=True)
     unexplained = verdict["unexplained"]
-    assert set(unexplained) == {"significant", "share", "channel", "depends_on", "sigma"}
+    assert set(unexplained) == {"significant", "share", "channel", "depends_on", "sigma", "force"}
     assert isinstance(unexplained["significant"], bool)
     assert 0.0 <= unexplained["share"] <= 1.0
     assert unexplained["channel"] is None or isinstance(unexplained["channel"], str)

@@ -83,8 +83,7 @@ def test_usable_span_is_common_to_all() -> None:
 def test_other_rigs_streams_are_sorted(cart: TwinSpec) -> None:
     """Positions and velocities of a rig's joints go to their degrees of freedom, noise read off the samples.
 
-    What is smooth to the last digit somebody smoothed: it is not believed better than 0.3 % of its range, alike over
-    ten times as long as a bin.
+    What is smooth to the last digit somebody smoothed: it is not believed better than 0.3 % of its range.
     """
     measured = read_measurements(cart, log_cart())
     assert sorted(measured.positions) == [0, 1]
@@ -94,7 +93,7 @@ def test_other_rigs_streams_are_sorted(cart: TwinSpec) -> None:
     assert measured.positions[0].std == pytest.approx(NOISE, rel=0.25)
     assert measured.velocities[0].std == pytest.approx(2 * NOISE, rel=0.25)
     low, high = np.percentile(measured.positions[1].value, [1.0, 99.0])
-    assert measured.positions[1].std == pytest.approx(np.sqrt(10.0) * 0.003 * (high - low), rel=0.02)  # noise-free
+    assert measured.positions[1].std == pytest.approx(0.003 * (high - low), rel=0.02)  # noise-free
     assert measured.specific_force is None
     assert measured.rotor_speed is None
     assert measured.delayed == ()

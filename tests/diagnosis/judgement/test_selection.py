@@ -79,6 +79,8 @@ class Judges:
         surprise = [-len(fit.effects) * self.drop for fit, _ in (before, after)]
         return improvement(*surprise, CRITERIA.most_drop)
 
+    count = 100
+
     def worsens(self, *_: Any) -> bool:  # noqa: ANN401
         """As made."""
         return self.worse

@@ -64,6 +64,11 @@ class HeldOut:
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
 
+    @property
+    def count(self) -> int:
+        """Number of windows that judge."""
+        return len(self.short.windows)
+
     def response(self, values: Mapping[Key, float]) -> Response:
         """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
         key = frozenset(values.items())

@@ -154,14 +154,15 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     if all(abs(tried.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return False
     away = abs(tried.values[own[0].key] - own[0].nominal)
-    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std[own[0].key]:
+    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std.get(own[0].key, 0.0):
         return False
     gain, error = compare(search, held_out, step.before, tried)
     strong = drop > criteria.bars_strong * criteria.bar
     agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error
     agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
     undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
-    if not agreed and not (undecided and is_powerless(held_out, step.before, tried)):
+    few = trusts_errors(search) and held_out.count < criteria.judges
+    if not agreed and not (undecided and (few or is_powerless(held_out, step.before, tried))):
         return False
     if held_out.worsens(step.before.values, tried.values):
         return False
@@ -169,9 +170,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
 
 
 def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
-    """Whether two fits predict so much the same for held-out windows that these cannot judge, or are too few to."""
-    if len(held_out.short.windows) < after.frame.criteria.judges and not held_out.short.spec.robot.disturbance.known:
-        return True
+    """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
     likelihood = held_out.likelihood({}, after.likelihood.gust)
     changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
     return bool((changed**2).sum() < after.frame.criteria.powerless)

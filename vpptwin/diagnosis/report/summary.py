@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (
@@ -31,6 +30,8 @@ REACHABLE = 0.1 * UNLIMITED
 """Limits below this are some; a twin with more has none."""
 OPEN = 30.0
 """Ratio of bounds from which the upper one says nothing: of a limit that the logs never ran into."""
+SUGGESTED = 0.89
+"""Confidence up to which a cause is but suggested; `Criteria.suggested` caps it there."""
 FLOOR = 1.5
 """Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
 WHOLE = 0.95
@@ -177,7 +178,7 @@ def describe_remedy(verdict: Verdict) -> str:
 def is_suggested(cause: Cause, verdict: Verdict) -> bool:
     """Whether a cause is only suggested: not sure, while something material is left."""
     left = verdict.unexplained.significant or verdict.misfit is not None or not is_floor(verdict)
-    return left and cause.confidence <= CRITERIA.suggested
+    return left and cause.confidence <= SUGGESTED
 
 
 def describe_cause(cause: Cause, chi2: float = math.inf, suggested: bool = False) -> str:
