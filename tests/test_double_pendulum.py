@@ -20,13 +20,13 @@ from examples.double_pendulum.by_hand import (
     read_log,
 )
 from examples.double_pendulum.convert import convert
+from tests.by_hand import check_causes
 from vpptwin.cli import main
 from vpptwin.logs import read_flight
 from vpptwin.twin import load_twin
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/double_pendulum"
 TWIN = EXAMPLE / "both.yaml"
-SURE = 0.9
 ROOM = {
     "shoulder.coulomb": ("torque", -0.1, 0.1), "elbow.coulomb": ("torque", -0.05, 0.05),
     "shoulder.viscous": ("damping", -0.01, 0.06), "elbow.viscous": ("damping", -0.01, 0.02),
@@ -141,20 +141,6 @@ def test_the_lower_link_is_heavier_than_identified(logs: dict[str, Log]) -> None
     assert fit["late"] < 0.0
 
 
-def check_causes(verdict: dict) -> None:
-    """Nothing that the fit by hand excludes is said with more than 90 %."""
-    for cause in verdict["causes"]:
-        effect = cause["effect"]
-        if cause["confidence"] <= SURE:
-            continue
-        assert effect not in NEVER, cause
-        if effect in ROOM:
-            name, low, high = ROOM[effect]
-            entry = cause["parameters"][name]
-            size = entry["value"] - (entry["nominal"] if not effect.endswith(("gain", "delay", "lag")) else 0.0)
-            assert low <= size <= high, cause
-
-
 @pytest.mark.parametrize("name", ["00", "13"])
 def test_the_verdict_says_nothing_that_is_excluded(folder: Path, tmp_path: Path, name: str) -> None:
     """About 20 s each: there is a gap, and no cause is sure that the fit by hand excludes."""
@@ -162,7 +148,7 @@ def test_the_verdict_says_nothing_that_is_excluded(folder: Path, tmp_path: Path,
     assert main(["diagnose", str(tmp_path / "log.mcap"), "--twin", str(TWIN), "--out", str(tmp_path / "out")]) == 0
     verdict = json.loads((tmp_path / "out/verdict.json").read_text())
     assert verdict["gap"]
-    check_causes(verdict)
+    check_causes(verdict, NEVER, ROOM)
 
 
 @pytest.mark.slow
@@ -173,4 +159,4 @@ def test_wrong_zeros_are_taken_for_constant_torques(folder: Path, tmp_path: Path
     verdict = json.loads((tmp_path / "out/verdict.json").read_text())
     named = {cause["effect"]: cause["parameters"] for cause in verdict["causes"]}
     assert named["elbow.bias"]["force"]["value"] == pytest.approx(0.085, abs=0.03)
-    check_causes(verdict)
+    check_causes(verdict, NEVER, ROOM)

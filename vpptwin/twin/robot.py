@@ -46,13 +46,13 @@ NO_SIGNALS = Signals(joints={})
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Forces that no effect explains: gusts on the drone, whatever there may be elsewhere.
+    """Forces that no effect explains: gusts on the drone, whatever there may be elsewhere. Each log tells how strong.
 
     Attributes:
         std: of a force pulse on every degree of freedom, (nv,) N, N m.
         memory: time over which pulses stay alike [s]; 0 for pulses that have nothing in common.
-        known: how flights without any effect look is known, so that the strength may be fitted to each flight and
-            evidence be trusted. Elsewhere it is an assumption, and errors on held-out flights have the last word.
+        known: how logs without any effect look is known, so that evidence can be trusted. Elsewhere it is an
+            assumption, and errors on held-out log have the last word.
         most: strength at most, in multiples of `std`.
     """
 

@@ -11,16 +11,8 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.holdout import (
-    HORIZONS_S,
-    HeldOut,
-    blocks_of,
-    improvement,
-    last_bins,
-    mean_over,
-    resample,
-    sum_blocks,
-)
+from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
+from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.twin.robot import GUST_TIME
 

@@ -10,7 +10,8 @@ import pytest
 
 from tests.diagnosis.fakes import FRAME, guess
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.holdout import HeldOut, improvement
+from vpptwin.diagnosis.judgement.blocks import improvement
+from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import (
     Selection,
     evidence_against_rival,
@@ -27,7 +28,6 @@ from vpptwin.diagnosis.search.search import Step
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
-from vpptwin.twin.robot import Disturbance
 
 PLACE = Place("a", "on a", tolerance=0.02)
 UNKNOWNS = tuple(
@@ -100,8 +100,7 @@ class Judges:
 
 def search_of(known: bool) -> Any:  # noqa: ANN401
     """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
-    robot = SimpleNamespace(disturbance=Disturbance(np.ones(1), known=known))
-    bench = SimpleNamespace(spec=SimpleNamespace(robot=robot))
+    bench = SimpleNamespace(guessed=not known)
     return SimpleNamespace(unknowns=UNKNOWNS, criteria=CRITERIA, sticks=lambda effects: False, bench=bench)
 
 

@@ -25,10 +25,10 @@ from vpptwin.diagnosis.report.summary import (
     describe_cause,
     describe_cleared,
     describe_unexplained,
-    format_value,
     headline,
     summarise,
 )
+from vpptwin.diagnosis.report.words import format_value
 from vpptwin.effects import CATALOGUE, Effect
 
 SILENT = NoiseFloor({}, {})

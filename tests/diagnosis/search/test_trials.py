@@ -32,8 +32,7 @@ PLACE = Place("rail", "on a rail")
 
 def command(values: np.ndarray, known: bool = True) -> Bench:
     """A bench of which only the commands count, (K, steps, nu), and whether it is the drone's."""
-    spec = SimpleNamespace(robot=SimpleNamespace(disturbance=SimpleNamespace(known=known)))
-    return SimpleNamespace(windows=SimpleNamespace(command=values), spec=spec)  # type: ignore[return-value]
+    return SimpleNamespace(windows=SimpleNamespace(command=values), guessed=not known)  # type: ignore[return-value]
 
 
 UNIFORM = command(np.linspace(-1.0, 1.0, 100001).reshape(1, -1, 1))

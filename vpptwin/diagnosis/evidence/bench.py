@@ -149,6 +149,11 @@ class Bench:
         rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
         return {(e.id, e.parameters[0].name): e.parameters[0].off for e in rubbing}
 
+    @property
+    def guessed(self) -> bool:
+        """Whether sensors and disturbances of the rig are assumed, no logs without an effect being known of it."""
+        return not self.spec.robot.disturbance.known
+
     def regime(self, values: Mapping[Key, float]) -> frozenset[tuple[str, int]]:
         """Which effects are so far from the twin's own that derivatives and responses there are others, and how far.
 

@@ -1,4 +1,4 @@
-"""What moved the joints, by inverse dynamics along the logs: the scales of a rig, and a second opinion on causes."""
+"""What moved the joints, by inverse dynamics along the logs: the scales of a rig."""
 
 from __future__ import annotations
 
@@ -97,10 +97,9 @@ def invert(
 
 def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec:
     """The twin with sizes, bounds and disturbances of effects that suit what the logs show of its rig."""
-    loads = measure_loads(spec, measure_forces(spec, measurements))
-    robot = spec.robot.scale(loads)
-    if robot is spec.robot:
+    if spec.robot.disturbance.known:  # and its scales with it
         return spec
+    robot = spec.robot.scale(measure_loads(spec, measure_forces(spec, measurements)))
     scaled = {effect.id: effect for effect in robot.list_effects()}
     catalogue = []
     for effect in spec.catalogue:

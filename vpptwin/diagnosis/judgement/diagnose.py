@@ -178,8 +178,9 @@ def conclude(
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
     least = search.criteria.sober
     sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
-    guessed = not spec.robot.disturbance.known
-    doubtful = unexplained.significant or (guessed and share_left(held_out, fit) > search.criteria.explained)
+    doubtful = unexplained.significant or (
+        search.bench.guessed and share_left(held_out, fit) > search.criteria.explained
+    )
     most = search.criteria.suggested if doubtful else 1.0
     contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
     causes = []

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation, pick
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart
 from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
@@ -21,7 +22,6 @@ from vpptwin.diagnosis.search.likelihood import (
     whiten_with,
 )
 from vpptwin.estimation.initial import estimate_states
-from vpptwin.estimation.windows import Windows
 from vpptwin.twin.manifold import difference_poses
 
 
@@ -58,8 +58,7 @@ class HeldOut:
         self.short, self.long, self.criteria = short, long, short.criteria
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
-        self._squares: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
-        self._near: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._errors: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -123,7 +122,7 @@ class HeldOut:
         """Whether an error of the pose up to `watched` ahead grows by more than `worse` and by a standard error."""
         near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
         ratios = self.error_ratios(before, after)
-        few = len(self.long.windows) < self.criteria.judges and not self.long.spec.robot.disturbance.known
+        few = len(self.long.windows) < self.criteria.judges and self.long.guessed
         if few:  # a scatter of two or three tells nothing, and chi² has the word
             return False
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
@@ -163,7 +162,7 @@ class HeldOut:
         """
         rotary, windows, horizons = self.long.spec.robot.rotary, self.long.windows, np.array(HORIZONS_S)
         off = np.zeros((2, len(rotary)))
-        if not self.long.spec.robot.disturbance.known and self.long.flights:
+        if self.long.guessed and self.long.flights:
             gravity = -float(self.long.spec.model.opt.gravity[2])
             for i in np.unique(windows.flight):
                 rows = windows.flight == i
@@ -217,46 +216,47 @@ class HeldOut:
 
     def squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Squared errors of every long window near every horizon, (K, H): of slides "m", hinges "rad", and rates."""
+        errors, rotary = self.errors(values), self.long.spec.robot.rotary
+        squares: dict[str, np.ndarray] = {}
+        for channel in self.long.channels:
+            if channel.name in errors:
+                unit = "rad" if rotary[channel.axis] else "m"
+                name, near = unit if channel.kind == "position" else channel.name, errors[channel.name]
+                squares[name] = squares[name] + near if name in squares else near
+        return squares
+
+    def errors(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """The same of every channel of a position or a velocity, by its name."""
         key = frozenset(values.items())
-        if key not in self._squares:
-            self._squares[key] = self._measure_squares(values)
-        return self._squares[key]
+        if key not in self._errors:
+            self._errors[key] = self._measure_errors(values)
+        return self._errors[key]
 
     def locate_miss(self, values: Mapping[Key, float]) -> tuple[str, float | None, float, str]:
         """Where a twin is off most of what its sensors make: joint, from which horizon [s] on, error at the last, unit.
 
         An error stands out at twice the sensors' noise, or at none: then the horizon is None.
         """
-        self.squares(values)
         worst: tuple[float, str, float | None, float, str] = (-1.0, "", None, 0.0, "")
         for channel in self.long.channels:
             if channel.kind == "position":
-                error = np.array(mean_over(self._near[frozenset(values.items())][channel.name]))
-                out = np.flatnonzero(error > 2.0 * channel.sensor_std)
-                start = HORIZONS_S[int(out[0])] if len(out) else None
-                found = float(error[-1]), channel.unit
-                worst = max(worst, (found[0] / channel.sensor_std, channel.name, start, *found), key=lambda w: w[0])
+                rmse, noise = mean_over(self.errors(values)[channel.name]), channel.sensor_std
+                out = next((h for h, error in zip(HORIZONS_S, rmse) if error > 2.0 * noise), None)
+                found = rmse[-1] / noise, channel.name, out, rmse[-1], channel.unit
+                worst = max(worst, found, key=lambda each: each[0])
         return worst[1:]
 
-    def _measure_squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+    def _measure_errors(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
         motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
-        rotary = self.long.spec.robot.rotary
         sensors = self.long.sensors(values)
-        squares: dict[str, np.ndarray] = {}
+        errors = {}
         for channel in self.long.channels:
-            if channel.kind not in ("position", "velocity"):
-                continue
-            predicted = self.long.observe_channel(channel, pick(motion, 0), sensors)
-            measured = channel.weight.sum(axis=2) > 0
-            square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
-            near = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
-            self._near.setdefault(frozenset(values.items()), {})[channel.name] = near
-            if channel.kind == "velocity":
-                squares[channel.name] = near
-            else:
-                unit = "rad" if rotary[channel.axis] else "m"
-                squares[unit] = squares[unit] + near if unit in squares else near
-        return squares
+            if channel.kind in ("position", "velocity"):
+                predicted = self.long.observe_channel(channel, pick(motion, 0), sensors)
+                measured = channel.weight.sum(axis=2) > 0
+                square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
+                errors[channel.name] = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
+        return errors
 
     def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
         """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
@@ -289,12 +289,6 @@ class HeldOut:
         return float(share[0]), (float(low), float(high))
 
 
-def blocks_of(windows: Windows, length: float) -> np.ndarray:
-    """Which block of flight, of so many seconds, every window belongs to, (K,): errors of neighbours are alike."""
-    block = np.floor(windows.start / length).astype(int) + 10**6 * windows.flight
-    return np.unique(block, return_inverse=True)[1]
-
-
 def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:
     """Mean of the last two bins up to a horizon [s] in every window, (K,); NaN where nothing was measured."""
     end = round(horizon / BIN)
@@ -308,37 +302,3 @@ def mean_over(squares: np.ndarray) -> list[float]:
     number = np.isfinite(squares).sum(axis=0)
     mean = np.where(number > 0, np.nansum(squares, axis=0) / np.maximum(number, 1), np.nan)
     return [float(v) for v in np.sqrt(mean)]
-
-
-def sum_blocks(rows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Sums of rows (K, H) over blocks, (B, H)."""
-    sums = np.zeros((blocks.max() + 1, rows.shape[1]))
-    np.add.at(sums, blocks, rows)
-    return sums
-
-
-def resample(sums: np.ndarray, times: int = 500) -> np.ndarray:
-    """Totals of sums (V, B, H) over blocks drawn with replacement, the same for all V, (times, V, H)."""
-    blocks = sums.shape[1]
-    draws = np.random.default_rng(0).integers(blocks, size=(times, blocks))
-    counts = np.stack([np.bincount(draw, minlength=blocks) for draw in draws])
-    return np.einsum("tb,vbh->tvh", counts, sums)
-
-
-def tell_apart(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean over blocks (B, H) and its standard error, (H,) each; infinite from fewer than two blocks."""
-    number = np.isfinite(rows).sum(axis=0)
-    mean = np.nansum(rows, axis=0) / np.maximum(number, 1)
-    square = np.nansum((rows - mean) ** 2, axis=0) / np.maximum(number - 1, 1)
-    return mean, np.where(number > 1, np.sqrt(square / np.maximum(number, 1)), np.inf)
-
-
-def improvement(before: np.ndarray, after: np.ndarray, times: float) -> tuple[float, float]:
-    """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
-
-    Drops beyond so many times their root mean square count as that much: a window which goes astray does not decide.
-    """
-    drop = before - after
-    most = times * float(np.sqrt(np.mean(drop**2)))
-    drop = np.clip(drop, -most, most)
-    return float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop))) if len(drop) > 1 else float("inf")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
-from vpptwin.diagnosis.judgement.holdout import HeldOut, blocks_of
+from vpptwin.diagnosis.judgement.blocks import blocks_of
+from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
@@ -100,7 +101,7 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
         Part(search.bench, search.start.likelihood.response, search.start.about.missed, blew),
         Part(held_out.short, held_out.response({}), held_out.residual({}), blew),
     ]
-    if not search.bench.spec.robot.disturbance.known:
+    if search.bench.guessed:
         return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))
     flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
     names = np.unique(flights)

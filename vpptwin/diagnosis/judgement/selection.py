@@ -154,7 +154,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     if all(abs(tried.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return False
     away = abs(tried.values[own[0].key] - own[0].nominal)
-    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std.get(own[0].key, 0.0):
+    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std[own[0].key]:
         return False
     gain, error = compare(search, held_out, step.before, tried)
     strong = drop > criteria.bars_strong * criteria.bar
@@ -181,7 +181,7 @@ def trusts_errors(search: Search) -> bool:
 
     How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
     """
-    return not search.bench.spec.robot.disturbance.known
+    return search.bench.guessed
 
 
 def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:

@@ -11,7 +11,8 @@ from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.pictures import Pictures
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.diagnosis.report.ranking import Suspect
-from vpptwin.diagnosis.report.summary import HORIZON, Summary, format_plain, format_value
+from vpptwin.diagnosis.report.summary import HORIZON, Summary
+from vpptwin.diagnosis.report.words import format_plain, format_value
 
 FIRST_SUSPECTS = 10
 """Suspects of the ranking that are not folded away."""

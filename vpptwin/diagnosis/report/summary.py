@@ -12,7 +12,6 @@ from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
     Cleared,
-    Estimate,
     Experiment,
     Misfit,
     Rival,
@@ -20,10 +19,9 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
+from vpptwin.diagnosis.report.words import choose_unit, format_plain, format_value, is_plural, join_words
 from vpptwin.effects import UNLIMITED
 
-MILLI = {"m": "mm", "s": "ms", "rad": "mrad", "kg": "g", "N m": "mN m"}
-"""Units that are written with a thousandth where the number is below 0.1."""
 SHOWN_HORIZON = 2
 """Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
 REACHABLE = 0.1 * UNLIMITED
@@ -52,8 +50,6 @@ SIZE_FITS = re.compile(
     r"^(?!.*\b(?:wrong|of|that|whose)\b.* (?:on|in|from|between|along) )(.+?)( (?:on|in|from|between) .*)$"
 )
 """Summaries such as `dry friction on the horizontal rail`, in which `of 0.31 N` fits before the place."""
-HEAD = re.compile(r"^(.*?)(?: (?:of|that|on|in|from|between|at|near|older|lost|along|beside|above|whose)\b.*)?$")
-"""What a summary is about: everything before its first preposition."""
 
 
 @dataclass(frozen=True)
@@ -309,39 +305,3 @@ def describe_experiment(experiment: Experiment) -> str:
     given = f" ({values})" if values else ""
     between = join_words(experiment.separates)
     return f"{experiment.manoeuvre}{given}: it is predicted to set {between} {experiment.sigma:.1f} sigma apart."
-
-
-def format_value(estimate: Estimate, signed: bool = False) -> str:
-    """Value ± standard deviation with unit, to the digits that the deviation leaves meaningful."""
-    unit, factor = choose_unit(estimate.unit, max(abs(estimate.value), abs(estimate.nominal)))
-    value, std, plus = factor * estimate.value, factor * estimate.std, "+" if signed else ""
-    if not 0.0 < std < float("inf"):
-        return f"{value:{plus}.4g} {unit}".rstrip()
-    first, exponent = f"{std:.0e}".split("e")
-    digits = max(0, (first == "1") - int(exponent))
-    return f"{value:{plus}.{digits}f} ± {std:.{digits}f} {unit}".rstrip()
-
-
-def format_plain(value: float, estimate: Estimate) -> str:
-    """Another value of a parameter, written in the unit that its estimate is written in."""
-    unit, factor = choose_unit(estimate.unit, max(abs(estimate.value), abs(estimate.nominal)))
-    return f"{factor * value:.4g} {unit}".rstrip()
-
-
-def choose_unit(unit: str, size: float) -> tuple[str, float]:
-    """A readable unit for values of a size, and the factor to it."""
-    if unit in MILLI and size < 0.1:
-        return MILLI[unit], 1e3
-    return unit.replace("^2", "²"), 1.0
-
-
-def is_plural(phrase: str) -> bool:
-    """Whether a summary speaks of several things: `rotors of unequal thrust`."""
-    head = HEAD.match(phrase)
-    last = (head[1] if head else phrase).split()[-1]
-    return last.endswith("s") and not last.endswith("ss") and not phrase.startswith(("a ", "an "))
-
-
-def join_words(items: list[str], conjunction: str = "and") -> str:
-    """A list in words: a, b and c."""
-    return f" {conjunction} ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))

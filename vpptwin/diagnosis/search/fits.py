@@ -241,7 +241,7 @@ class Fitter:
         """
         regime = self.dry_friction_of(effects), self.bench.regime(values)
         if regime not in self._derivatives:
-            every, guessed = range(len(self.unknowns)), not self.bench.spec.robot.disturbance.known
+            every, guessed = range(len(self.unknowns)), self.bench.guessed
             first = next(iter(self._derivatives.values()), None) if guessed else None
             found = self._differentiate(values, every, self.trials if first is None else ())
             # Where every effect is tried at several sizes, that is done once: it only finds where to start.

@@ -76,7 +76,7 @@ class Search(Fitter):
         if against in starts:
             least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
         names, found = self._choose(starts, least, fit, against), dict[str, Fit]()
-        brief = len(names) > LONG and not self.bench.spec.robot.disturbance.known
+        brief = len(names) > LONG and self.bench.guessed
         number, iterations = (1, BRIEF) if brief else (self.criteria.starts, ITERATIONS)
         for name in names:
             self._refit(found, fit, starts[name][:number], iterations)
@@ -112,7 +112,7 @@ class Search(Fitter):
         """
         criteria = self.criteria
         promising = [name for name in starts if starts[name][0].drop > least]
-        if self.bench.spec.robot.disturbance.known:
+        if not self.bench.guessed:
             return promising[: criteria.shortlist]
         if not against and len(starts) <= criteria.few:
             return list(starts)
@@ -130,7 +130,7 @@ class Search(Fitter):
         """
         added = [u for u in self.unknowns if u.effect.id == effect]
         law = added[0].effect
-        if self.bench.spec.robot.disturbance.known:
+        if not self.bench.guessed:
             return []
         if added[0].is_limit:
             limits = [t.values[added[0].key] for t in self.trials if t.effect == effect]
@@ -167,7 +167,7 @@ class Search(Fitter):
     def refine(self, fit: Fit) -> Fit:
         """A fit with several laws of dry friction, or one with a shape, from the best of many places around it."""
         own = [u for u in self.unknowns if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION]
-        if self.bench.spec.robot.disturbance.known or len(own) < 2:
+        if not self.bench.guessed or len(own) < 2:
             return fit
         for _ in range(REFINED):
             places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)

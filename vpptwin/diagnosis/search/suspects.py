@@ -85,7 +85,7 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     effects: dict[str, list[Unknown]] = {}
     for unknown in unknowns:
         effects.setdefault(unknown.effect.id, []).append(unknown)
-    guessed = not bench.spec.robot.disturbance.known
+    guessed = bench.guessed
     sized = SIZES if len(effects) <= MANY else SIZES[1:2]
     trials = []
     for effect, (strength, *shapes) in effects.items():
