@@ -23,6 +23,8 @@ WHITE = (-0.85, -0.65)
 """Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
 SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
+EXPLAINED, LATEST = 0.5, 0.1
+"""Share of a disagreement from which on lateness is its reason; the latest that a stream may be [s]."""
 BELIEVED = 0.01
 """Samples of white noise are averaged over so long [s]."""
 
@@ -64,13 +66,18 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    apart = measure_disagreement(stream)
-    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, apart)
-    position = Series(joint, length, stream.time, stream["position"], noise, white=False)
+    late, apart = compare_streams(stream)
+    # The one that runs behind was filtered: what is still apart is its fault.
+    of_position, of_velocity = (None if late > 0.0 else apart), (None if late < 0.0 or apart is None else apart)
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, of_position)
+    position = Series(joint, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, (apart or 0.0) / SPANS[1])
-    return dof, position, Series(f"{joint} rate", unit, stream.time, stream["velocity"], noise, white=False)
+    noise = estimate_noise(
+        stream.time, stream["velocity"], VELOCITY_SHARE, of_velocity and of_velocity / SPANS[1]
+    )
+    time = stream.time - max(late, 0.0)
+    return dof, position, Series(f"{joint} rate", unit, time, stream["velocity"], noise, white=False)
 
 
 def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
@@ -103,19 +110,30 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     return joints[name]
 
 
-def measure_disagreement(stream: Stream) -> float | None:
-    """How far a joint's position strays from what its velocity integrates to within `SPANS[1]` [m, rad].
+def compare_streams(stream: Stream) -> tuple[float, float | None]:
+    """By how much a joint's velocity runs behind its position [s], and how far they are apart otherwise [m, rad].
 
-    What strays as far within `SPANS[0]` is noise. An estimator's errors show so, that of its lag too; None without
-    velocities.
+    What was low-passed or is late integrates to a position short of the other by that time's worth of velocity; less
+    than none where the position runs behind. It is 0 where it explains less than `EXPLAINED` of how far the position
+    strays from what the velocity integrates to within `SPANS[1]`. What strays as far within `SPANS[0]` is noise. How
+    far they are apart is None without velocities.
     """
     if "velocity" not in stream.values or len(stream) < MIN_SAMPLES:
-        return None
-    time = stream.time
-    apart = cumulative_trapezoid(stream["velocity"], time, initial=0.0) - stream["position"]
+        return 0.0, None
+    time, velocity = stream.time, stream["velocity"]
+    apart = cumulative_trapezoid(velocity, time, initial=0.0) - stream["position"]
     steps = [max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS]
-    near, far = (float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in steps)
-    return float(np.sqrt(max(far**2 - near**2, 0.0))) / 0.6745 / np.sqrt(2.0)
+
+    def stray(apart: np.ndarray) -> float:
+        near, far = (float(np.median(np.abs(apart[n:] - apart[:-n]))) if n < len(apart) else 0.0 for n in steps)
+        return float(np.sqrt(max(far**2 - near**2, 0.0))) / 0.6745 / np.sqrt(2.0)
+
+    grown, moved = (track[steps[1] :] - track[: -steps[1]] for track in (apart, velocity))
+    late = -float(grown @ moved) / max(float(moved @ moved), 1e-300)
+    before, after = stray(apart), stray(apart + late * velocity)
+    if abs(late) > LATEST or after > (1.0 - EXPLAINED) * before:
+        return 0.0, before
+    return late, after
 
 
 def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None) -> float:

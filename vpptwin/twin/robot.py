@@ -91,7 +91,8 @@ class Robot:
         signals: topics of joints and actuators.
         loads: what logs say of its scales; None before one was read, when weights must do.
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
-        shortest_window, shortest_log: to which it may be cut for short logs, and the shortest of those [s].
+        is_short: whether windows were cut for short logs.
+        shortest_window, shortest_log: to which they may be cut for those, and the shortest of those [s].
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
         adapt: what is written into the MJCF's specification before it is compiled.
@@ -105,6 +106,7 @@ class Robot:
     model: mujoco.MjModel = field(repr=False)
     signals: Signals = NO_SIGNALS
     window: float = 1.0
+    is_short: bool = False
     loads: Loads | None = field(default=None, repr=False)
     shortest_window: ClassVar[float] = 0.4
     shortest_log: ClassVar[float] = 4.0
@@ -125,11 +127,6 @@ class Robot:
         model = compile_model(path)
         check_signals(name, model, signals)
         return Robot(name, model, signals or NO_SIGNALS)
-
-    @property
-    def is_short(self) -> bool:
-        """Whether its windows were cut for short logs."""
-        return self.window < type(self).window
 
     @property
     def adapt(self) -> Callable[[mujoco.MjSpec, Path], None]:

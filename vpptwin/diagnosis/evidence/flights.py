@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
+from vpptwin.diagnosis.evidence.forces import measure_growth
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
@@ -35,6 +36,8 @@ MAX_WINDOWS = 400
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
 MAX_LONG_WINDOWS = 90
 """The same of windows of a rig that nobody knows, which are longer."""
+GROWN, LEAST_WINDOW = 2.5, 0.2
+"""Errors of a window's start may grow by this much on a logarithmic scale; windows no shorter than that [s]."""
 MANY_JOINTS = 1.5
 """Degrees of freedom from which fewer windows do: each shows more, and costs more."""
 
@@ -51,6 +54,8 @@ class Split:
 def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple[TwinSpec, list[Measurements]]:
     """The twin with windows short enough for these logs, and the logs, which warn if that is shorter than usual.
 
+    Where motion is unstable errors grow past all linear thought within a second: windows end before.
+
     Raises:
         InputError: if a log is too short for any.
     """
@@ -62,18 +67,27 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
                 f"at least {robot.shortest_log:g} s",
                 "log a longer flight",
             )
-    shorter = range(round((robot.window - robot.shortest_window) / SEGMENT) + 1)
-    lengths = [round(robot.window - SEGMENT * i, 6) for i in shorter]
-    judges = (count_judges(measurements, length, length < robot.window) for length in lengths)
+    usual = robot.window if robot.disturbance.known else find_steady(spec, measurements)
+    shorter = range(max(round((usual - robot.shortest_window) / SEGMENT), 0) + 1)
+    lengths = [round(usual - SEGMENT * i, 6) for i in shorter]
+    judges = (count_judges(measurements, length, length < usual) for length in lengths)
     chosen = next((length for length, n in zip(lengths, judges) if n >= MIN_JUDGES), lengths[-1])
-    if chosen == robot.window:
-        return spec, list(measurements)
+    if chosen == usual:
+        return spec.with_robot(window=usual), list(measurements)
     told = (
-        f"so short that windows of {chosen:g} s take the place of {robot.window:g} s: what acts strongly all the time "
+        f"so short that windows of {chosen:g} s take the place of {usual:g} s: what acts strongly all the time "
         "shows; what is weak, slow, rare or only elsewhere does not, the gain is known roughly, and errors further "
         "ahead than a window are not wholly on held-out log; log longer or again"
     )
-    return spec.with_robot(window=chosen), [replace(m, warnings=(*m.warnings, told)) for m in measurements]
+    spec = spec.with_robot(window=chosen, is_short=True)
+    return spec, [replace(m, warnings=(*m.warnings, told)) for m in measurements]
+
+
+def find_steady(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
+    """Length of windows [s] in which errors of the start grow by a factor of exp(`GROWN`) at most, in steps of 0.1 s."""
+    rate = measure_growth(spec, measurements)
+    steady = np.floor(GROWN / (rate * SEGMENT) + 1e-6) * SEGMENT if rate > 0.0 else np.inf
+    return float(round(np.clip(steady, LEAST_WINDOW, spec.robot.window), 6))
 
 
 def count_judges(measurements: Sequence[Measurements], window: float, short: bool) -> int:
@@ -147,7 +161,7 @@ def is_held_out(starts: np.ndarray, window: float, short: bool) -> np.ndarray:
 
 def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
     """As many start times as are looked at, evenly spread over all flights; half of them where they are `judging`."""
-    long = round(MAX_LONG_WINDOWS / max(spec.model.nv / MANY_JOINTS, 1.0))
+    long = round(MAX_LONG_WINDOWS / spec.robot.window / max(spec.model.nv / MANY_JOINTS, 1.0))
     limit = (MAX_WINDOWS if spec.robot.disturbance.known else long) // (1 + judging)
     total = sum(len(s) for s in starts)
     return [s[:: max(-(-total // limit), 1)] for s in starts] if total > limit else starts

@@ -20,6 +20,8 @@ REACH = 0.025
 """Accelerations are differences of velocities so long before and after an instant [s]."""
 MOST = 1200
 """Instants that are looked at, over all logs."""
+MOST_STATES, STEP = 120, 1e-6
+"""Instants at which the growth of errors is looked at, and steps of its differences."""
 USUAL = 90.0
 """Percentile of a load that is called typical."""
 SLIGHT = 1e-3
@@ -93,6 +95,23 @@ def invert(
         mujoco.mj_mulM(model, data, inertial[i], acceleration[i])
         missing[i] = data.qfrc_inverse - actuator[i]
     return inertial, actuator, missing
+
+
+def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
+    """Rate at which small errors of a state grow in the twin's MJCF, mean along the logs [1/s]; 0 for none."""
+    model, gravity, rates = spec.model, -float(spec.model.opt.gravity[2]), []
+    data, moved = mujoco.MjData(model), np.zeros((2 * model.nv, 2 * model.nv))
+    for log in measurements:
+        times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
+        times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
+        control = average_held(log.command, times[:, None] + np.array([-REACH, REACH]))[:, 0]
+        for pose, velocity, inputs in zip(
+            *estimate_states(log, times, model.nv, gravity, False), control, strict=True
+        ):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
+            mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
+            rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)
+    return float(max(np.mean(rates), 0.0)) if rates else 0.0
 
 
 def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec:

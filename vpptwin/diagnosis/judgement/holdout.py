@@ -119,14 +119,14 @@ class HeldOut:
         return improvement(found[0], found[1], self.criteria.most_drop)
 
     def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether an error of the pose up to `watched` ahead grows by more than `worse` and by a standard error."""
+        """Whether an error of the pose up to `watched` ahead grows by more than `worse`, and a standard error beyond."""
         near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
         ratios = self.error_ratios(before, after)
         few = len(self.long.windows) < self.criteria.judges and self.long.guessed
         if few:  # a scatter of two or three tells nothing, and chi² has the word
             return False
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
-        return any(bool(np.any((mean > np.log1p(self.criteria.worse)) & (mean > error))) for mean, error in grown)
+        return any(bool(np.any(mean - error > np.log1p(self.criteria.worse))) for mean, error in grown)
 
     def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
         """Whether a twin with `after` predicts worse than one with `before`: nearby, or altogether."""
