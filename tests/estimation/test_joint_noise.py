@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from vpptwin.estimation.joints import POSITION_SHARE, estimate_noise, measure_disagreement
-from vpptwin.logs.flight import Stream
+from tests.diagnosis.carts import load_cart
+from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, estimate_noise, read_joint
+from vpptwin.logs.flight import Flight, Stream
 
 TIME = np.arange(4000) / 200.0
 PATH = np.sin(TIME) + 0.3 * np.sin(2.7 * TIME)
@@ -69,16 +72,56 @@ def stream(velocity: np.ndarray | None, position: np.ndarray = PATH) -> Stream:
 
 def test_velocities_that_integrate_to_the_positions_agree() -> None:
     """But for white noise in both, of which 0.05 m/s over 46 samples makes 1.7 mm; without any nothing is known."""
-    found = measure_disagreement(stream(SPEED + draw(0.05), PATH + draw(1e-3, 1)))
+    late, found = compare_streams(stream(SPEED + draw(0.05), PATH + draw(1e-3, 1)))
+    assert late == 0.0
     assert found is not None
     assert found < 1.7e-3
-    assert measure_disagreement(stream(None)) is None
-    assert measure_disagreement(Stream(TIME[:40], {"position": PATH[:40], "velocity": -SPEED[:40]})) is None
+    assert compare_streams(stream(None)) == (0.0, None)
+    assert compare_streams(Stream(TIME[:40], {"position": PATH[:40], "velocity": -SPEED[:40]})) == (0.0, None)
 
 
-@pytest.mark.parametrize("velocity", [1.1 * SPEED, SPEED + 0.05, np.roll(SPEED, 12)], ids=["gain", "bias", "late"])
+@pytest.mark.parametrize("velocity", [1.1 * SPEED, SPEED + 0.05], ids=["gain", "bias"])
 def test_velocities_that_do_not_are_told(velocity: np.ndarray) -> None:
-    """A gain of 1.1, a bias of 0.05 m/s over a quarter of a second, or 60 ms: centimetres, or nearly."""
-    found = measure_disagreement(stream(velocity))
+    """A gain of 1.1 or a bias of 0.05 m/s over a quarter of a second: centimetres, and no lateness explains it."""
+    late, found = compare_streams(stream(velocity))
+    assert late == 0.0
     assert found is not None
     assert found > 5e-3
+
+
+def low_pass(value: np.ndarray, time_constant: float) -> np.ndarray:
+    """A first-order lag."""
+    out, held, keep = np.empty_like(value), value[0], np.exp(-0.005 / time_constant)
+    for i, x in enumerate(value):
+        held = x + keep * (held - x)
+        out[i] = held
+    return out
+
+
+def test_the_stream_that_lags_is_found() -> None:
+    """A lag of 20 ms, or 60 ms late; what is left after it is moved is what noise makes, or half of less."""
+    noise = draw(0.02)
+    late, left = compare_streams(stream(low_pass(SPEED, 0.02) + noise))
+    assert late == pytest.approx(0.02, abs=0.003)  # samples are 5 ms apart
+    assert left is not None
+    assert left < 1e-3
+    late, left = compare_streams(stream(SPEED + noise, low_pass(PATH, 0.02)))
+    assert late == pytest.approx(-0.02, abs=0.003)
+    late, left = compare_streams(stream(np.roll(SPEED, 12)))
+    assert late == pytest.approx(0.06, abs=0.005)
+
+
+def test_what_lags_is_moved_and_the_other_believed(tmp_path: Path) -> None:
+    """Velocities 20 ms late: their stamps move, positions are as good as their white noise. And the other way round."""
+    spec, quiet = load_cart(tmp_path), 0.3 * FLOOR
+    for path, speed, moved in (
+        (PATH, low_pass(SPEED, 0.02), (0.0, 0.02)),
+        (low_pass(PATH, 0.02), SPEED, (0.02, 0.0)),
+    ):
+        joint = Stream(TIME, {"position": path + draw(quiet, 1), "velocity": speed + draw(1e-3)})
+        flight = Flight(tmp_path / "log.mcap", 0, {}, joints={"/joint_states": {"slide": joint}})
+        _, position, velocity = read_joint(spec, flight, "/joint_states", "slide")
+        assert velocity is not None
+        assert TIME[0] - position.time[0] == pytest.approx(moved[0], abs=0.003)
+        assert TIME[0] - velocity.time[0] == pytest.approx(moved[1], abs=0.003)
+        assert position.std < 0.5 * FLOOR

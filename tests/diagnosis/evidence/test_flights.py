@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,20 @@ def test_several_logs_of_some_seconds_keep_the_usual_window(tmp_path: Path) -> N
     """Where whole logs judge, three windows each are enough: 4.5 s hold four of 1 s."""
     spec, flights = choose_window(load_cart(tmp_path), [fly(4.5), fly(4.5)])
     assert (spec.robot.window, [f.warnings for f in flights]) == (1.0, [(), ()])
+
+
+@pytest.mark.parametrize(("length", "window"), [(0.1, 0.2), (0.4, 0.5), (5.0, 1.0)])
+def test_windows_end_before_errors_outgrow_linear_thought(tmp_path: Path, length: float, window: float) -> None:
+    """A point mass upside down on a rod: errors grow at √(g/l), in a window by a factor of exp(2.5) at most."""
+    (tmp_path / "pole.xml").write_text(
+        "<mujoco><worldbody><body><joint name='slide' axis='0 1 0'/>"
+        f"<geom type='sphere' size='0.001' mass='1' pos='0 0 {length}'/></body></worldbody></mujoco>"
+    )
+    (tmp_path / "pole.yaml").write_text("model: pole.xml\nsignals: {joints: {slide: /joint_states}}\n")
+    still = fly(30.0)
+    standing = replace(still, positions={0: replace(still.positions[0], value=0.0 * still.positions[0].value)})
+    spec, (flight,) = choose_window(load_twin(tmp_path / "pole.yaml"), [standing])
+    assert (spec.robot.window, spec.robot.is_short, flight.warnings) == (window, False, ())
 
 
 def test_too_short_logs_are_refused_and_the_drone_keeps_its_windows(tmp_path: Path) -> None:
