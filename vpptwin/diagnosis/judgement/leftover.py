@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lombscargle
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of
@@ -13,12 +14,14 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, gust_std, tune_gust
+from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, gust_std, middles_of_segments, tune_gust
 from vpptwin.diagnosis.search.search import Search
 
 FITTED = 10**6
 """Tells fitted windows of a flight from its held-out ones."""
 BINS = (4, 8, 16, 48)
+SWINGS, LESS = 4.0, 0.2
+"""A force swings at least so often in a log, or it only drifts; share by which a swing is believed less than a state."""
 FOLDS = 4
 
 
@@ -198,8 +201,10 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench), 1e-30) ** 2))
     force = missing[:, :, dof].ravel()
     fold = np.repeat(blocks_of(bench.windows, bench.criteria.block) % FOLDS, bench.segments)
-    found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in list_quantities(part, values)]
-    found.sort(key=lambda item: -item[0])
+    quantities = [*list_quantities(part, values), find_swing(bench, missing[:, :, dof])]
+    found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in quantities]
+    # What moves periodically makes everything swing: that must tell clearly more than what moves.
+    found.sort(key=lambda item: -item[0] * (1.0 - LESS * (item[2] is quantities[-1][1])))
     joint = model.joint(int(model.dof_jntid[dof])).name
     unit = "N m" if bench.spec.robot.rotary[dof] else "N"
     share, label, quantity = found[0]
@@ -240,6 +245,30 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
     time = windows.start[:, None] + windows.dt * np.arange(windows.steps)
     add("time [s]", time)
     return named
+
+
+def find_swing(bench: Bench, force: np.ndarray) -> tuple[str, np.ndarray]:
+    """Phase of the strongest swing of a force (K, segments), which Lomb's and Scargle's periodogram finds, likewise.
+
+    Every log has the frequency of the one in which it stands out most, and swings from its own start on.
+    """
+    time, windows = middles_of_segments(bench), bench.windows
+    best = (-1.0, 0.0)
+    for flight in np.unique(windows.flight):
+        rows = windows.flight == flight
+        at, pushed = time[rows].ravel(), force[rows].ravel() - force[rows].mean()
+        slowest = SWINGS / max(float(np.ptp(at)), 1e-9)
+        fastest = 0.5 * bench.segments / (windows.steps * windows.dt)
+        rates = np.arange(slowest, fastest, slowest / (2.0 * SWINGS))
+        if len(rates) and np.any(pushed):
+            power = lombscargle(at, pushed, 2.0 * np.pi * rates, normalize=True)
+            best = max(best, (float(power.max()), float(rates[np.argmax(power)])))
+    phase = time * best[1] % 1.0
+    for flight in np.unique(windows.flight):  # each log's swing has a phase of its own
+        rows = windows.flight == flight
+        turn = np.angle(np.sum(force[rows] * np.exp(-2j * np.pi * phase[rows])))
+        phase[rows] = (phase[rows] + turn / (2.0 * np.pi)) % 1.0
+    return f"a swing at {best[1]:.2g} Hz [periods]", phase
 
 
 def predicted_share(quantity: np.ndarray, force: np.ndarray, fold: np.ndarray) -> float:
