@@ -73,9 +73,7 @@ def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[
     position = Series(joint, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return dof, position, None
-    noise = estimate_noise(
-        stream.time, stream["velocity"], VELOCITY_SHARE, of_velocity and of_velocity / SPANS[1]
-    )
+    noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, of_velocity and of_velocity / SPANS[1])
     time = stream.time - max(late, 0.0)
     return dof, position, Series(f"{joint} rate", unit, time, stream["velocity"], noise, white=False)
 

@@ -84,7 +84,7 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
 
 
 def find_steady(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
-    """Length of windows [s] in which errors of the start grow by a factor of exp(`GROWN`) at most, in steps of 0.1 s."""
+    """Length of windows [s], in steps of 0.1 s, in which errors of the start grow by exp(`GROWN`) at most."""
     rate = measure_growth(spec, measurements)
     steady = np.floor(GROWN / (rate * SEGMENT) + 1e-6) * SEGMENT if rate > 0.0 else np.inf
     return float(round(np.clip(steady, LEAST_WINDOW, spec.robot.window), 6))

@@ -105,9 +105,7 @@ def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> floa
         times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
         times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
         control = average_held(log.command, times[:, None] + np.array([-REACH, REACH]))[:, 0]
-        for pose, velocity, inputs in zip(
-            *estimate_states(log, times, model.nv, gravity, False), control, strict=True
-        ):
+        for pose, velocity, inputs in zip(*estimate_states(log, times, model.nv, gravity, False), control, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
             mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
             rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)

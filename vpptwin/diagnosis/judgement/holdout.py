@@ -119,7 +119,7 @@ class HeldOut:
         return improvement(found[0], found[1], self.criteria.most_drop)
 
     def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
-        """Whether an error of the pose up to `watched` ahead grows by more than `worse`, and a standard error beyond."""
+        """Whether an error of the pose up to `watched` ahead grows by more than `worse` and a standard error."""
         near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
         ratios = self.error_ratios(before, after)
         few = len(self.long.windows) < self.criteria.judges and self.long.guessed

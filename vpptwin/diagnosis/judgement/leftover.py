@@ -14,14 +14,21 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Unexplained
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, gust_std, middles_of_segments, tune_gust
+from vpptwin.diagnosis.search.likelihood import (
+    Likelihood,
+    Response,
+    couple_gusts,
+    gust_std,
+    middles_of_segments,
+    tune_gust,
+)
 from vpptwin.diagnosis.search.search import Search
 
 FITTED = 10**6
 """Tells fitted windows of a flight from its held-out ones."""
 BINS = (4, 8, 16, 48)
 SWINGS, LESS = 4.0, 0.2
-"""A force swings at least so often in a log, or it only drifts; share by which a swing is believed less than a state."""
+"""A force swings at least so often in a log, or it only drifts; share by which it is believed less than a state."""
 FOLDS = 4
 
 
