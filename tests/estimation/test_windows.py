@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from tests.estimation.synthetic import OwnFlight, draw_commands, fly_own
 from vpptwin.estimation.measurements import Series, read_measurements
 from vpptwin.estimation.windows import (
-    WARM_UP,
     Windows,
     average_held,
     average_sampled,
@@ -92,7 +91,7 @@ def test_windows_hold_the_log(own: OwnFlight, windows: Windows) -> None:
     for i, start in enumerate(np.round(windows.start * 1000).astype(int)):
         np.testing.assert_allclose(windows.command[i], blades[start : start + 150], rtol=0, atol=1e-12)
         np.testing.assert_allclose(windows.warm[i], blades[start - 150 : start], rtol=0, atol=1e-12)
-    assert windows.warm.shape[1] * windows.dt == pytest.approx(WARM_UP)
+    assert windows.warm.shape[1] * windows.dt == pytest.approx(SPEC.robot.warm_up)
     assert windows.rotor_speed is not None
     np.testing.assert_allclose(windows.rotor_speed, 471.239, rtol=1e-12)
 
@@ -114,7 +113,7 @@ def test_warm_up_forgets_the_past(own: OwnFlight, windows: Windows) -> None:
     truth = replace(windows, pose=own.state_at(windows.start)[0], velocity=own.state_at(windows.start)[1])
     pose, velocity, _ = fly_windows(Twin(SPEC, len(windows)), truth)
     blades = own.flight.streams["/rotor/command"]["blade_pitch"]
-    forgotten = np.ptp(blades, axis=0).max() * np.exp(-WARM_UP / 0.02)  # rad, at most, decaying with 20 ms
+    forgotten = np.ptp(blades, axis=0).max() * np.exp(-SPEC.robot.warm_up / 0.02)  # rad, at most, decaying with 20 ms
     impulse = 2 * 23.8 * forgotten * 0.02  # N s: 23.8 N/rad and rotor
     bound = impulse / np.array([0.58, 0.50, 0.006 / 0.2])
     for k in (50, 100, 150):

@@ -15,8 +15,6 @@ from vpptwin.twin.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
-WARM_UP = 0.15
-"""Past commands run through the actuators before a window, so that they start where they were [s]."""
 SPIN_SPAN = 0.01
 """Rotor speeds this long around a window's start, or as long before it, tell the speed there [s]."""
 
@@ -109,7 +107,7 @@ def cut_windows(
         flight: index to remember the flight by.
     """
     dt = float(spec.model.opt.timestep)
-    steps, warm = round(length / dt), round(WARM_UP / dt)
+    steps, warm = round(length / dt), round(spec.robot.warm_up / dt)
     edges = starts[:, None] + dt * np.arange(-warm, steps + 1)
     command = average_held(measurements.command, edges)
     speed = throttle = spin = None

@@ -40,6 +40,7 @@ class PlanarDrone(Robot):
     rotorcraft: Vehicle | None = None  # type: ignore[misc]  # every drone has one
     window: float = 0.3  # it falls over within a second
     shortest_window: ClassVar[float] = 0.3
+    warm_up: ClassVar[float] = 0.15
     shortest_log: ClassVar[float] = 5.0
     controllers: ClassVar[tuple[str, ...]] = ("map", "adaptive")
     step: ClassVar[str] = "step_drone"

@@ -93,6 +93,7 @@ class Robot:
         window: length of a fitted window [s]: long enough for an effect to show in what is logged there.
         is_short: whether windows were cut for short logs.
         shortest_window, shortest_log: to which they may be cut for those, and the shortest of those [s].
+        warm_up: past inputs that run through its actuators before a window, so that they start where they were [s].
         controllers: ways in which its firmware may drive the actuators.
         step: name of its inner step in `vpptwin.twin.step`.
         adapt: what is written into the MJCF's specification before it is compiled.
@@ -110,6 +111,7 @@ class Robot:
     loads: Loads | None = field(default=None, repr=False)
     shortest_window: ClassVar[float] = 0.4
     shortest_log: ClassVar[float] = 4.0
+    warm_up: ClassVar[float] = 1.5  # a slow rate limit is that far behind
     controllers: ClassVar[tuple[str, ...]] = ("map",)
     step: ClassVar[str] = "step_rig"
     rotorcraft: ClassVar[Vehicle | None] = None

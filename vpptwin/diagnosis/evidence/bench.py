@@ -23,8 +23,8 @@ from vpptwin.twin.twin import Twin
 
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
-ASTRAY = 1e4
-"""Noises by which a simulation that diverged is taken to miss."""
+ASTRAY, FARTHEST = 1e4, 1e8
+"""Noises by which a simulation that diverged is taken to miss, and by which any can: squares must not overflow."""
 FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 Key = tuple[str, str]
@@ -110,7 +110,7 @@ class Bench:
     def miss(self, predicted: np.ndarray) -> np.ndarray:
         """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""
         missed = np.where(np.isfinite(predicted), self.measured - predicted, ASTRAY * self.std)
-        return np.where(self.valid, missed, 0.0)
+        return np.where(self.valid, np.clip(missed, -FARTHEST * self.std, FARTHEST * self.std), 0.0)
 
     def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
         """The channels in every variation, (V, K, C B).
@@ -280,4 +280,5 @@ class Bench:
                     pushes[i, segment, dof] = size
             disturbance = pushes[which]
         shifted = taken.shift(self.spec.model, pose[which], velocity[which])
-        return fly_windows(twin, shifted, disturbance)
+        with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
+            return fly_windows(twin, shifted, disturbance)

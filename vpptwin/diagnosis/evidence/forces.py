@@ -98,7 +98,7 @@ def invert(
 
 
 def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
-    """Rate at which small errors of a state grow in the twin's MJCF, mean along the logs [1/s]; 0 for none."""
+    """Rate at which small errors of a state grow in the twin's MJCF, typical along the logs [1/s]; 0 for none."""
     model, gravity, rates = spec.model, -float(spec.model.opt.gravity[2]), []
     data, moved = mujoco.MjData(model), np.zeros((2 * model.nv, 2 * model.nv))
     for log in measurements:
@@ -109,7 +109,7 @@ def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> floa
             data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
             mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
             rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)
-    return float(max(np.mean(rates), 0.0)) if rates else 0.0
+    return float(max(np.percentile(rates, USUAL), 0.0)) if rates else 0.0
 
 
 def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec:

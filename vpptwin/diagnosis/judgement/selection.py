@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         stage(f"trying suspects (named: {named})")
         step = search.extend(fit, barred)
         first, steps = first or step, steps + 1
-        accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
+        step, accepted = accept_cause(search, held_out, step, earlier_drops)
         if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
             fit = search.drop_superfluous(search.refine(search.reframe(best)))
@@ -137,6 +137,22 @@ def exchange_causes(
             if gain > -search.criteria.sigmas_against * error and not held_out.worsens(fit.values, other.values):
                 best = won, other
     return best[1]
+
+
+def accept_cause(
+    search: Search, held_out: HeldOut, step: Step, earlier_drops: Mapping[str, float]
+) -> tuple[Step, str | None]:
+    """The suspect that becomes a cause, of a step in which it is judged; None for none.
+
+    Of two effects that hide each other either alone may bring less than a wrong one which held-out log contradicts:
+    where errors have the last word, those that fall behind are heard too if no other is left.
+    """
+    accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
+    if accepted is not None or not (step.behind and trusts_errors(search)):
+        return step, accepted
+    late = search.judge_behind(replace(step, tried={}))
+    accepted = next((e for e in late.ordered if is_cause(search, held_out, late, e, earlier_drops)), None)
+    return replace(late, tried=step.tried | late.tried), accepted
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -27,10 +27,17 @@ LONG, BRIEF = 3, 2
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search: the fit before it, and every shortlisted suspect added to it."""
+    """One step of the search: the fit before it, and every shortlisted suspect added to it.
+
+    Attributes:
+        before: the fit.
+        tried: suspect → refit, under its own likelihood.
+        behind: the same of those that fall far behind the best, not yet judged.
+    """
 
     before: Fit
     tried: dict[str, Fit]
+    behind: dict[str, Fit] = field(default_factory=dict)
 
     def drop(self, effect: str) -> float:
         """Drop in cost that adding an effect brought."""
@@ -102,7 +109,13 @@ class Search(Fitter):
                     self._refit(found, fit, [start])
         drops = {name: refitted.evidence_against(fit) for name, refitted in found.items()}
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
-        return Step(fit, {name: self.judge_alone(found[name]) for name, drop in drops.items() if drop >= least})
+        behind = {name: found[name] for name, drop in drops.items() if self.criteria.bar < drop < least}
+        step = Step(fit, {}, {name: found[name] for name, drop in drops.items() if drop >= least})
+        return replace(self.judge_behind(step), behind=behind)
+
+    def judge_behind(self, step: Step) -> Step:
+        """A step in which those that fall behind are judged by their own likelihoods too."""
+        return Step(step.before, step.tried | {name: self.judge_alone(fit) for name, fit in step.behind.items()})
 
     def _choose(self, starts: Mapping[str, Sequence[Start]], least: float, fit: Fit, against: str) -> list[str]:
         """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
