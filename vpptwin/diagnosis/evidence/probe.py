@@ -23,7 +23,7 @@ again.
 """
 
 MEMORY = 1.5
-"""Past inputs that actuators have run through before: a limited rate or play remembers for long [s]."""
+"""Past inputs that actuators run through before where they follow changes: a limited rate or play remembers [s]."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,13 @@ def share_forces(
     forces = take(forces, np.choose(forces.flight, inside))
     without = [{key: v for key, v in values.items() if key[0] != cause} for cause in causes]
     runs = [Variation(dict(values)), *map(Variation, without)]
+    acting = {effect for effect, _ in values} | set(spec.effects)
+    remembers = any(law.follows == "command change" for law in spec.catalogue if law.id in acting)
     found = []
     for offset in OFFSETS:
         parts = [
-            cut_probes(spec, log, forces.time[forces.flight == i] + offset, i) for i, log in enumerate(measurements)
+            cut_probes(spec, log, forces.time[forces.flight == i] + offset, i, remembers)
+            for i, log in enumerate(measurements)
         ]
         velocity = Bench(spec, join_windows(parts), (), 1).simulate(runs).velocity
         found.append(np.diff(velocity, axis=2)[:, :, 0] / float(spec.model.opt.timestep))
@@ -89,10 +92,12 @@ def share_forces(
     return Shares(forces, made, steady, forces.inertial - moved, moved, changing)
 
 
-def cut_probes(spec: TwinSpec, log: Measurements, times: np.ndarray, index: int) -> Windows:
-    """Windows of one inner step, whose actuators have long run."""
+def cut_probes(spec: TwinSpec, log: Measurements, times: np.ndarray, index: int, remembers: bool) -> Windows:
+    """Windows of one inner step, whose actuators have run long enough for what they remember."""
     step = float(spec.model.opt.timestep)
     windows = cut_windows(spec, log, times, step, False, index)
+    if not remembers:
+        return windows
     edges = times[:, None] + step * np.arange(-round(MEMORY / step), 1)
     return replace(windows, warm=average_held(log.command, edges))
 
