@@ -114,6 +114,17 @@ class Criteria:
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
         "issue 20, rigs whose sensors and disturbances are assumed")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow", "e1272d1, b200008")
+    has_a_say: float = assumed(0.2, "", "standard error of the share of a force up to which inverse dynamics has a say",
+        "issue 20, rigs whose sensors are assumed; development seeds 701 to 720")
+    sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "issue 20")
+    least_seen: float = assumed(0.4, "", "share of a cause's force that inverse dynamics must see", "issue 20")
+    most_seen: float = assumed(2.5, "", "share of it that it may see at most", "issue 20")
+    late: float = assumed(0.01, "s", "by which a log's accelerations may be late", "issue 20: a low pass at 16 Hz")
+    distorted: float = assumed(0.03, "", "share by which they may be too small or too large", "issue 20")
+    blurred: float = assumed(0.7, "", "share of a force's square left in its mean over 75 ms; below, it is blurred",
+        "issue 20")
+    unbalanced: float = assumed(1.5, "", "times the largest force that inputs, inertia and weight balance, for a cause",
+        "issue 20")
     inexact: float = calibrated(0.02, "", "what the law of an effect may be wrong by, as a share of its strength",
         "sessions of seed 8001 at 99e2077: nine in ten 90 % intervals held the truth")
     inexact_friction: float = calibrated(0.05, "", "the same of laws of dry friction",

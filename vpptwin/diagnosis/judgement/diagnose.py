@@ -20,9 +20,11 @@ from vpptwin.diagnosis.evidence.flights import (
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
+from vpptwin.diagnosis.judgement.contradiction import weigh_causes
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover, share_left
+from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Misfit, Unexplained, Verdict
@@ -183,12 +185,17 @@ def conclude(
     )
     most = search.criteria.suggested if doubtful else 1.0
     contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
+    denied = {}
+    if search.bench.guessed:
+        seen = weigh_causes(spec, material.measurements, fit.values, search.criteria)
+        denied = {s.effect: s.tell(search.criteria) for s in seen if s.contradicts(search.criteria)}
     causes = []
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, nominal)
         own = [u for u in search.unknowns if u.effect.id == effect]
         confidence = min((least if contradicted else sober) * selection.confidence(effect), most)
+        confidence = min(confidence, least) if effect in denied else confidence
         found = {u.parameter.name: estimate(u, fit) for u in own}
         rivals, summary = selection.rivals[effect], own[0].effect.summary
         causes.append(Cause(effect, confidence, found, gain, rivals, summary, interval))
@@ -209,7 +216,13 @@ def conclude(
         unseen=unseen,
         improvement=held_out.change(nominal, fit.values) if causes else {},
         misfit=find_misfit(held_out, fit.values, after.chi2),
-        warnings=[CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
+        warnings=list(denied.values())
+        + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
+        + [
+            told
+            for effect in sorted(fit.effects)
+            if (told := describe_input_error(spec, find_effect(spec.catalogue, effect)))
+        ]
         + [
             f"{flight.path.name}: {warning}"
             for flight, measured in zip(flights, material.measurements)
