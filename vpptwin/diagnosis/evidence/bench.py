@@ -144,6 +144,11 @@ class Bench:
         return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= set(PERFECT))
 
     @cached_property
+    def _remembering(self) -> frozenset[str]:
+        """Ids of the effects for which past inputs matter."""
+        return frozenset(e.id for e in self.spec.catalogue if e.follows == "command change")
+
+    @cached_property
     def without_dry_friction(self) -> dict[Key, float]:
         """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
         rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
@@ -267,6 +272,8 @@ class Bench:
                 nominal = self.spec.value(effect, parameter.name)
                 values = np.array([v.values.get((effect_id, parameter.name), nominal) for v in variations])
                 twin.set_parameter(effect_id, parameter.name, values[which])
+        if self.guessed and not (active | set(self.spec.effects)) & self._remembering:
+            windows = replace(windows, warm=windows.warm[:, -1:])
         taken = windows.take(window)
         zero = np.zeros(nv)
         pose = np.stack([zero if v.pose is None else v.pose for v in variations])

@@ -12,7 +12,7 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.evidence.forces import REACH, Forces, measure_forces
 from vpptwin.estimation.gaps import LOOK_BACK
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.windows import Windows, average_held, cut_windows, join_windows
+from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
 
 OFFSETS = np.linspace(-1.5, 1.5, 7) * REACH
@@ -21,9 +21,6 @@ OFFSETS = np.linspace(-1.5, 1.5, 7) * REACH
 A difference over twice `REACH` averages accelerations over that time, and what smooths the velocities over as much
 again.
 """
-
-MEMORY = 1.5
-"""Past inputs that actuators run through before where they follow changes: a limited rate or play remembers [s]."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +65,14 @@ def share_forces(
     forces = take(forces, np.choose(forces.flight, inside))
     without = [{key: v for key, v in values.items() if key[0] != cause} for cause in causes]
     runs = [Variation(dict(values)), *map(Variation, without)]
-    acting = {effect for effect, _ in values} | set(spec.effects)
-    remembers = any(law.follows == "command change" for law in spec.catalogue if law.id in acting)
-    found = []
+    step, found = float(spec.model.opt.timestep), []
     for offset in OFFSETS:
         parts = [
-            cut_probes(spec, log, forces.time[forces.flight == i] + offset, i, remembers)
+            cut_windows(spec, log, forces.time[forces.flight == i] + offset, step, False, i)
             for i, log in enumerate(measurements)
         ]
         velocity = Bench(spec, join_windows(parts), (), 1).simulate(runs).velocity
-        found.append(np.diff(velocity, axis=2)[:, :, 0] / float(spec.model.opt.timestep))
+        found.append(np.diff(velocity, axis=2)[:, :, 0] / step)
     exerted = weigh(spec.model, forces.pose, np.concatenate(found)).reshape(
         len(OFFSETS), len(runs), *found[0].shape[1:]
     )
@@ -90,16 +85,6 @@ def share_forces(
         for cause, force in every.items()
     }
     return Shares(forces, made, steady, forces.inertial - moved, moved, changing)
-
-
-def cut_probes(spec: TwinSpec, log: Measurements, times: np.ndarray, index: int, remembers: bool) -> Windows:
-    """Windows of one inner step, whose actuators have run long enough for what they remember."""
-    step = float(spec.model.opt.timestep)
-    windows = cut_windows(spec, log, times, step, False, index)
-    if not remembers:
-        return windows
-    edges = times[:, None] + step * np.arange(-round(MEMORY / step), 1)
-    return replace(windows, warm=average_held(log.command, edges))
 
 
 def weigh(model: mujoco.MjModel, pose: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
