@@ -128,7 +128,7 @@ def judge_weather(
     y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
     after, first = (force[:, worst.dof] * gust_std(bench)[worst.dof] for force in (missing.force, old))
     plot = WrenchPlot(missing.quantities[label], first, after, label, y_label)
-    return Leftover(Unexplained(True, kept, channel, names, worst.sigma), plot)
+    return Leftover(Unexplained(True, kept, channel, names, worst.sigma if following else 0.0), plot)
 
 
 def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
