@@ -126,6 +126,8 @@ class Criteria:
         "issue 20: 5 % of weight on one joint")
     followed: float = calibrated(5.0, "sigma", "by which a missing force must follow something to be no gust",
         "sessions of seeds 8001, 8100 to 8105, issue 20")
+    doubted: float = calibrated(3.5, "sigma", "the same from which a cause beside it is but suggested",
+        "sessions of seeds 8001, 8100 to 8105, issue 20")
     push: float = calibrated(0.25, "gust", "strength that must be foretold of it: tolerances make less",
         "sessions of seeds 8001, 8100 to 8105, issue 20")
     channel_level: float = by_hand(1.6, "", "the same of a channel's whitened residual", "e1272d1")

@@ -179,7 +179,9 @@ def conclude(
     least = search.criteria.sober
     sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
     doubtful = unexplained.significant or (
-        search.bench.guessed and share_left(held_out, fit) > search.criteria.explained
+        share_left(held_out, fit) > search.criteria.explained
+        if search.bench.guessed
+        else unexplained.sigma > search.criteria.doubted
     )
     most = search.criteria.suggested if doubtful else 1.0
     # Gusts that are known to blow make errors, too.

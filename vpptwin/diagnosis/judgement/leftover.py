@@ -114,13 +114,14 @@ def judge_weather(
     missing, old = lay_out(parts, values), join([part.missing_force() for part in before])
     kept = float(np.clip((missing.force**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
     pushes = [missing.inspect(dof, criteria) for dof in range(bench.spec.model.nv)]
-    following = [push for push in pushes if push.sigma > criteria.followed and push.foretold > criteria.push]
-    worst = max(following or pushes, key=lambda push: push.sigma if following else push.strength)
+    sigmas = [push.sigma * (push.foretold > criteria.push) for push in pushes]
+    sigma, follows = max(sigmas), max(sigmas) > criteria.followed
+    worst = pushes[int(np.argmax(sigmas if follows else [push.strength for push in pushes]))]
     levels = np.max([part.levels_of_channels() for part in parts], axis=0)
     strange = levels.max() > criteria.channel_level
-    found = following or strange or worst.strength > criteria.storm
+    found = follows or strange or worst.strength > criteria.storm
     if not found or (extended and kept < criteria.matters):
-        return Leftover(Unexplained(False, kept, None, [], worst.sigma), None)
+        return Leftover(Unexplained(False, kept, None, [], sigma), None)
     joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[worst.dof])).name
     channel = bench.channels[int(np.argmax(levels))].name if strange else joint
     names = [each.label.split(" [")[0] for each in worst.followed if each.sigma > criteria.followed][:3]
@@ -128,7 +129,7 @@ def judge_weather(
     y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
     after, first = (force[:, worst.dof] * gust_std(bench)[worst.dof] for force in (missing.force, old))
     plot = WrenchPlot(missing.quantities[label], first, after, label, y_label)
-    return Leftover(Unexplained(True, kept, channel, names, worst.sigma if following else 0.0), plot)
+    return Leftover(Unexplained(True, kept, channel, names if follows else [], sigma if follows else 0.0), plot)
 
 
 def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
