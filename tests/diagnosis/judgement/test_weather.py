@@ -70,7 +70,7 @@ def test_a_force_with_a_memory_is_found() -> None:
     """It lags behind the place, and so follows the way that was come, under gusts half as strong as itself."""
     force = 0.5 * draw_walk(3, 0.3) + np.tanh(8.0 * leave_behind(PLACE, TIME, FLIGHT, 0.3))
     assert inspect(force).followed[0].label == "way"
-    assert inspect(force).sigma > CRITERIA.followed + 1.0
+    assert inspect(force).sigma > CRITERIA.followed
 
 
 def test_the_way_come_by_hand() -> None:

@@ -32,10 +32,10 @@ class Part:
     response: Response
     residual: np.ndarray
 
-    def squares_of_force(self) -> np.ndarray:
-        """Mean square of the innovations of unmodelled force in every window, (K,): 1 for gusts as assumed."""
-        likelihood = couple_gusts(self.bench, self.response, np.ones(self.bench.spec.model.nv))
-        return (likelihood.innovate(self.response.along(self.residual)) ** 2).mean(axis=1)
+    def square_of_force(self, gust: np.ndarray) -> float:
+        """Mean square of the innovations of unmodelled force, under gusts `gust` times as strong as assumed, (nv,)."""
+        likelihood = couple_gusts(self.bench, self.response, gust)
+        return float((likelihood.innovate(self.response.along(self.residual)) ** 2).mean())
 
     def missing_force(self) -> np.ndarray:
         """Force pulses that explain the residual, in multiples of the assumed gusts, (K, segments, nv)."""
@@ -81,11 +81,13 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     """Judge what is left: of rigs whose gusts are known to be some on all windows, fitted or not."""
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
     looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
+    blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
     parts = [
-        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser),
+        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser, blew),
         with_looser_response(
             Part(held_out.short, held_out.response(fit.values), judged),
             held_out.response(held_out.short.loosen(fit.values)),
+            blew,
         ),
     ]
     before = [
@@ -119,7 +121,7 @@ def judge_weather(
     worst = pushes[int(np.argmax(sigmas if follows else [push.strength for push in pushes]))]
     levels = np.max([part.levels_of_channels() for part in parts], axis=0)
     strange = levels.max() > criteria.channel_level
-    found = follows or strange or worst.strength > criteria.storm
+    found = follows or strange or worst.strength > criteria.gale
     if not found or (extended and kept < criteria.matters):
         return Leftover(Unexplained(False, kept, None, [], sigma), None)
     joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[worst.dof])).name
@@ -133,15 +135,25 @@ def judge_weather(
 
 
 def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
-    """The missing force of windows in parts, with what it may follow, the ways that joints have come among it."""
+    """The missing force of windows in parts, with what it may follow, the ways that joints have come among it.
+
+    Commands are those at the start of every pulse: later ones answer it.
+    """
     time = join([middles_of_segments(part.bench)[..., None] for part in parts])[:, 0]
     flight = np.concatenate([np.repeat(part.bench.windows.flight, part.bench.segments) for part in parts])
-    listed = [dict(list_quantities(part, values)) for part in parts]
+    listed = [dict(list_quantities(part, values)) | commands_at_start(part.bench) for part in parts]
     quantities = {label: np.concatenate([each[label].ravel() for each in listed]) for label in listed[0]}
     for label in [label for label in quantities if " position [" in label]:
         way = leave_behind(quantities[label], time, flight, parts[0].bench.spec.robot.disturbance.memory)
         quantities[label.replace("position", "way from where it was")] = way
     return Missing(join([part.missing_force() for part in parts]), time, flight, quantities)
+
+
+def commands_at_start(bench: Bench) -> dict[str, np.ndarray]:
+    """Commands at the start of the gust segments of every window, label → (K, segments)."""
+    model, windows = bench.spec.model, bench.windows
+    first = [piece[0] for piece in np.array_split(np.arange(windows.steps), bench.segments)]
+    return {f"command of {model.actuator(i).name}": windows.command[:, first, i] for i in range(model.nu)}
 
 
 def join(pieces: Sequence[np.ndarray]) -> np.ndarray:
@@ -155,9 +167,9 @@ def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.nd
     return np.minimum(squares, [most[flight] for flight in flights])
 
 
-def with_looser_response(part: Part, response: Response) -> Part:
+def with_looser_response(part: Part, response: Response, gust: np.ndarray) -> Part:
     """The part, or the same under another response that leaves less to explain: what sticks in a twin may yield."""
-    return min(part, replace(part, response=response), key=lambda p: float(p.squares_of_force().sum()))
+    return min(part, replace(part, response=response), key=lambda p: p.square_of_force(gust))
 
 
 def share_left(held_out: HeldOut, fit: Fit) -> float:
