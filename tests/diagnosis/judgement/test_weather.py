@@ -51,10 +51,10 @@ def test_how_long_gusts_stay_alike_is_found(memory: float) -> None:
 @pytest.mark.parametrize("draw", [draw_walk, draw_steps])
 @pytest.mark.parametrize("memory", [0.1, 0.3, 0.9])
 def test_gusts_follow_nothing(draw: Draw, memory: float) -> None:
-    """Thrice what is assumed: no storm, and no quantity comes within a sigma of being taken for what pushes."""
+    """Thrice what is assumed: no gale, and no quantity comes within a sigma of being taken for what pushes."""
     found = [inspect(3.0 * draw(seed, memory)) for seed in range(10)]
     assert max(push.sigma for push in found) < CRITERIA.followed - 1.0
-    assert max(push.strength for push in found) < CRITERIA.storm
+    assert max(push.strength for push in found) < CRITERIA.gale
 
 
 @pytest.mark.parametrize("draw", [draw_walk, draw_steps])
