@@ -173,20 +173,8 @@ def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: s
     rigs = {name: int(rng.integers(2**31)) for name in hidden}
     winds = {name: draw_wind(rng, most=STRONGEST) for name in hidden}
     small = {name: draw_small(rng, effects, (*CORE, *EXTENDED)) if effects else {} for name, effects in hidden.items()}
-    plans: list[FlightPlan] = [
-        {
-            "effects": small[name] | hidden[name],
-            "manoeuvre": manoeuvre,
-            "duration": DURATION,
-            "seed": rig + 1 + i,
-            "session": rig,
-            "wind": winds[name],
-            "distractors": True,
-        }
-        for name, rig in rigs.items()
-        for i, manoeuvre in enumerate(MANOEUVRES)
-    ]
-    flights, flown = iter(fly_many(plans)), {}
+    planned = [plan_rig(small[name] | hidden[name], rig, winds[name]) for name, rig in rigs.items()]
+    flights, flown = iter(fly_many([flight for flights in planned for flight in flights])), {}
     for name, rig in rigs.items():
         home = folder / name.replace(" ", "_")
         home.mkdir()
@@ -194,6 +182,29 @@ def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: s
         repeat = f"VPPTWIN_SEED={seed} python -m pytest {test} -k '{name}'"
         flown[name] = Flown(hidden[name], small[name], winds[name], rig, logs, repeat)
     return flown
+
+
+def plan_rig(effects: Effects, rig: int, wind: Wind) -> list[FlightPlan]:
+    """The flights of a rig of that seed."""
+    return [
+        {
+            "effects": effects,
+            "manoeuvre": manoeuvre,
+            "duration": DURATION,
+            "seed": rig + 1 + i,
+            "session": rig,
+            "wind": wind,
+            "distractors": True,
+        }
+        for i, manoeuvre in enumerate(MANOEUVRES)
+    ]
+
+
+def judge_rig(effects: Effects, rig: int, wind: Wind, folder: Path) -> Verdict:
+    """What the diagnosis makes of the flights of a rig of that seed."""
+    flights = fly_many(plan_rig(effects, rig, wind))
+    logs = [write_mcap(flight, folder / f"{flight.manoeuvre}.mcap") for flight in flights]
+    return diagnose(load_twin(), [read_flight(log) for log in logs]).verdict
 
 
 def diagnose_session(flown: Flown) -> Session:

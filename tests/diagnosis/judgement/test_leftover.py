@@ -11,9 +11,7 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_judges, open_sea
 from tests.diagnosis.rigs import drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.forces import scale_twin
-from vpptwin.diagnosis.judgement.blocks import blocks_of
-from vpptwin.diagnosis.judgement.leftover import FOLDS, Leftover, find_swing, judge_leftover, predicted_share
-from vpptwin.diagnosis.search.likelihood import middles_of_segments
+from vpptwin.diagnosis.judgement.leftover import FOLDS, Leftover, judge_leftover, predicted_share
 
 COUNT = 1200
 QUANTITY = np.random.default_rng(1).permutation(np.linspace(-1.0, 1.0, COUNT))
@@ -95,17 +93,3 @@ def test_nothing_is_found_where_the_twin_is_right(tmp_path: Path) -> None:
     assert found.unexplained.channel is None
     assert found.unexplained.depends_on == []
     assert found.plot is None
-
-
-@pytest.mark.parametrize(("swing", "least", "most"), [(1.5, 0.45, 0.6), (0.0, -1.0, CRITERIA.structure)])
-def test_a_force_that_swings_by_itself_is_found(tmp_path: Path, swing: float, least: float, most: float) -> None:
-    """A sine of 1.5 beside noise of one, at 0.7 Hz: 1.125 / 2.125 of the variance. Noise alone is no swing."""
-    flight = measure_cart(drive_cart(0.0, 3, 0.0), 7)
-    bench = open_search(load_cart(tmp_path), flight).bench
-    time = middles_of_segments(bench)
-    noise = np.random.default_rng(5).standard_normal(time.shape)
-    force = swing * np.sin(2.0 * np.pi * 0.7 * time + 1.0) + noise
-    label, phase = find_swing(bench, force)
-    fold = np.repeat(blocks_of(bench.windows, CRITERIA.block) % FOLDS, bench.segments)
-    assert least < predicted_share(phase.ravel(), force.ravel(), fold) < most
-    assert not swing or float(label.split()[3]) == pytest.approx(0.7, abs=0.02)

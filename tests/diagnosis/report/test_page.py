@@ -106,7 +106,7 @@ def test_no_two_elements_share_an_id(page: str) -> None:
     [
         CAUSES[1].summary[1:],
         "2.4 sigma, 6 % probable",
-        "4.7 sigma beyond logs without an effect",
+        "4.7 sigma beyond chance",
         "it follows rail_x position",
         "−70 to −60 %",
         "sensor noise",

@@ -305,7 +305,7 @@ def test_what_is_left_in_words() -> None:
     left = Unexplained(True, 0.24, "force on rail_x", ["rail_x position", "rail_x velocity"], 5.13)
     assert summarise(VERDICT, NOISE, {}).unexplained.startswith("Nothing")
     assert summarise(replace(VERDICT, unexplained=left), NOISE, {}).unexplained == (
-        "24 % of the force that the twin missed is left unexplained, 5.1 sigma beyond logs without an effect, "
+        "24 % of the force that the twin missed is left unexplained, 5.1 sigma beyond chance, "
         "most of it in force on rail_x; it follows rail_x position and rail_x velocity."
     )
 

@@ -181,9 +181,13 @@ def conclude(
     least = search.criteria.sober
     sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
     doubtful = unexplained.significant or (
-        search.bench.guessed and share_left(held_out, fit) > search.criteria.explained
+        share_left(held_out, fit) > search.criteria.explained
+        if search.bench.guessed
+        else unexplained.sigma > search.criteria.doubted
     )
     most = search.criteria.suggested if doubtful else 1.0
+    # Gusts that are known to blow make errors, too.
+    missed = after.chi2 > search.criteria.missed and (search.bench.guessed or unexplained.significant)
     contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
     denied = {}
     if search.bench.guessed:
@@ -209,13 +213,13 @@ def conclude(
         held_out_windows=len(held_out.short.windows),
         before=before,
         after=after,
-        gap=bool(causes) or unexplained.significant or after.chi2 > search.criteria.missed,
+        gap=bool(causes) or unexplained.significant or missed,
         causes=causes,
         unexplained=unexplained,
         cleared=cleared,
         unseen=unseen,
         improvement=held_out.change(nominal, fit.values) if causes else {},
-        misfit=find_misfit(held_out, fit.values, after.chi2),
+        misfit=find_misfit(held_out, fit.values, after.chi2) if missed else None,
         warnings=list(denied.values())
         + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
         + [
@@ -231,9 +235,9 @@ def conclude(
     )
 
 
-def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Misfit | None:
-    """How far the extended twin is off, where that is far above what the sensors make."""
-    return Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(values)) if chi2 > held_out.criteria.missed else None
+def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Misfit:
+    """How far the extended twin is off, which is far above what the sensors make."""
+    return Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(values))
 
 
 def estimate(unknown: Unknown, fit: Fit) -> Estimate:

@@ -1,35 +1,24 @@
-"""What the extended twin still misses: how much against no-effect flights, in which channel, what it follows."""
+"""What the extended twin still misses: whether it is more than gusts, in which channel, what it follows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lombscargle
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Unexplained
+from vpptwin.diagnosis.judgement.weather import BINS, FOLDS, Missing, find_swing, leave_behind
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.likelihood import (
-    Likelihood,
-    Response,
-    couple_gusts,
-    gust_std,
-    middles_of_segments,
-    tune_gust,
-)
+from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, middles_of_segments, tune_gust
 from vpptwin.diagnosis.search.search import Search
 
-FITTED = 10**6
-"""Tells fitted windows of a flight from its held-out ones."""
-BINS = (4, 8, 16, 48)
-SWINGS, LESS = 4.0, 0.2
-"""A force swings at least so often in a log, or it only drifts; share by which it is believed less than a state."""
-FOLDS = 4
+LESS = 0.2
+"""Share by which a swing is believed less than a state."""
 
 
 @dataclass(frozen=True)
@@ -40,31 +29,33 @@ class Part:
         bench: K windows.
         response: of the twin to starting states and pulses.
         residual: (K, M), build tolerances taken out.
-        gust: strength of the gusts that whiten it, in multiples of what is assumed; None for as assumed.
     """
 
     bench: Bench
     response: Response
     residual: np.ndarray
-    gust: np.ndarray | None = None
 
-    @property
-    def likelihood(self) -> Likelihood:
-        """What whitens it."""
-        return couple_gusts(
-            self.bench, self.response, np.ones(self.bench.spec.model.nv) if self.gust is None else self.gust
-        )
+    def square_of_force(self, gust: np.ndarray) -> float:
+        """Mean square of the innovations of unmodelled force, under gusts `gust` times as strong as assumed, (nv,)."""
+        likelihood = couple_gusts(self.bench, self.response, gust)
+        return float((likelihood.innovate(self.response.along(self.residual)) ** 2).mean())
 
-    def squares_of_force(self) -> np.ndarray:
-        """Mean square of the innovations of unmodelled force in every window, (K,): 1 for gusts as assumed."""
-        return (self.likelihood.innovate(self.response.along(self.residual)) ** 2).mean(axis=1)
+    def missing_force(self) -> np.ndarray:
+        """Force pulses that explain the residual, in multiples of the assumed gusts, (K, segments, nv)."""
+        return missing_wrench(self.bench, self.response, self.residual) / gust_std(self.bench)
 
-    def squares_of_channels(self) -> np.ndarray:
-        """Mean square of the whitened residual of every channel in every window, (C, K)."""
-        white, found = self.likelihood.whiten(self.residual), []
-        for columns in self.bench.columns:
-            number = np.maximum(self.bench.valid[:, columns].sum(axis=1), 1)
-            found.append((white[:, columns] ** 2).sum(axis=1) / number)
+    def levels_of_channels(self) -> np.ndarray:
+        """Mean square of every channel's whitened residual, of the flight where it is largest, (C,).
+
+        Gusts are as strong as the residual tells, within what is assumed and the strongest weather.
+        """
+        bench, criteria = self.bench, self.bench.criteria
+        blew = np.clip(tune_gust(bench, self.response, self.residual), 1.0, criteria.storm)
+        white, flight, found = couple_gusts(bench, self.response, blew).whiten(self.residual), bench.windows.flight, []
+        for columns in bench.columns:
+            number = np.maximum(bench.valid[:, columns].sum(axis=1), 1)
+            squares = clip_astray((white[:, columns] ** 2).sum(axis=1) / number, flight, criteria.astray)
+            found.append(max(squares[flight == name].mean() for name in np.unique(flight)))
         return np.array(found)
 
     def missed_on_average(self, kind: str, dof: int) -> np.ndarray:
@@ -90,51 +81,87 @@ class Leftover:
 
 
 def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
-    """Compare what is left with flights without effects, flight by flight, fitted or not.
-
-    Unmodelled force is the sharpest measure: whatever pushes the rig must show there. Where it is unremarkable, the
-    channel with the largest whitened mean square may still tell of a sensor. `share` is what remains of the force that
-    the twin missed before.
-    """
+    """Judge what is left: of rigs whose gusts are known to be some on all windows, fitted or not."""
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
     looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
-    # A stormy day is no effect: gusts are those that the fit found, up to what weather there is.
     blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
     parts = [
-        with_looser_response(Part(search.bench, fit.likelihood.response, fitted, blew), looser),
+        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser, blew),
         with_looser_response(
-            Part(held_out.short, held_out.response(fit.values), judged, blew),
+            Part(held_out.short, held_out.response(fit.values), judged),
             held_out.response(held_out.short.loosen(fit.values)),
+            blew,
         ),
     ]
     before = [
-        Part(search.bench, search.start.likelihood.response, search.start.about.missed, blew),
-        Part(held_out.short, held_out.response({}), held_out.residual({}), blew),
+        Part(search.bench, search.start.likelihood.response, search.start.about.missed),
+        Part(held_out.short, held_out.response({}), held_out.residual({})),
     ]
     if search.bench.guessed:
         return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))
-    flights = np.concatenate([part.bench.windows.flight + FITTED * i for i, part in enumerate(parts)])
-    names = np.unique(flights)
-    criteria = search.criteria
-    force = clip_astray(np.concatenate([part.squares_of_force() for part in parts]), flights, criteria.astray)
-    rows = np.concatenate([part.squares_of_channels() for part in parts], axis=1)
-    channels = np.array([clip_astray(row, flights, criteria.astray) for row in rows])
-    levels = np.array([force[flights == name].mean() for name in names])
-    errors = np.array([force[flights == name].std() / np.sqrt((flights == name).sum()) for name in names])
-    of_channels = np.array([[row[flights == name].mean() for name in names] for row in channels])
-    excess = np.concatenate([part.squares_of_force() for part in before]).mean() - criteria.no_effect
-    share = float(np.clip((force.mean() - criteria.no_effect) / excess, 0.0, 1.0)) if excess > 0.0 else 0.0
-    worst = int(np.argmax(levels))
-    sigma = float(max((levels[worst] - criteria.no_effect) / max(errors[worst], 1e-9), 0.0))
-    quiet = levels[worst] <= criteria.force_level and of_channels.max() <= criteria.channel_level
-    if quiet or (fit.effects and share < criteria.matters):
-        return Leftover(Unexplained(False, share, None, [], sigma), None)
-    loud, where = np.unravel_index(np.argmax(of_channels), of_channels.shape)
-    flight = names[worst if levels[worst] > criteria.force_level else where]
-    index = int(flight >= FITTED)
-    found = find_dependence(parts[index], before[index], fit.likeliest)
-    channel = search.bench.channels[int(loud)].name
-    return Leftover(Unexplained(True, share, channel, found.depends_on, sigma), found.plot)
+    return judge_weather(parts, before, fit.likeliest, bool(fit.effects))
+
+
+def judge_weather(
+    parts: Sequence[Part], before: Sequence[Part], values: Mapping[Key, float], extended: bool
+) -> Leftover:
+    """What is left is unexplained if it follows something, is stronger than weather, or shows where no force does.
+
+    How gusts are is fitted to what is left. `share` is what remains of the force that the twin missed before.
+
+    Args:
+        parts: all windows.
+        before: the same before the fit.
+        values: of the fit.
+        extended: whether the fit has causes, beside which little does not matter.
+    """
+    bench, criteria = parts[0].bench, parts[0].bench.criteria
+    missing, old = lay_out(parts, values), join([part.missing_force() for part in before])
+    kept = float(np.clip((missing.force**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
+    pushes = [missing.inspect(dof, criteria) for dof in range(bench.spec.model.nv)]
+    sigmas = [push.sigma * (push.foretold > criteria.push) for push in pushes]
+    sigma, follows = max(sigmas), max(sigmas) > criteria.followed
+    worst = pushes[int(np.argmax(sigmas if follows else [push.strength for push in pushes]))]
+    levels = np.max([part.levels_of_channels() for part in parts], axis=0)
+    strange = levels.max() > criteria.channel_level
+    found = follows or strange or worst.strength > criteria.gale
+    if not found or (extended and kept < criteria.matters):
+        return Leftover(Unexplained(False, kept, None, [], sigma), None)
+    joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[worst.dof])).name
+    channel = bench.channels[int(np.argmax(levels))].name if strange else joint
+    names = [each.label.split(" [")[0] for each in worst.followed if each.sigma > criteria.followed][:3]
+    label, unit = worst.followed[0].label, "N m" if bench.spec.robot.rotary[worst.dof] else "N"
+    y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
+    after, first = (force[:, worst.dof] * gust_std(bench)[worst.dof] for force in (missing.force, old))
+    plot = WrenchPlot(missing.quantities[label], first, after, label, y_label)
+    return Leftover(Unexplained(True, kept, channel, names if follows else [], sigma if follows else 0.0), plot)
+
+
+def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
+    """The missing force of windows in parts, with what it may follow, the ways that joints have come among it.
+
+    Commands are those at the start of every pulse: later ones answer it.
+    """
+    time = join([middles_of_segments(part.bench)[..., None] for part in parts])[:, 0]
+    flight = np.concatenate([np.repeat(part.bench.windows.flight, part.bench.segments) for part in parts])
+    listed = [dict(list_quantities(part, values)) | commands_at_start(part.bench) for part in parts]
+    quantities = {label: np.concatenate([each[label].ravel() for each in listed]) for label in listed[0]}
+    for label in [label for label in quantities if " position [" in label]:
+        way = leave_behind(quantities[label], time, flight, parts[0].bench.spec.robot.disturbance.memory)
+        quantities[label.replace("position", "way from where it was")] = way
+    return Missing(join([part.missing_force() for part in parts]), time, flight, quantities)
+
+
+def commands_at_start(bench: Bench) -> dict[str, np.ndarray]:
+    """Commands at the start of the gust segments of every window, label → (K, segments)."""
+    model, windows = bench.spec.model, bench.windows
+    first = [piece[0] for piece in np.array_split(np.arange(windows.steps), bench.segments)]
+    return {f"command of {model.actuator(i).name}": windows.command[:, first, i] for i in range(model.nu)}
+
+
+def join(pieces: Sequence[np.ndarray]) -> np.ndarray:
+    """Values (K, segments, n) of windows in parts, one after the other, (K segments, n)."""
+    return np.concatenate([piece.reshape(-1, piece.shape[-1]) for piece in pieces])
 
 
 def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.ndarray:
@@ -143,9 +170,9 @@ def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.nd
     return np.minimum(squares, [most[flight] for flight in flights])
 
 
-def with_looser_response(part: Part, response: Response) -> Part:
+def with_looser_response(part: Part, response: Response, gust: np.ndarray) -> Part:
     """The part, or the same under another response that leaves less to explain: what sticks in a twin may yield."""
-    return min(part, replace(part, response=response), key=lambda p: float(p.squares_of_force().sum()))
+    return min(part, replace(part, response=response), key=lambda p: p.square_of_force(gust))
 
 
 def share_left(held_out: HeldOut, fit: Fit) -> float:
@@ -208,16 +235,17 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench), 1e-30) ** 2))
     force = missing[:, :, dof].ravel()
     fold = np.repeat(blocks_of(bench.windows, bench.criteria.block) % FOLDS, bench.segments)
-    quantities = [*list_quantities(part, values), find_swing(bench, missing[:, :, dof])]
-    found = [(predicted_share(q.ravel(), force, fold), label, q) for label, q in quantities]
+    quantities = [(label, q.ravel()) for label, q in list_quantities(part, values)]
+    swing = find_swing(force, middles_of_segments(bench).ravel(), np.repeat(bench.windows.flight, bench.segments))
+    found = [(predicted_share(q, force, fold), label, q) for label, q in (*quantities, swing)]
     # What moves periodically makes everything swing: that must tell clearly more than what moves.
-    found.sort(key=lambda item: -item[0] * (1.0 - LESS * (item[2] is quantities[-1][1])))
+    found.sort(key=lambda item: -item[0] * (1.0 - LESS * (item[2] is swing[1])))
     joint = model.joint(int(model.dof_jntid[dof])).name
     unit = "N m" if bench.spec.robot.rotary[dof] else "N"
     share, label, quantity = found[0]
     kept = float(np.clip((missing**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
     y_label = f"missing {'torque' if unit == 'N m' else 'force'} on {joint} [{unit}]"
-    plot = WrenchPlot(quantity.ravel(), old[:, :, dof].ravel(), force, label, y_label)
+    plot = WrenchPlot(quantity, old[:, :, dof].ravel(), force, label, y_label)
     named = [name.split(" [")[0] for part_of_it, name, _ in found if part_of_it > bench.criteria.depends][:3]
     return Dependence(named, share, kept, plot)
 
@@ -249,33 +277,8 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
         for j in range(i):
             first, second = (model.joint(int(model.dof_jntid[d])).name for d in (j, i))
             add(f"{first} velocity times {second} velocity", velocity[0, :, 1:, i] * velocity[0, :, 1:, j])
-    time = windows.start[:, None] + windows.dt * np.arange(windows.steps)
-    add("time [s]", time)
+    add("time [s]", windows.start[:, None] + windows.dt * np.arange(windows.steps))
     return named
-
-
-def find_swing(bench: Bench, force: np.ndarray) -> tuple[str, np.ndarray]:
-    """Phase of the strongest swing of a force (K, segments), which Lomb's and Scargle's periodogram finds, likewise.
-
-    Every log has the frequency of the one in which it stands out most, and swings from its own start on.
-    """
-    time, windows = middles_of_segments(bench), bench.windows
-    best = (-1.0, 0.0)
-    for flight in np.unique(windows.flight):
-        rows = windows.flight == flight
-        at, pushed = time[rows].ravel(), force[rows].ravel() - force[rows].mean()
-        slowest = SWINGS / max(float(np.ptp(at)), 1e-9)
-        fastest = 0.5 * bench.segments / (windows.steps * windows.dt)
-        rates = np.arange(slowest, fastest, slowest / (2.0 * SWINGS))
-        if len(rates) and np.any(pushed):
-            power = lombscargle(at, pushed, 2.0 * np.pi * rates, normalize=True)
-            best = max(best, (float(power.max()), float(rates[np.argmax(power)])))
-    phase = time * best[1] % 1.0
-    for flight in np.unique(windows.flight):  # each log's swing has a phase of its own
-        rows = windows.flight == flight
-        turn = np.angle(np.sum(force[rows] * np.exp(-2j * np.pi * phase[rows])))
-        phase[rows] = (phase[rows] + turn / (2.0 * np.pi)) % 1.0
-    return f"a swing at {best[1]:.2g} Hz [periods]", phase
 
 
 def predicted_share(quantity: np.ndarray, force: np.ndarray, fold: np.ndarray) -> float:

@@ -46,9 +46,9 @@ class Cause:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is left: whether it exceeds no-effect flights, its share of the excess, its channel and what it follows.
+    """What is left: whether it is more than noise and gusts, its share of what was missing, where, and what it follows.
 
-    `sigma` is the excess in standard deviations of what flights without an effect leave; `force`, on rigs whose scales
+    `sigma` is how far what it follows foretells it beyond chance, in standard deviations; `force`, on rigs whose scales
     a log told, how strong a random force would have to be that makes the held-out error, as a share of what drives
     the joint.
     """

@@ -264,7 +264,7 @@ def describe_unexplained(verdict: Verdict) -> str:
     if left.force is not None:
         more = f"; {follows}" if follows else ", more than disturbances usually are"
         return f"Something is left unexplained: it acts like {describe_force(left)}{more}.{miss}"
-    beyond = f", {left.sigma:.1f} sigma beyond logs without an effect" if left.sigma else ""
+    beyond = f", {left.sigma:.1f} sigma beyond chance" if left.sigma else ""
     where = f", most of it in {left.channel}" if left.channel else ""
     what = f"{100.0 * left.share:.0f} % of the force that the twin missed" if left.share > NOTHING else "Something"
     return f"{what} is left unexplained{beyond}{where}{f'; {follows}' if follows else ''}.{miss}"
