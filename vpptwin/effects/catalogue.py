@@ -85,6 +85,8 @@ GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
 GENERIC_ROOM = 100.0
 """Factor on bounds of forces where no log has told yet what a joint's typical force is."""
+INPUT_ROOM = 1e6
+"""The same of control inputs, whose unit nobody knows."""
 
 GENERIC_ACTUATOR: tuple[Effect, ...] = (
     actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.BACKLASH, actuator.RATE_LIMIT, actuator.SATURATION,
@@ -102,7 +104,7 @@ def generic_place(
 
 
 def effects_for_rig(
-    joints: Iterable[Place], actuators: Mapping[str, float], room: float = GENERIC_ROOM
+    joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 

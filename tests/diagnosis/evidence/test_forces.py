@@ -20,7 +20,7 @@ from vpptwin.diagnosis.evidence.forces import (
 )
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.robot import GUST
+from vpptwin.twin.robot import GUST, Loads
 from vpptwin.twin.spec import load_twin
 
 INERTIA, WEIGHT, DAMPING = BOB * LENGTH**2, BOB * 9.81 * LENGTH, 0.03
@@ -139,3 +139,15 @@ def test_what_the_twin_has_stays_within_bounds(tmp_path: Path) -> None:
     assert find_effect(scaled.catalogue, "slide.viscous").parameters[0].high == 900.0
     plain = scale_twin(spec, [measure_cart(drive_cart(0.0, 3), 7)])
     assert find_effect(plain.catalogue, "slide.viscous").parameters[0].high < 900.0
+
+
+@pytest.mark.parametrize(("force", "control"), [(0.02, 1e-3), (50.0, 5e3)])
+def test_what_a_diagnosis_finds_a_twin_may_say(tmp_path: Path, force: float, control: float) -> None:
+    """Bounds that loads make lie within those of the MJCF alone: friction far below the weight, inputs of any unit."""
+    robot = load_cart(tmp_path).robot
+    one = np.ones(1)
+    loads = Loads(force * one, one, one, one, control * one)
+    for wide, found in zip(robot.list_effects(), robot.scale(loads).list_effects(), strict=True):
+        for outer, inner in zip(wide.parameters, found.parameters, strict=True):
+            assert outer.low <= inner.low, (wide.id, outer.name)
+            assert inner.high <= outer.high, (wide.id, outer.name)
