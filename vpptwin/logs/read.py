@@ -13,7 +13,7 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_samples
 from vpptwin.logs.streams import build_joint_stream, build_stream
-from vpptwin.logs.timeline import check_clocks, describe_gaps, order_stamps
+from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import TopicMap, load_topic_map
 
 JointSamples = dict[str, dict[str, Samples]]
@@ -93,6 +93,7 @@ def _assemble_flight(
     if not every:
         raise _refuse_foreign(recording)
     check_clocks({item.label: (int(item.stamp[0]), int(item.stamp[-1])) for item in every}, path)
+    check_leaps({item.label: item.stamp for item in every}, path)
     clocks = {item.label: clock for item in every if (clock := read_clock(item)) is not None}
     check_offsets(clocks, path)
     start = min(int(item.stamp[0]) for item in every)
