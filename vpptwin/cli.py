@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from vpptwin import __version__, commands
 from vpptwin.errors import InputError
+from vpptwin.trust import EVERY, trust
 
 
 class Parser(argparse.ArgumentParser):
@@ -32,8 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     # Hydra's own grammar takes everything after `train`.
     if given[:1] == ["train"]:
-        return guard(lambda: commands.run_train(given[1:]))
+        if "--trust" in given:
+            trust()
+        return guard(lambda: commands.run_train([word for word in given[1:] if word != "--trust"]))
     options = parser.parse_args(given)
+    trust([EVERY] if getattr(options, "trust", False) else getattr(options, "effects", ()))
     return guard(lambda: options.run(options))
 
 
@@ -155,6 +159,7 @@ def describe_export(parser: argparse.ArgumentParser) -> None:
     add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     add("--format", choices=["c", "onnx"], required=True)
     add("--twin", help="whose vehicle the cascade is for (default: that of training)")
+    add_effects(parser)
     add("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
 
 
@@ -198,6 +203,7 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
         "--effects", type=Path, action="append", default=[], metavar="FILE",
         help="a Python file with effects of your own, which is run; may be given several times",
     )  # fmt: skip
+    parser.add_argument("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
 
 
 def add_topic_map(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -172,7 +173,7 @@ def load_vehicle(path: Path | str | None = None) -> Vehicle:
     """
     file = find_model_file("vehicle.yaml") if path is None else Path(path)
     try:
-        return Vehicle.model_validate(yaml.safe_load(file.read_text()))
+        return Vehicle.model_validate(read_yaml(file))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(f"{file}: {error}", "a vehicle YAML", "see models/vehicle.yaml for an example") from error
     except ValidationError as error:

@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 from zstandard import ZstdError
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.unpack import Unpacker
 
 _PREFIX = struct.Struct("<BQ")
@@ -135,7 +135,9 @@ class _Scan:
             return
         known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
         text = known.data.decode("utf-8", "replace")
-        channel = RawChannel(record.topic, known.name, record.message_encoding, known.encoding, text)
+        channel = RawChannel(
+            escape_text(record.topic), escape_text(known.name), record.message_encoding, known.encoding, text
+        )
         self.channels[record.id] = channel
         if self.wanted(channel):
             self.keep.add(record.id)

@@ -21,6 +21,7 @@ from vpptwin.train.networks import Policy
 from vpptwin.train.pilot import check_task_name, choose_task
 from vpptwin.train.randomize import PAPER
 from vpptwin.train.tasks import check_task
+from vpptwin.trust import trust
 
 
 def load_policy(checkpoint: Path | str) -> Policy:
@@ -44,7 +45,7 @@ class Conditions:
         noise: sensor noise, 1 = that of vehicle.yaml.
         randomize: effects, or groups of them, drawn from their priors for every flight.
         thrust_to_weight: None for the task's.
-        effects: Python files with effects of the user's own; those of training come with the twin of training.
+        effects: Python files with effects of the user's own; those of training come with its twin, if trusted.
         estimator: what the policy is shown, `sensors` or `kalman`; None for that of training.
     """
 
@@ -113,6 +114,7 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
         task = replace(task, thrust_to_weight=given.thrust_to_weight)
         check_task(task)
     own = trained.effects if given.twin is None else []
+    trust(given.effects)
     return replace(
         trained, task=task, num_envs=given.tracks, seed=given.seed, twin=given.twin or trained.twin, noise=given.noise,
         randomize=list(given.randomize), desynchronize=False, effects=[*own, *given.effects],
