@@ -105,6 +105,7 @@ def describe_play(parser: argparse.ArgumentParser) -> None:
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
     add("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
+    add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
 
 
 def describe_plot(parser: argparse.ArgumentParser) -> None:

@@ -52,20 +52,21 @@ def run_play(options: argparse.Namespace) -> None:
     from vpptwin.viz.command import play_log
 
     if options.live is not None:
-        play_policy(options.live, options.log)
+        play_policy(options.live, options.log, options.host)
         return
     restart = None if options.free else options.restart
-    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
+    given = (options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
+    play_log(*given, options.host)
 
 
-def play_policy(checkpoint: Path, logs: Sequence[Path]) -> None:
+def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
     """Fly a policy in real time until Ctrl-C; refuse a log that is given too."""
     from vpptwin.train.live import LiveFlight
     from vpptwin.viz.live import fly_live
 
     if logs:
         raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
-    fly_live(LiveFlight(checkpoint))
+    fly_live(LiveFlight(checkpoint), host)
 
 
 def run_plot(options: argparse.Namespace) -> None:
