@@ -73,8 +73,10 @@ def test_without_the_secret_nothing_is_there(panel: Panel) -> None:
     assert len(panel.server.secret) >= 20
 
 
-HOSTS = {"localhost:{}": 200, "[::1]:{}": 200, "evil.example:{}": 403, "127.0.0.1.evil.example:{}": 403, "127.0.0.1": 403,
-         "192.168.1.5:{}": 403, "": 403}  # fmt: skip
+HOSTS = {
+    "localhost:{}": 200, "[::1]:{}": 200, "evil.example:{}": 403, "127.0.0.1.evil.example:{}": 403, "127.0.0.1": 403,
+    "192.168.1.5:{}": 403, "": 403,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("host", HOSTS)

@@ -12,7 +12,6 @@ import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from vpptwin.errors import escape_text
 from vpptwin.logs.container import Block, RawChannel
 from vpptwin.logs.layout import LITTLE_ENDIAN, Definitions, Layout, LayoutError, Leaf, locate_fields, parse_definition
 
@@ -145,7 +144,7 @@ def find_leaf(layout: Layout, path: str) -> Leaf:
 def _read_strings(message: np.ndarray, layout: Layout, path: str) -> Iterator[str]:
     for name, (start, length) in layout.strings.items():
         if name.rsplit("[", 1)[0] == path:
-            yield escape_text(message[start : start + max(length - 1, 0)].tobytes().decode("utf-8", "replace"))
+            yield message[start : start + max(length - 1, 0)].tobytes().decode("utf-8", "replace")
 
 
 def _agree(batch: Batch, rows: np.ndarray, checks: Sequence[Batch]) -> bool:
@@ -191,7 +190,7 @@ class _ReferenceDecoder:
 def _list_strings(value: object) -> list[str]:
     if not isinstance(value, list):
         raise DecodeError("a single value where a list of names was expected")
-    return [escape_text(str(item)) for item in value]
+    return [str(item) for item in value]
 
 
 def _follow_path(message: object, path: str) -> object:

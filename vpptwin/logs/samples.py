@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import JOINT_COLUMNS, Column
 from vpptwin.logs.convert import list_fields
 from vpptwin.logs.recording import Recording
@@ -83,7 +83,7 @@ def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_ti
 
 def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
     """Values (n,) in units of `factor` ns as whole ns."""
-    wrong = ~(np.abs(values.astype(float)) * factor < MOST_NS)
+    wrong = ~(np.abs(values.astype(float)) < MOST_NS / factor)
     if wrong.any():
         found = (
             f"{label}: {np.count_nonzero(wrong)} of {len(values)} stamps are no time, such as {values[wrong][0]:.4g}"
@@ -132,7 +132,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
             values = {column: batch.values[column][:, index].astype(float) for column, width in widths.items() if width}
             parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.astype(np.int64), values))
     warnings: list[str] = []
-    joined = {name: _join_parts(f"{canonical} {name}", items, warnings) for name, items in parts.items()}
+    joined = {name: _join_parts(f"{canonical} {escape_text(name)}", items, warnings) for name, items in parts.items()}
     return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
 
 
