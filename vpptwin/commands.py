@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vpptwin.errors import InputError
+from vpptwin.files import without_nan
 
 if TYPE_CHECKING:
     from vpptwin.pilot.flight import Pilot
@@ -180,4 +181,4 @@ def run_evaluate(options: argparse.Namespace) -> None:
         [str(file) for file in options.effects], options.estimator,
     )  # fmt: skip
     result = evaluate(options.checkpoint, conditions, options.json)
-    print(json.dumps(result, indent=2))
+    print(json.dumps(without_nan(result), indent=2))

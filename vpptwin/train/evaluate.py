@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.files import write_whole
+from vpptwin.files import write_json
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
@@ -137,5 +136,5 @@ def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path
     """
     result = evaluate(checkpoint, conditions)
     if json_path is not None:
-        write_whole(Path(json_path), json.dumps(result, indent=2) + "\n")
+        write_json(result, Path(json_path))
     return result
