@@ -86,10 +86,10 @@ def run_one(rng: np.random.Generator, folder: Path) -> tuple[str, list[str]]:
     out, err = folder / "stdout", folder / "stderr"
     with out.open("w") as to_out, err.open("w") as to_err:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+        command = [sys.executable, "-m", "vpptwin.cli", *arguments]
         child = subprocess.Popen(
-            [sys.executable, "-m", "vpptwin.cli", *arguments], stdout=to_out, stderr=to_err, cwd=folder, env=environment,
-            start_new_session=True,
-        )  # fmt: skip
+            command, stdout=to_out, stderr=to_err, cwd=folder, env=environment, start_new_session=True
+        )
     problems = []
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     try:

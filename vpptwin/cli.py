@@ -57,6 +57,10 @@ def guard(action: Callable[[], object]) -> int:
         problem = InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
         print(f"vpptwin: {problem}", file=sys.stderr)
         return 2
+    except MemoryError:
+        problem = InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
+        print(f"vpptwin: {problem}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("vpptwin: stopped", file=sys.stderr)
         return 130

@@ -15,6 +15,7 @@ from vpptwin.resources import find_model_file
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
+Rate = Annotated[Positive, Field(le=1e5)]
 NonNegative = Annotated[Number, Field(ge=0.0)]
 
 
@@ -108,8 +109,8 @@ class Control(Section):
     rate_kp [N m s/rad], rate_kd [N m s^2/rad].
     """
 
-    policy_rate: Positive
-    inner_rate: Positive
+    policy_rate: Rate
+    inner_rate: Rate
     thrust_max: Positive
     rate_max: Positive
     rate_kp: NonNegative
@@ -120,7 +121,7 @@ class Control(Section):
 class MocapSensor(Section):
     """Motion capture: rate [Hz], position_std [m], angle_std [rad]."""
 
-    rate: Positive
+    rate: Rate
     position_std: Positive
     angle_std: Positive
 
@@ -128,7 +129,7 @@ class MocapSensor(Section):
 class ImuSensor(Section):
     """IMU at the hinge: rate [Hz], gyro_std [rad/s], accel_std [m/s^2]."""
 
-    rate: Positive
+    rate: Rate
     gyro_std: Positive
     accel_std: Positive
 
@@ -136,7 +137,7 @@ class ImuSensor(Section):
 class RotorSensor(Section):
     """Rotor telemetry: rate [Hz], speed_std [rad/s], current_std [A]."""
 
-    rate: Positive
+    rate: Rate
     speed_std: Positive
     current_std: Positive
 

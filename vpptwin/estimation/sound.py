@@ -136,6 +136,22 @@ def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) ->
     )
 
 
+def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
+    """A joint's stream without velocities that are dead, or in another unit or sense than its positions."""
+    if "velocity" not in stream.values or "position" not in stream.values or len(stream) < FEW:
+        return stream, []
+    position, velocity = stream["position"], stream["velocity"]
+    known = Stream(stream.time, {name: data for name, data in stream.values.items() if name != "velocity"})
+    if is_dead(velocity) and not is_dead(position):
+        return known, [f"{label}: velocity is {velocity[0]:g} throughout while the joint moves, left out"]
+    stride = max(round(BEND / float(np.median(np.diff(stream.time)))), 1)
+    integral = cumulative_trapezoid(velocity, stream.time, initial=0.0)
+    factor, likeness = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))
+    if likeness < MIN_LIKENESS or SLOWEST < factor < FASTEST:
+        return stream, []
+    return known, [f"{label}: velocity is {factor:.3g} times the motion of position, left out"]
+
+
 def bend_tracks(pose: Stream, imu: Stream, gravity: float) -> tuple[np.ndarray, np.ndarray]:
     """By how much x and z leave a straight line, by the poses and by the accelerometer, (n, 2) m each."""
     moved = turn_force(imu, pose) - [0.0, gravity]
