@@ -42,6 +42,7 @@ def test_commands_that_end_badly_are_told(
     """A traceback, another line than ours, control characters."""
     (tmp_path / "out").mkdir()
     (tmp_path / "vpptwin").mkdir()
+    (tmp_path / "vpptwin" / "__init__.py").touch()
     (tmp_path / "vpptwin" / "cli.py").write_text(f"import sys\nprint({said!r}, file=sys.stderr)\nsys.exit({code})\n")
     monkeypatch.setattr(soak, "ROOT", tmp_path)
     monkeypatch.setattr(soak, "draw_command", lambda rng, folder: ["fly"])
