@@ -21,6 +21,12 @@ def pytest_report_header() -> str:
     return f"VPPTWIN_SEED={os.environ['VPPTWIN_SEED']}"
 
 
+@pytest.fixture(autouse=True)
+def _trust_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one test lets run, no other does."""
+    monkeypatch.setattr("vpptwin.trust._trusted", set())
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of measured data beside the checkout; the test is skipped where there is none."""

@@ -40,7 +40,7 @@ def flown(extended: Path) -> Path:
     """8 s of steps along x, flown in that twin."""
     out = extended.parent / "x.mcap"
     command = ["fly", "--manoeuvre", "x_steps", "--set", "amplitude=0.5", "--set", "period=1.5", "--duration", "8"]
-    assert main([*command, "--twin", str(extended), "--out", str(out)]) == 0
+    assert main([*command, "--twin", str(extended), "--trust", "--out", str(out)]) == 0
     return out
 
 
@@ -57,7 +57,7 @@ def test_the_extended_twin_names_the_file(extended: Path) -> None:
     content = yaml.safe_load(extended.read_text())
     assert {"effects_from", "provenance"} < set(content)
     assert not Path(content["effects_from"][0]).is_absolute()
-    spec = load_twin(extended)
+    spec = load_twin(extended, [COGGING])
     assert spec.effects == HIDDEN
     assert [file.resolve() for file in spec.effect_files] == [COGGING]
 
@@ -73,7 +73,7 @@ def test_unknown_keys_are_still_refused(extended: Path) -> None:
 def test_fly_and_compare_take_the_extended_twin(extended: Path, flown: Path, tmp_path: Path) -> None:
     """Flown in the twin that cogs, a flight is noise to that twin, and to the nominal one with a file it is not."""
     chi2 = []
-    for twin in (["--twin", str(extended)], ["--effects", str(COGGING)]):
+    for twin in (["--twin", str(extended), "--effects", str(COGGING)], ["--effects", str(COGGING)]):
         assert main(["compare", str(flown), *twin, "--json", str(tmp_path / "score.json")]) == 0
         chi2.append(json.loads((tmp_path / "score.json").read_text())["error"]["chi2"])
     assert chi2[0] == pytest.approx(1.0, abs=0.15)
@@ -83,7 +83,7 @@ def test_fly_and_compare_take_the_extended_twin(extended: Path, flown: Path, tmp
 def test_play_takes_the_extended_twin(extended: Path, flown: Path, tmp_path: Path) -> None:
     """The page shows the log beside the twin."""
     page = tmp_path / "x.html"
-    assert main(["play", str(flown), "--twin", str(extended), "--html", str(page)]) == 0
+    assert main(["play", str(flown), "--twin", str(extended), "--trust", "--html", str(page)]) == 0
     assert "twin.yaml" in page.read_text(encoding="utf-8")
 
 
@@ -109,7 +109,7 @@ def test_train_takes_the_extended_twin(extended: Path, given: str) -> None:
 
     small = ["num_envs=2", "rollout=2", "minibatch=4", "sim_threads=1", "desynchronize=false"]
     if given == "twin":
-        env = make_env(compose_config([*small, f"twin={extended}"]))
+        env = make_env(compose_config([*small, f"twin={extended}", f"effects={COGGING}"]))
         assert env.twin.parameter("rail_x.cogging", "force").tolist() == [0.4, 0.4]
         return
     env = make_env(compose_config([*small, f"effects={COGGING}", "randomize=[rail_x.cogging]"]))
@@ -131,8 +131,10 @@ def test_the_example_names_the_users_effect(diagnosed: Path) -> None:
 
 
 def test_the_diagnosis_writes_a_twin_that_cogs(diagnosed: Path) -> None:
-    """Its twin.yaml loads without --effects."""
-    assert load_twin(diagnosed / "twin.yaml").effects["rail_x.cogging"]["force"] == pytest.approx(0.4, rel=0.15)
+    """Its twin.yaml names the file, and takes it if the user names it again."""
+    assert load_twin(diagnosed / "twin.yaml", [COGGING]).effects["rail_x.cogging"]["force"] == pytest.approx(
+        0.4, rel=0.15
+    )
 
 
 @pytest.mark.slow
@@ -171,7 +173,7 @@ def test_documented_mistakes_are_told_so(
         ),
         good.replace("force: float", "strength: float").replace("-force * np", "-strength * np"),
     )  # fmt: skip
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)
+    _, shown = re.findall(r"```text\n(.*?)```", PAGE, flags=re.DOTALL)  # the first: tests/test_trust.py
     for text, line in zip(mistakes, shown.splitlines(keepends=True), strict=True):
         if text is not None:
             Path("own.py").write_text(text)

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from vpptwin import __version__, commands
 from vpptwin.errors import InputError
+from vpptwin.trust import EVERY, trust
 
 
 class Parser(argparse.ArgumentParser):
@@ -32,8 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     # Hydra's own grammar takes everything after `train`.
     if given[:1] == ["train"]:
-        return guard(lambda: commands.run_train(given[1:]))
+        if "--trust" in given:
+            trust()
+        return guard(lambda: commands.run_train([word for word in given[1:] if word != "--trust"]))
     options = parser.parse_args(given)
+    trust([EVERY] if getattr(options, "trust", False) else getattr(options, "effects", ()))
     return guard(lambda: options.run(options))
 
 
@@ -51,6 +55,10 @@ def guard(action: Callable[[], object]) -> int:
         # What no check foresaw: a full disk, a drive that went away.
         where = f"{error.filename}: " if error.filename else ""
         problem = InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
+        print(f"vpptwin: {problem}", file=sys.stderr)
+        return 2
+    except MemoryError:
+        problem = InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
         print(f"vpptwin: {problem}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -101,6 +109,7 @@ def describe_play(parser: argparse.ArgumentParser) -> None:
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
     add("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
+    add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
 
 
 def describe_plot(parser: argparse.ArgumentParser) -> None:
@@ -155,6 +164,7 @@ def describe_export(parser: argparse.ArgumentParser) -> None:
     add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     add("--format", choices=["c", "onnx"], required=True)
     add("--twin", help="whose vehicle the cascade is for (default: that of training)")
+    add_effects(parser)
     add("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
 
 
@@ -198,6 +208,7 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
         "--effects", type=Path, action="append", default=[], metavar="FILE",
         help="a Python file with effects of your own, which is run; may be given several times",
     )  # fmt: skip
+    parser.add_argument("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
 
 
 def add_topic_map(parser: argparse.ArgumentParser) -> None:

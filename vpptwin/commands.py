@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vpptwin.errors import InputError
+from vpptwin.files import without_nan
 
 if TYPE_CHECKING:
     from vpptwin.pilot.flight import Pilot
@@ -52,20 +53,21 @@ def run_play(options: argparse.Namespace) -> None:
     from vpptwin.viz.command import play_log
 
     if options.live is not None:
-        play_policy(options.live, options.log)
+        play_policy(options.live, options.log, options.host)
         return
     restart = None if options.free else options.restart
-    play_log(options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
+    given = (options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
+    play_log(*given, options.host)
 
 
-def play_policy(checkpoint: Path, logs: Sequence[Path]) -> None:
+def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
     """Fly a policy in real time until Ctrl-C; refuse a log that is given too."""
     from vpptwin.train.live import LiveFlight
     from vpptwin.viz.live import fly_live
 
     if logs:
         raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
-    fly_live(LiveFlight(checkpoint))
+    fly_live(LiveFlight(checkpoint), host)
 
 
 def run_plot(options: argparse.Namespace) -> None:
@@ -179,4 +181,4 @@ def run_evaluate(options: argparse.Namespace) -> None:
         [str(file) for file in options.effects], options.estimator,
     )  # fmt: skip
     result = evaluate(options.checkpoint, conditions, options.json)
-    print(json.dumps(result, indent=2))
+    print(json.dumps(without_nan(result), indent=2))

@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+LONGEST = 1000
+"""Characters shown of each part of a message, which may quote what a file holds."""
+
+
+def escape_text(text: str) -> str:
+    """Text from files of anyone's without what would steer a terminal."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
 
 class InputError(ValueError):
     """Bad input: what was found, what was expected, and what to do.
@@ -14,4 +24,6 @@ class InputError(ValueError):
 
     def __init__(self, found: str, expected: str, action: str) -> None:
         self.found, self.expected, self.action = found, expected, action
-        super().__init__(" ".join(f"{found}; expected {expected}; {action}".split()))
+        parts = (found, f"expected {expected}", action)
+        line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
+        super().__init__(escape_text(" ".join(line.split())))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -35,3 +37,19 @@ def write_whole(path: Path, content: str | bytes) -> Path:
             raise InputError(found, "a writable path", "choose another") from error
         raise
     return path
+
+
+def write_json(content: object, path: Path) -> None:
+    """Write JSON, whole or not at all; numbers that are not finite become null, which JSON lacks."""
+    write_whole(path, json.dumps(without_nan(content), indent=2, ensure_ascii=False) + "\n")
+
+
+def without_nan(content: object) -> object:
+    """The same content with null for NaN and infinity."""
+    if isinstance(content, float):
+        return content if math.isfinite(content) else None
+    if isinstance(content, dict):
+        return {key: without_nan(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [without_nan(value) for value in content]
+    return content

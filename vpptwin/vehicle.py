@@ -10,10 +10,12 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
+Rate = Annotated[Positive, Field(le=1e5)]
 NonNegative = Annotated[Number, Field(ge=0.0)]
 
 
@@ -107,8 +109,8 @@ class Control(Section):
     rate_kp [N m s/rad], rate_kd [N m s^2/rad].
     """
 
-    policy_rate: Positive
-    inner_rate: Positive
+    policy_rate: Rate
+    inner_rate: Rate
     thrust_max: Positive
     rate_max: Positive
     rate_kp: NonNegative
@@ -119,7 +121,7 @@ class Control(Section):
 class MocapSensor(Section):
     """Motion capture: rate [Hz], position_std [m], angle_std [rad]."""
 
-    rate: Positive
+    rate: Rate
     position_std: Positive
     angle_std: Positive
 
@@ -127,7 +129,7 @@ class MocapSensor(Section):
 class ImuSensor(Section):
     """IMU at the hinge: rate [Hz], gyro_std [rad/s], accel_std [m/s^2]."""
 
-    rate: Positive
+    rate: Rate
     gyro_std: Positive
     accel_std: Positive
 
@@ -135,7 +137,7 @@ class ImuSensor(Section):
 class RotorSensor(Section):
     """Rotor telemetry: rate [Hz], speed_std [rad/s], current_std [A]."""
 
-    rate: Positive
+    rate: Rate
     speed_std: Positive
     current_std: Positive
 
@@ -172,7 +174,7 @@ def load_vehicle(path: Path | str | None = None) -> Vehicle:
     """
     file = find_model_file("vehicle.yaml") if path is None else Path(path)
     try:
-        return Vehicle.model_validate(yaml.safe_load(file.read_text()))
+        return Vehicle.model_validate(read_yaml(file))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(f"{file}: {error}", "a vehicle YAML", "see models/vehicle.yaml for an example") from error
     except ValidationError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +12,9 @@ from types import ModuleType
 import pytest
 from numba import types
 
+from vpptwin.engine import store
 from vpptwin.engine.compile import c_function, can_keep
-from vpptwin.twin.kernel import _store
+from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.twin.pipeline import fingerprint
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -111,14 +113,100 @@ def test_without_a_cache_it_compiles_in_memory(twin_file: Path, first: tuple[Pat
 
 def test_text_needs_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no folder can be made for the text of a step, there is none; a text that was cut off is written anew."""
-    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: tmp_path / name)
-    file = _store("whole text", "key")
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: tmp_path / name)
+    file = open_entry("key", "whole text")
     assert file is not None
     file.write_text("whole")
-    assert _store("whole text", "key") == file
+    assert open_entry("key", "whole text") == file
     assert file.read_text() == "whole text"
-    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: file / name)
-    assert _store("whole text", "key") is None
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: file / name)
+    assert open_entry("key", "whole text") is None
+
+
+def fill(cache: Path, monkeypatch: pytest.MonkeyPatch, name: str = "key", size: int = 9) -> Path:
+    """A sealed entry in a cache, with something compiled in it."""
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: cache / name)
+    file = open_entry(name, "text")
+    assert file is not None
+    (file.parent / "__pycache__").mkdir()
+    (file.parent / "__pycache__" / "step.control.nbc").write_bytes(bytes(size))
+    seal_entry(file)
+    return file
+
+
+def list_compiled(file: Path) -> list[str]:
+    """What is compiled beside a file."""
+    return sorted(path.name for path in file.parent.rglob("*.nb?"))
+
+
+def test_the_cache_is_the_users_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folders of mode 700; what lay in a folder that others could write into is not loaded."""
+    file = fill(tmp_path, monkeypatch)
+    for folder in (file.parent, file.parent.parent):
+        assert folder.stat().st_mode & 0o777 == 0o700
+    assert list_compiled(file) == ["step.control.nbc"]
+    assert open_entry("key", "text") == file
+    assert list_compiled(file) == ["step.control.nbc"]
+    for open_one in (file.parent, file.parent.parent):
+        open_one.chmod(0o777)
+        assert open_entry("key", "text") == file
+        assert list_compiled(file) == []
+        assert open_one.stat().st_mode & 0o777 == 0o700
+        (file.parent / "__pycache__").mkdir()
+        (file.parent / "__pycache__" / "step.control.nbc").write_bytes(bytes(9))
+        seal_entry(file)
+
+
+def test_a_cache_of_someone_else_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is loaded from another owner's folder, or through a link; a missing home is no place either."""
+    fill(tmp_path, monkeypatch)
+    monkeypatch.setattr("os.getuid", lambda: 12345)
+    assert open_entry("key", "text") is None
+    monkeypatch.undo()
+    fill(tmp_path / "real", monkeypatch)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "vpptwin").symlink_to(tmp_path / "real" / "vpptwin")
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: tmp_path / "other" / name)
+    assert open_entry("key", "text") is None
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: Path("~") / name)
+    assert open_entry("key", "text") is None
+    assert not Path("~").exists()
+
+
+@pytest.mark.parametrize("how", ["changed", "added", "unsealed", "a file", "no text"])
+def test_an_entry_that_is_not_what_was_sealed_is_built_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """A flipped byte, a foreign file, a lost seal, or something else in its place: emptied, not loaded."""
+    file = fill(tmp_path, monkeypatch)
+    compiled = file.parent / "__pycache__" / "step.control.nbc"
+    if how == "changed":
+        compiled.write_bytes(b"x" + compiled.read_bytes()[1:])
+    elif how == "added":
+        compiled.with_name("step.other.nbi").write_bytes(b"x")
+    elif how == "unsealed":
+        (file.parent / store.SEAL).unlink()
+    elif how == "a file":
+        shutil.rmtree(file.parent)
+        file.parent.write_text("x")
+    else:
+        file.write_bytes(b"\xff\xfe")
+        assert open_entry("key", "text") is None
+        file.unlink()
+        return
+    assert open_entry("key", "text") == file
+    assert list_compiled(file) == []
+    assert file.read_text() == "text"
+
+
+def test_the_oldest_entries_make_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many models come by, so many are kept."""
+    monkeypatch.setattr(store, "MOST", 5)
+    for number in range(9):
+        entry = fill(tmp_path, monkeypatch, f"key{number}").parent
+        os.utime(entry, (number, number))
+    kept = sorted(path.name for path in (tmp_path / "vpptwin" / "kernels").iterdir())
+    assert kept == [f"key{number}" for number in range(4, 9)]
 
 
 def compile_twice(folder: Path) -> tuple[int, float]:

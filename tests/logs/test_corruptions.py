@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -247,6 +248,134 @@ def shift_all(recording: Recording) -> Recording:
     )
 
 
+def hold(recording: Recording, name: str, *columns: str, begin: int = 0, end: int | None = None) -> Recording:
+    """Columns of a topic that repeat one value from one message to another."""
+    topic = recording.topics[name]
+    held = {column: np.array(topic.columns[column]) for column in columns}
+    for values in held.values():
+        values[begin:end] = values[begin + 10]
+    return corrupt.change(recording, name, replace(topic, columns={**topic.columns, **held}))
+
+
+def copy_column(recording: Recording, name: str, source: str, target: str) -> Recording:
+    """One column in the place of another."""
+    topic = recording.topics[name]
+    columns = {**topic.columns, target: topic.columns[source]}
+    return corrupt.change(recording, name, replace(topic, columns=columns))
+
+
+def clip(recording: Recording, limit: float) -> Recording:
+    """A gyro of so small a range [rad/s]."""
+    topic = recording.topics[IMU]
+    columns = {**topic.columns, "wy": np.clip(topic.columns["wy"], -limit, limit)}
+    return corrupt.change(recording, IMU, replace(topic, columns=columns))
+
+
+def set_clock(recording: Recording, name: str, at: float, by: float) -> Recording:
+    """The clock that stamps a topic is set ahead at a time [s] by some [s]."""
+    topic = recording.topics[name]
+    return corrupt.change(recording, name, corrupt.move(topic, np.where(topic.time > at, by, 0.0)))
+
+
+NO_FORCE = "no accelerometer on /imu/data"
+FORCE, ROTORS = ("specific_force",), ("rotor_speed", "current")
+UNSOUND: dict[str, tuple[Spoil, tuple[str, ...], tuple[str, ...]]] = {
+    "dead IMU": (
+        lambda r, g: hold(r, IMU, "wy", "ax", "az"),
+        ("throughout while the craft turns", "no /imu/data"),
+        ("velocities", *FORCE),
+    ),
+    "dead gyro": (lambda r, g: hold(r, IMU, "wy"), ("the IMU is left out",), ("velocities", *FORCE)),
+    "dead accelerometer": (
+        lambda r, g: hold(r, IMU, "ax", "az"),
+        ("accel_x and accel_z never changes", NO_FORCE),
+        FORCE,
+    ),
+    "one dead axis": (lambda r, g: hold(r, IMU, "az"), ("accel_z never changes", NO_FORCE), FORCE),
+    "doubled axis": (lambda r, g: copy_column(r, IMU, "ax", "az"), ("are one and the same", NO_FORCE), FORCE),
+    "upside down": (
+        lambda r, g: corrupt.scale(r, IMU, -1.0, "az"),
+        ("shows -0.99 times gravity upwards", NO_FORCE),
+        FORCE,
+    ),
+    "half of the force": (
+        lambda r, g: corrupt.scale(r, IMU, 0.5, "ax", "az"),
+        ("shows 0.5 times gravity", NO_FORCE),
+        FORCE,
+    ),
+    "no rotor state": (
+        lambda r, g: corrupt.scale(r, STATE, 0.0, "speed_1", "speed_2"),
+        ("a rotor speed is 0 times the governed 471", "rotors are taken to turn at"),
+        ROTORS,
+    ),
+    "half of the speed": (
+        lambda r, g: corrupt.scale(r, STATE, 0.5, "speed_1", "speed_2"),
+        ("0.5 times the governed 471",),
+        ROTORS,
+    ),
+    "turns per second": (
+        lambda r, g: corrupt.scale(r, STATE, 1 / 6.283, "speed_1"),
+        ("0.16 times the governed",),
+        ROTORS,
+    ),
+    "doubled speed": (
+        lambda r, g: copy_column(r, STATE, "speed_1", "speed_2"),
+        ("both rotor speeds are one and the same",),
+        ROTORS,
+    ),
+    "no currents": (
+        lambda r, g: corrupt.scale(r, STATE, 0.0, "current_1", "current_2"),
+        ("a motor current never changes",),
+        ("current",),
+    ),
+    "no throttle": (lambda r, g: corrupt.scale(r, COMMAND, 0.0, "throttle_1", "throttle_2"), (), ("throttle",)),
+    "dead commands": (
+        lambda r, g: hold(r, COMMAND, "blade_pitch_1", "blade_pitch_2"),
+        ("blade pitch never changes", "is reconstructed from"),
+        ("throttle",),
+    ),
+}
+"""Channels that cannot be believed, what warnings say, and what of the measurements is left out for it."""
+
+
+@pytest.mark.parametrize("name", UNSOUND)
+def test_channels_that_cannot_be_believed_are_left_out(
+    recording: Recording, clean: Measurements, measure: Callable, name: str
+) -> None:
+    """Dead, doubled, upside down or in another unit: a warning says so, and everything else stays as it was."""
+    spoil, said, gone = UNSOUND[name]
+    measured, warnings = measure(spoil(recording, np.random.default_rng(1)))
+    for part in said:
+        assert any(part in line for line in warnings), warnings
+    for field in ("velocities", "specific_force", "rotor_speed", "current", "throttle"):
+        value = getattr(measured, field)
+        assert (value is None or value == {}) == (field in gone)
+    assert differ(clean, measured)["x"] < 1e-9
+
+
+def test_samples_that_are_stuck_or_clipped_are_left_out(
+    recording: Recording, clean: Measurements, measure: Callable
+) -> None:
+    """An IMU that repeats itself for a second, and one whose range a flip exceeds; the other samples stay."""
+    measured, warnings = measure(hold(recording, IMU, "wy", "ax", "az", begin=2000, end=3000))
+    assert any("1000 of 8001 samples repeat a value to the last digit, left out" in line for line in warnings)
+    assert not ((measured.velocities[2].time > 2.0) & (measured.velocities[2].time < 2.999)).any()
+    measured, warnings = measure(clip(recording, 6.0))
+    assert any("samples are clipped, left out" in line for line in warnings)
+    assert np.abs(measured.velocities[2].value).max() < 6.0
+    fast = np.abs(clean.velocities[2].value) > 6.1
+    assert len(measured.velocities[2].time) == pytest.approx(len(fast) - fast.sum(), rel=0.01)
+
+
+def test_clean_channels_stay(recording: Recording, clean: Measurements) -> None:
+    """Nothing of a sound flight is left out, whatever it does."""
+    assert len(clean.velocities[2].time) == len(recording.topics[IMU].time)
+    assert clean.specific_force is not None
+    assert clean.rotor_speed is not None
+    assert clean.current is not None
+    assert clean.throttle is not None
+
+
 REFUSED: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     "NaN": (not_a_number, "pose.position.x is NaN in 1 of 799 messages"),
     "millimetres": (lambda r: corrupt.scale(r, POSE, 1e3, "x", "z"), "x reaches [0-9.]+ and looks like millimetres"),
@@ -259,6 +388,21 @@ REFUSED: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     "rpm": (lambda r: corrupt.scale(r, STATE, 9.55, "speed_1", "speed_2"), "looks like rpm"),
     "another epoch": (lambda r: corrupt.offset(r, POSE, -2.0), "/mocap/pose is stamped 2.01 s earlier than"),
     "a shifted stamp": (shift_all, "/mocap/pose shows every turn 0.80 s after /imu/data does"),
+    "twice the rate": (lambda r: corrupt.scale(r, IMU, 2.0, "wy"), r"rate is 2 times the turning .*`scale: 0.5`"),
+    "half of the rate": (lambda r: corrupt.scale(r, IMU, 0.5, "wy"), r"rate is 0.5 times the turning .*`scale: 2`"),
+    "feet": (lambda r: corrupt.scale(r, POSE, 3.2808, "x", "z"), r"3.28 times as far .* feet; .*`scale: 0.3048`"),
+    "half metres": (lambda r: corrupt.scale(r, POSE, 2.0, "x", "z"), r"2 times as far as the accelerometer shows; "),
+    "inches": (lambda r: corrupt.scale(r, POSE, 39.37, "x", "z"), "looks like millimetres, centimetres or inches"),
+    "centimetres": (lambda r: corrupt.scale(r, POSE, 100.0, "x", "z"), "millimetres, centimetres or inches"),
+    "inches of little": (lambda r: corrupt.scale(r, POSE, 20.0, "x", "z"), "times as far as the accelerometer shows"),
+    "one axis twice": (lambda r: copy_column(r, POSE, "x", "z"), "x and z are one and the same"),
+    "a dead axis": (lambda r: hold(r, POSE, "x"), "x never changes, while the accelerometer shows motion"),
+    "a clock set ahead": (
+        lambda r: set_clock(r, POSE, 3.0, 0.3),
+        r"clock of /mocap/pose steps by \+0.30 s .* about 3.0 s into the log",
+    ),
+    "a clock set back": (lambda r: set_clock(r, POSE, 3.0, -0.3), r"clock of /mocap/pose steps by -0.30 s"),
+    "the other clock": (lambda r: set_clock(r, IMU, 5.0, 0.1), r"clock of /imu/data steps by \+0.10 s"),
     "no poses": (lambda r: corrupt.remove(r, POSE), "no messages on /mocap/pose"),
     "no commands": (lambda r: corrupt.remove(r, COMMAND, POLICY), "no messages on /rotor/command"),
     "no gyro, no commands": (lambda r: corrupt.remove(r, COMMAND, IMU), "/imu/data to reconstruct it from"),

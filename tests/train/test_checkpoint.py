@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import os
 import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
+from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import FORMAT, find_checkpoint, read_checkpoint, shipped_policies, write_checkpoint
 from vpptwin.train.config import to_config
@@ -102,6 +106,79 @@ def test_truncated_checkpoint(tiny_run: Path, tmp_path: Path) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="not a checkpoint"):
         read_checkpoint(tmp_path)
+
+
+def test_files_that_a_run_to_resume_names_do_not_run(
+    tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They would with `--trust`; a line says so."""
+    (tmp_path / "evil.py").write_text("open('ran', 'w').close()\n")
+    content = read_checkpoint(tiny_run, flying=False)
+    changed = {**content, "config": {**content["config"], "effects": [str(tmp_path / "evil.py")]}}
+    (tmp_path / "run").mkdir()
+    torch.save(changed, tmp_path / "run" / "checkpoint.pt")
+    assert main(["train", f"resume={tmp_path / 'run'}", f"total_steps={2 * content['steps']}"]) == 2
+    err = capsys.readouterr().err
+    assert "evil.py, Python code that would be run" in err
+    assert "--trust" in err
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("bit", range(0, 240, 12))
+def test_a_flipped_bit_is_noticed(tmp_path: Path, bit: int) -> None:
+    """Anywhere in a weight: the checksums in the file tell which part was changed."""
+    data = bytearray(shipped_policies()["flip"].read_bytes())
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        part = max(archive.infolist(), key=lambda info: info.file_size)
+    place = part.header_offset + 200 + 97 * bit
+    data[place] ^= 1 << bit % 8
+    (tmp_path / "flipped.pt").write_bytes(data)
+    with pytest.raises(InputError, match="was changed or damaged"):
+        load_policy(tmp_path / "flipped.pt")
+
+
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """NaN in a policy is the policy's fault, whatever command flies it; no effect of the twin is blamed."""
+    content = read_checkpoint("flip")
+    name = next(name for name in content["policy"] if name.endswith("weight"))
+    content["policy"][name] = content["policy"][name] * float("nan")
+    torch.save(content, tmp_path / "nan.pt")
+    for command in (["fly", "--out", str(tmp_path / "log.mcap")], ["evaluate"], ["export", "--format", "c"]):
+        assert main([command[0], str(tmp_path / "nan.pt"), *command[1:]]) == 2
+        assert f"nan.pt: NaN or infinity in weights {name}" in capsys.readouterr().err
+
+
+LARGE = {
+    "hidden": [10**7, 10**7], "critic_hidden": [10**7], "critic_lstm": 10**7, "gamma": float("nan"), "noise": 1e300,
+    "setup": "${oc.env:HOME}", "sim_threads": 10**7, "loggers": "csv", "effects": {"a": 1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", LARGE)
+def test_absurd_configurations_are_refused(tmp_path: Path, key: str) -> None:
+    """In one line, before anything of that size is made or anything is looked up."""
+    content = read_checkpoint("flip")
+    torch.save({**content, "config": {**content["config"], key: LARGE[key]}}, tmp_path / "large.pt")
+    with pytest.raises(InputError, match=r"large\.pt: ") as caught:
+        load_policy(tmp_path / "large.pt")
+    assert "\n" not in str(caught.value)
+    assert os.environ["HOME"] not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["config", "steps", "policy", "commit", "training"])
+def test_parts_of_the_wrong_kind_are_named(tmp_path: Path, name: str) -> None:
+    """Each part that a checkpoint must hold."""
+    torch.save({**read_checkpoint("flip"), name: [1, 2]}, tmp_path / "odd.pt")
+    with pytest.raises(InputError, match=rf"odd\.pt: {name} is list; expected"):
+        read_checkpoint(tmp_path / "odd.pt")
+
+
+def test_packed_checkpoints_are_refused(tmp_path: Path) -> None:
+    """A zip whose parts are deflated may unpack to anything."""
+    with zipfile.ZipFile(tmp_path / "bomb.pt", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", bytes(10**8))
+    with pytest.raises(InputError, match="packed, as torch never does"):
+        read_checkpoint(tmp_path / "bomb.pt")
 
 
 def test_code_in_a_checkpoint_does_not_run(tmp_path: Path) -> None:

@@ -103,3 +103,19 @@ def test_bad_evaluations(tiny_run: Path, tmp_path: Path, conditions: Conditions,
         run_evaluate(tiny_run, conditions, tmp_path / name)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_no_number_is_null_in_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`NaN` is no JSON: standard output and file hold null in its place, and every parser takes them."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    monkeypatch.setattr(
+        "vpptwin.train.evaluate.evaluate", lambda *given: {"lipschitz": float("nan"), "n": [1.0, float("inf")]}
+    )
+    assert main(["evaluate", "flip", "--json", str(tmp_path / "out.json")]) == 0
+    for text in (capsys.readouterr().out, (tmp_path / "out.json").read_text()):
+        assert json.loads(text, parse_constant=refuse) == {"lipschitz": None, "n": [1.0, None]}

@@ -142,7 +142,7 @@ def test_nothing_of_ray_is_left(flown: Flown) -> None:
 def test_workers_share_the_simulations_and_the_curriculum(tmp_path: Path) -> None:
     """Each has its own seed, another one after a resume, its half of the simulations, and the run's difficulty."""
     config = compose_config(WORKED)
-    makers = [WorkerEnv(config, worker, begun, tmp_path) for worker in (0, 1) for begun in (0, 128)]
+    makers = [WorkerEnv(config, worker, begun, tmp_path, frozenset()) for worker in (0, 1) for begun in (0, 128)]
     assert len({maker.seed for maker in makers}) == 4
     with torch.random.fork_rng():
         env = makers[3]()

@@ -39,7 +39,7 @@ def test_a_twin_names_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     write_effects(tmp_path / "lib")
     twin = write_rig(tmp_path, "effects_from: [lib/own.py]\neffects: {slide.wave: {force: 0.4}}\n")
     monkeypatch.chdir("/")
-    spec = load_twin(twin)
+    spec = load_twin(twin, [tmp_path / "lib/own.py"])
     assert spec.effects == {"slide.wave": {"force": 0.4}}
     assert spec.catalogue[-1].id == "slide.wave"
     assert [file.resolve() for file in spec.effect_files] == [tmp_path / "lib/own.py"]
@@ -223,7 +223,7 @@ def test_missing_files_are_refused(rig: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["effects", "--twin", str(rig), "--effects", "absent.py"]) == 2
     assert capsys.readouterr().err.startswith("vpptwin: no readable effects file absent.py; expected a Python file")
     twin = write_rig(tmp_path, "effects_from: [absent.py]\n")
-    assert main(["effects", "--twin", str(twin)]) == 2
+    assert main(["effects", "--twin", str(twin), "--trust"]) == 2
     assert f"no readable effects file {tmp_path / 'absent.py'}" in capsys.readouterr().err
 
 

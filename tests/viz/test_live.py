@@ -102,7 +102,7 @@ def test_every_key_asks_for_something_there_is(flight: LiveFlight) -> None:
 @pytest.fixture
 def panel() -> Iterator[Panel]:
     """A page around no scene."""
-    panel = Panel("about:blank", ["flip", "push up"])
+    panel = Panel(["flip", "push up"])
     yield panel
     panel.close()
 

@@ -8,6 +8,7 @@ import yaml
 from pydantic import Field, ValidationError
 
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.vehicle import MotorConstants, NonNegative, RotorConstants, Section, Servo, Vehicle, describe_problem
 
 
@@ -38,7 +39,7 @@ def load_actuator(path: Path) -> ActuatorFile:
         InputError: if it is missing, is not YAML, or a number is absent or makes no sense.
     """
     try:
-        return ActuatorFile.model_validate(yaml.safe_load(path.read_text()))
+        return ActuatorFile.model_validate(read_yaml(path))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         found, expected = f"{path}: {reason}", "an actuator YAML"

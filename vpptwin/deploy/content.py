@@ -14,9 +14,9 @@ import torch
 from vpptwin import __version__
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import TrainConfig, to_plain
-from vpptwin.train.env import strengthen
+from vpptwin.train.env import load_trained_twin, strengthen
 from vpptwin.train.networks import Policy
-from vpptwin.twin.spec import TwinSpec, load_twin
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
 VECTORS = 64
@@ -76,9 +76,7 @@ def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], tw
     Raises:
         InputError: if the twin is not what it should be.
     """
-    spec = strengthen(load_twin(twin or trained.twin, trained.effects), trained.task.thrust_to_weight)
-    if trained.controller is not None:
-        spec = spec.with_controller(trained.controller)
+    spec = strengthen(load_trained_twin(trained, twin), trained.task.thrust_to_weight)
     inputs = draw_observations(trained, VECTORS, seed=1)
     with torch.no_grad():
         outputs = policy(torch.from_numpy(inputs)).numpy()

@@ -35,7 +35,7 @@ class Exported(ABC):
         try:
             self.metadata: dict[str, Any] = json.loads(metadata)
             self.trained: TrainConfig = to_config(self.metadata["config"])
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError(f"{path}: metadata that cannot be read", EXPECTED, AGAIN) from error
 
     def _refuse_failures(self, wrong: int) -> None:

@@ -11,6 +11,9 @@ from typing import Any
 
 from numba import cfunc, njit
 
+KEPT = "__pycache__/*.nb?"
+"""What numba keeps beside a file."""
+
 
 @cache
 def can_keep() -> bool:
@@ -50,6 +53,6 @@ def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[C
 
 def drop_cache(function: Callable[..., Any]) -> None:
     """Remove what numba keeps beside the file that a function comes from."""
-    for file in Path(function.__code__.co_filename).parent.glob("__pycache__/*.nb?"):
+    for file in Path(function.__code__.co_filename).parent.glob(KEPT):
         with suppress(OSError):
             file.unlink()

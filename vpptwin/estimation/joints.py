@@ -11,6 +11,7 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.series import Measurements, Series
+from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec
 
@@ -38,7 +39,9 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     spans: dict[str, tuple[float, float]] = {}
     warnings: list[str] = []
     for joint, topic in {**signals.joints, **signals.driven}.items():
-        dof, position, velocity = read_joint(spec, flight, topic, joint)
+        stream, found = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
+        warnings += found
+        dof, position, velocity = read_joint(spec, flight, stream, topic, joint)
         cleaned, found = clean_series(position, f"{topic} {joint}: position")
         warnings += found
         spans[f"{topic} {joint}"] = (float(position.time[0]), float(position.time[-1]))
@@ -57,9 +60,10 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     return replace(measurements, warnings=(*warnings, *tell_cut(spans), *tell_gaps(measurements)))
 
 
-def read_joint(spec: TwinSpec, flight: Flight, topic: str, joint: str) -> tuple[int, Series, Series | None]:
+def read_joint(
+    spec: TwinSpec, flight: Flight, stream: Stream, topic: str, joint: str
+) -> tuple[int, Series, Series | None]:
     """Degree of freedom, position and, where logged, velocity of a joint."""
-    stream = find_joint(flight, topic, joint)
     dof = int(spec.model.joint(joint).dofadr[0])
     length, unit = ("rad", "rad/s") if spec.robot.rotary[dof] else ("m", "m/s")
     if "position" not in stream.values:

@@ -22,6 +22,10 @@ BLOCK = 8.0
 MAX_BLOCKS = 8
 ENOUGH = 2000
 """Steps compared in a block."""
+STRETCH = 3.0
+"""Steps of a clock are looked for between stretches of this length [s]."""
+STEP, ALIKE = 0.1, 0.03
+"""A clock steps where its lag changes by so much between two parts of a flight, and no more than that in them [s]."""
 CLEAR = 5.0
 """Turning must exceed its noise by this factor, or there is nothing to compare."""
 
@@ -81,6 +85,31 @@ def refine(angle: Series, turned: Series, coarse: float, begin: float, end: floa
         misses = [float(np.var(seen - step_over(turned, stamps + 0.5 * SPAN - late))) for late in lags]
         lag = float(lags[np.argmin(misses)])
     return lag
+
+
+def find_step(angle: Series, rate: Series) -> tuple[float, float] | None:
+    """When the angle's clock steps against the rate's, and by how much [s]; None if it does not, or nothing tells.
+
+    Between stretches that all have one lag and those that all have another; one of them may lie astride the step.
+    """
+    turned = Series("turned", "rad", rate.time, cumulative_trapezoid(rate.value, rate.time, initial=0.0), rate.std)
+    lags = np.arange(-SEARCHES[0][0] - STEP, SEARCHES[0][0] + STEP, GRID)
+    known: list[tuple[float, float]] = []
+    for begin in np.arange(max(angle.time[0], rate.time[0]) + STEP, min(angle.time[-1], rate.time[-1]), STRETCH):
+        stamps = angle.time[(angle.time >= begin) & (angle.time < begin + STRETCH)]
+        seen = step_over(angle, stamps)
+        if len(stamps) < 50 or np.std(seen) < CLEAR * angle.std:
+            continue
+        misses = [float(np.var(seen - step_over(turned, stamps - late))) for late in lags]
+        if min(misses) < (1.0 - LIKENESS) * np.var(seen):
+            known.append((float(begin), float(lags[np.argmin(misses)])))
+    for split in range(2, len(known) - 1):
+        for astride in (0, 1):
+            before, after = (np.array([lag for _, lag in part]) for part in (known[:split], known[split + astride :]))
+            change = float(np.median(after) - np.median(before)) if len(after) > 1 else 0.0
+            if abs(change) > STEP and max(np.ptp(before), np.ptp(after)) < ALIKE:
+                return known[split][0], change
+    return None
 
 
 def step_over(series: Series, time: np.ndarray) -> np.ndarray:

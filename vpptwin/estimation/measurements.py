@@ -12,10 +12,12 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_imu, clean_poses, clean_rotors
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.joints import read_joints
-from vpptwin.estimation.lag import estimate_lag
+from vpptwin.estimation.lag import estimate_lag, find_step
 from vpptwin.estimation.policy import reconstruct_commands
 from vpptwin.estimation.series import Lag, Measurements, Series
+from vpptwin.estimation.sound import vet_flight
 from vpptwin.logs.check import check_accelerometer
+from vpptwin.logs.clocks import refuse_step
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.robot import Robot
@@ -55,8 +57,9 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
         InputError: if the log lacks poses, or all from which the rotors' commands could be known.
     """
     flight.require("/mocap/pose")
+    flight, unsound = vet_flight(flight, spec.vehicle)
     sensors, streams = spec.vehicle.sensors, flight.streams
-    warnings = tell_lost(spec, streams)
+    warnings = [*unsound, *tell_lost(spec, streams)]
     imu, rotor = streams.get("/imu/data"), streams.get("/rotor/state")
     if imu is not None:
         imu, found = clean_imu(imu, sensors)
@@ -81,7 +84,7 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
         None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
         (0, 1, 2),
         max(start, float(commands.time[0])), min(end, float(commands.time[-1])),
-        throttle=None if command is None else Series("throttle", "1", command.time, command["throttle"], 0.0),
+        throttle=sort_throttle(command),
         current=sort_current(rotor, sensors),
     )  # fmt: skip
     lag = measure_offset(flight, measurements)
@@ -122,6 +125,13 @@ def sort_current(rotor: Stream | None, sensors: Sensors) -> Series | None:
     return Series("current", "A", rotor.time, rotor["current"], sensors.rotor.current_std)
 
 
+def sort_throttle(command: Stream | None) -> Series | None:
+    """Commanded throttle, where it was logged: zeros throughout are none."""
+    if command is None or not command["throttle"].any():
+        return None
+    return Series("throttle", "1", command.time, command["throttle"], 0.0)
+
+
 def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu: Stream | None) -> Series:
     """Blade-pitch commands as logged, or else from the policy's commands and the gyro.
 
@@ -149,11 +159,14 @@ def measure_offset(flight: Flight, measurements: Measurements) -> Lag | None:
     """Lag of the poses behind the gyro; None where nothing tells.
 
     Raises:
-        InputError: if what turned in both lies further apart than any delay of a motion capture.
+        InputError: if what turned in both lies further apart than any delay of a motion capture, or one clock steps.
     """
     if 2 not in measurements.velocities:
         return None
-    lag = estimate_lag(measurements.positions[2], measurements.velocities[2])
+    angle, rate = measurements.positions[2], measurements.velocities[2]
+    if (step := find_step(angle, rate)) is not None:
+        raise refuse_step(str(flight.path), "/mocap/pose", *step)
+    lag = estimate_lag(angle, rate)
     if lag is not None and abs(lag.start) > MAX_OFFSET:
         order = "after" if lag.start > 0.0 else "before"
         raise InputError(

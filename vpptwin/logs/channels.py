@@ -82,8 +82,8 @@ def _plain(
 
 def _pose(topic: str, steady: bool) -> Channel:
     columns = (
-        _plain("x", "m", "pose.position.x", limit=50.0, mistake="millimetres"),
-        _plain("z", "m", "pose.position.z", limit=50.0, mistake="millimetres"),
+        _plain("x", "m", "pose.position.x", limit=50.0, mistake="millimetres, centimetres or inches"),
+        _plain("z", "m", "pose.position.z", limit=50.0, mistake="millimetres, centimetres or inches"),
         Column("theta", "rad", Source(("pose.orientation",), axis="-y")),
     )
     return Channel(topic, "geometry_msgs/msg/PoseStamped", columns, steady)

@@ -15,6 +15,7 @@ MAX_TILT = 0.15  # rad out of the plane; a well set up tracker stays within a fe
 MIN_TURN = 0.5  # rad of rotation below which a gyro cannot be judged
 GYRO_STEP = 0.1  # s over which it is compared, long against delays and against the noise of a tracker
 RARE = 0.01  # share of messages up to which impossible values are outliers rather than a wrong unit
+SLOWEST, FASTEST = 0.6, 1.6  # rate over turning beyond which a scale is wrong: `gyro.scale` reaches from 0.7 to 1.3
 MIN_LIKENESS = 0.8  # squared correlation from which on gyro and tracker show one motion
 MIN_FORCE, MAX_FORCE = 2.5, 50.0  # m/s^2, median of any flight; at rest and in hover it is 9.8
 
@@ -103,7 +104,7 @@ def check_accelerometer(label: str, force: np.ndarray) -> None:
 
 
 def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.ndarray, np.ndarray]) -> None:
-    """Refuse a gyro in degrees per second or of the wrong sign, by comparing its integral with the angle seen.
+    """Refuse a gyro in degrees per second, of the wrong sign or scale, by comparing its integral with the angle seen.
 
     Args:
         label: file and topic of the gyro.
@@ -111,7 +112,7 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
         gyro: time (m,) s and rate (m,) rad/s.
 
     Raises:
-        InputError: if the two agree but for a factor of 57.3, or -1. Logs with little rotation pass unjudged.
+        InputError: if the two agree but for a factor, such as 57.3, 2, or -1. Logs with little rotation pass unjudged.
     """
     time, theta = pose
     inside = np.flatnonzero((time >= gyro[0][0]) & (time <= gyro[0][-1]))
@@ -123,10 +124,7 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
     turned, measured = np.diff(theta[inside]), np.diff(np.interp(time[inside], gyro[0], integral))
     if len(turned) < 3 or np.ptp(theta[inside]) < MIN_TURN:
         return
-    factor, likeness = _compare(turned, measured)
-    if likeness < MIN_LIKENESS:  # outliers, perhaps, which are dealt with later
-        calm = [np.abs(step) <= np.quantile(np.abs(step), 1.0 - 3.0 * RARE) for step in (turned, measured)]
-        factor, likeness = _compare(turned[calm[0] & calm[1]], measured[calm[0] & calm[1]])
+    factor, likeness = compare_steps(turned, measured)
     if likeness < MIN_LIKENESS:
         return
     found = f"{label}: rate is {factor:.3g} times the turning"
@@ -143,6 +141,23 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
             "angular_velocity.y = -q, with theta counter-clockwise seen with x right and z up",
             "turn the sign of one of them in a topic map",
         )
+    if not SLOWEST < factor < FASTEST:
+        raise InputError(
+            f"{found} seen on /mocap/pose",
+            "1, the same motion",
+            f"convert the one that is wrong, for instance with `scale: {1.0 / factor:.3g}` for rate in a topic map",
+        )
+
+
+def compare_steps(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """Factor from one sensor's steps (n,) to another's of the same motion, and how much of the other it explains."""
+    factor, likeness = _compare(one, other)
+    if likeness < MIN_LIKENESS:  # outliers, perhaps, which are dealt with later
+        calm = np.ones(len(one), dtype=bool)
+        for step in (one, other):
+            calm &= np.abs(step) <= np.quantile(np.abs(step), 1.0 - 3.0 * RARE)
+        factor, likeness = _compare(one[calm], other[calm])
+    return factor, likeness
 
 
 def _compare(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:

@@ -14,6 +14,8 @@ MAX_OFFSET = 0.5
 """Messages of two topics that were recorded together may be stamped so far apart [s]: no transport takes longer."""
 BLOCKS = 20
 """The drift is a line through the quickest message of each of so many blocks: transport only ever adds."""
+STEP, STEADY = 0.05, 20
+"""A clock steps where stamps leap by so much [s] and log times do not, from the messages before to so many after."""
 ALIKE = 0.1
 """Log times tell of a clock if they span what its stamps span, within this share: some tools write whatever."""
 
@@ -64,3 +66,37 @@ def check_offsets(clocks: Mapping[str, Clock], path: str) -> None:
             "all topics stamped by one clock",
             f"set the clocks by NTP or PTP, or give {slow} `stamp: log_time` in a topic map",
         )
+
+
+def check_steps(samples: Samples, path: str) -> None:
+    """Refuse a topic whose clock steps within the flight, samples in record order: stamps leap where log times do not.
+
+    Raises:
+        InputError: with the time and size of the step.
+    """
+    stamp, logged = ((times - times[:1]) * 1e-9 for times in (samples.stamp, samples.log_time))
+    if len(stamp) < 2 * STEADY:
+        return
+    between, apart = np.diff(stamp), np.diff(logged)
+    period = float(np.median(between))
+    told = (
+        abs(logged[-1] - stamp[-1]) <= ALIKE * stamp[-1] + MAX_OFFSET
+        and 0.5 < np.median(apart) / max(period, 1e-9) < 2.0
+    )
+    leaps = np.flatnonzero((np.abs(between - apart) > STEP) & (apart < 3.0 * period + 0.5 * STEP)) if told else ()
+    late = logged - stamp
+    for at in leaps:
+        before, after = late[max(at + 1 - STEADY, 0) : at + 1], late[at + 1 : at + 1 + STEADY]
+        change = float(np.median(before) - np.median(after))
+        steady = max(float(np.ptp(part)) for part in (before, after)) < 0.5 * abs(change)
+        if min(len(before), len(after)) == STEADY and abs(change) > STEP and steady:
+            raise refuse_step(path, samples.label, float(logged[at + 1]), change)
+
+
+def refuse_step(path: str, topic: str, time: float, change: float) -> InputError:
+    """What is said of a clock that steps by `change` [s], about so long [s] after the topic's first message."""
+    return InputError(
+        f"{path}: the clock of {topic} steps by {change:+.2f} s against the others, about {time:.1f} s into the log",
+        "clocks that run through",
+        "cut the log there, set clocks before flights only, or give the topic `stamp: log_time` in a topic map",
+    )

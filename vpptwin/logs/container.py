@@ -16,15 +16,16 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Header, Schema, Statistics
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
 from zstandard import ZstdError
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, escape_text
+from vpptwin.logs.unpack import Unpacker
 
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_MANY = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
 # What mcap and the decompressors raise on records whose content makes no sense.
 _BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
 
@@ -74,6 +75,8 @@ def _blame(offset: int, what: str) -> Iterator[None]:
     """Say which record makes no sense where reading it fails."""
     try:
         yield
+    except InputError:
+        raise
     except _BROKEN:
         raise _DamageError(offset, f"holds a broken {what}") from None
 
@@ -81,8 +84,8 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(self, wanted: Callable[[RawChannel], bool]) -> None:
-        self.wanted = wanted
+    def __init__(self, wanted: Callable[[RawChannel], bool], unpacker: Unpacker) -> None:
+        self.wanted, self.unpacker = wanted, unpacker
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -108,6 +111,9 @@ class _Scan:
                         raise _DamageError(begin, "holds a broken message")
                     channel_id, _, log_time, _ = unpack_message(data, start)
                     found.append((channel_id, length - _MESSAGE.size, start + _MESSAGE.size, log_time))
+                    if len(found) == _MANY:
+                        self.store(data, found)
+                        found = []
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self.take_declaration(opcode, _open_stream(data, start, position), begin)
                 else:
@@ -129,7 +135,9 @@ class _Scan:
             return
         known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
         text = known.data.decode("utf-8", "replace")
-        channel = RawChannel(record.topic, known.name, record.message_encoding, known.encoding, text)
+        channel = RawChannel(
+            escape_text(record.topic), escape_text(known.name), record.message_encoding, known.encoding, text
+        )
         self.channels[record.id] = channel
         if self.wanted(channel):
             self.keep.add(record.id)
@@ -166,9 +174,9 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
         All channels; those wanted with their payloads.
 
     Raises:
-        InputError: if the file is damaged or ends early.
+        InputError: if the file is damaged or ends early, or unpacks to more than a log can honestly hold.
     """
-    scan = _Scan(wanted)
+    scan = _Scan(wanted, Unpacker(path, path.stat().st_size))
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
@@ -208,8 +216,7 @@ def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:
         chunk = Chunk.read(stream)
         if chunk.compression not in ("", "zstd", "lz4"):
             raise _DamageError(offset, f"holds a chunk compressed by '{chunk.compression}'")
-        unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
-        records = unpacked.read(length)
+        records = scan.unpacker.unpack(chunk)
     try:
         for _ in scan.take_records(records):
             pass

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, is_joint_state
 from vpptwin.logs.check import check_gyro
-from vpptwin.logs.clocks import check_offsets, read_clock
+from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
 from vpptwin.logs.container import RawChannel
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_samples
 from vpptwin.logs.streams import build_joint_stream, build_stream
-from vpptwin.logs.timeline import check_clocks, describe_gaps, order_stamps
+from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import TopicMap, load_topic_map
 
 JointSamples = dict[str, dict[str, Samples]]
@@ -80,6 +80,7 @@ def _read_joint_topics(recording: Recording, topics: TopicMap, warnings: list[st
 
 
 def _order_samples(recording: Recording, samples: Samples, warnings: list[str]) -> Samples:
+    check_steps(samples, str(recording.path))
     order, found = order_stamps(samples.stamp, str(recording.path), samples.label)
     _add_new(warnings, found)
     return samples.take(order)
@@ -93,6 +94,7 @@ def _assemble_flight(
     if not every:
         raise _refuse_foreign(recording)
     check_clocks({item.label: (int(item.stamp[0]), int(item.stamp[-1])) for item in every}, path)
+    check_leaps({item.label: item.stamp for item in every}, path)
     clocks = {item.label: clock for item in every if (clock := read_clock(item)) is not None}
     check_offsets(clocks, path)
     start = min(int(item.stamp[0]) for item in every)
@@ -116,7 +118,7 @@ def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, 
         together: dict[bytes, list[str]] = {}  # joints that come in the same messages have the same gaps
         for name, stream in names.items():
             together.setdefault(stream.time.tobytes(), []).append(name)
-        steady += [(f"{topic} {', '.join(group)}", names[group[0]]) for group in together.values()]
+        steady += [(escape_text(f"{topic} {', '.join(group)}"), names[group[0]]) for group in together.values()]
     return [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
 
 

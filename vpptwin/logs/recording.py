@@ -15,6 +15,7 @@ from vpptwin.errors import InputError
 from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.messages import shorten_type
+from vpptwin.plain import read_yaml
 
 PathLike = str | os.PathLike[str]
 _EXPECTED = "a flight log in MCAP (ros2 profile, CDR messages)"
@@ -153,7 +154,7 @@ def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
 
 def _read_metadata(folder: Path) -> list[str]:
     try:
-        content = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+        content = read_yaml(folder / "metadata.yaml")
         return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
         return []  # the folder speaks for itself

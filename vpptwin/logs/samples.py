@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import JOINT_COLUMNS, Column
 from vpptwin.logs.convert import list_fields
 from vpptwin.logs.recording import Recording
 from vpptwin.logs.topic_map import LOG_TIME, NANOSECONDS, Route, Stamp
+
+MOST_NS = 2.0**62
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ def read_samples(recording: Recording, route: Route) -> Samples:
     order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
     fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
     log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
-    return Samples(route.channel.topic, _read_stamps(route.stamp, fields, log_time), log_time, fields, columns)
+    stamp = _read_stamps(f"{recording.path}: {route.topic}", route.stamp, fields, log_time)
+    return Samples(route.channel.topic, stamp, log_time, fields, columns)
 
 
 def _list_stamp_fields(stamp: Stamp) -> list[str]:
@@ -64,18 +67,32 @@ def _list_stamp_fields(stamp: Stamp) -> list[str]:
     return [stamp.path] if stamp.unit else [f"{stamp.path}.sec", f"{stamp.path}.nanosec"]
 
 
-def _read_stamps(stamp: Stamp, fields: dict[str, np.ndarray], log_time: np.ndarray) -> np.ndarray:
-    """Stamps in ns, (n,)."""
+def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_time: np.ndarray) -> np.ndarray:
+    """Stamps in ns, (n,).
+
+    Raises:
+        InputError: if one is no number, or beyond the 146 years that 64 bits hold either way.
+    """
     if stamp.path == LOG_TIME:
-        return log_time
+        return _count_ns(label, log_time, 1)
     parts = [fields[path] for path in _list_stamp_fields(stamp)]
     if stamp.unit is None:
-        return parts[0].astype(np.int64) * 10**9 + parts[1].astype(np.int64)
-    factor = NANOSECONDS[stamp.unit]
-    if parts[0].dtype.kind != "f":
-        return parts[0].astype(np.int64) * factor
-    whole = np.floor(parts[0])  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
-    return whole.astype(np.int64) * factor + np.rint((parts[0] - whole) * factor).astype(np.int64)
+        return _count_ns(label, parts[0], 10**9) + _count_ns(label, parts[1], 1)
+    return _count_ns(label, parts[0], NANOSECONDS[stamp.unit])
+
+
+def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
+    """Values (n,) in units of `factor` ns as whole ns."""
+    wrong = ~(np.abs(values.astype(float)) < MOST_NS / factor)
+    if wrong.any():
+        found = (
+            f"{label}: {np.count_nonzero(wrong)} of {len(values)} stamps are no time, such as {values[wrong][0]:.4g}"
+        )
+        raise InputError(found, "stamps within 146 years of zero", "correct the program that stamps them")
+    if values.dtype.kind != "f":
+        return values.astype(np.int64) * factor
+    whole = np.floor(values)  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
+    return whole.astype(np.int64) * factor + np.rint((values - whole) * factor).astype(np.int64)
 
 
 @dataclass
@@ -102,7 +119,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
     parts: dict[str, list[_Part]] = {}
     for batch in recording.decode(topic, (seconds, nanoseconds, *JOINT_COLUMNS), texts=("name",)):
         names = batch.texts["name"]
-        stamp = _read_stamps(Stamp(), batch.values, batch.log_time)
+        stamp = _read_stamps(f"{recording.path}: {topic}", Stamp(), batch.values, batch.log_time)
         widths = {column: batch.values[column].shape[1] for column in JOINT_COLUMNS}
         for column, width in widths.items():
             if width not in (0, len(names)):
@@ -115,7 +132,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
             values = {column: batch.values[column][:, index].astype(float) for column, width in widths.items() if width}
             parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.astype(np.int64), values))
     warnings: list[str] = []
-    joined = {name: _join_parts(f"{canonical} {name}", items, warnings) for name, items in parts.items()}
+    joined = {name: _join_parts(f"{canonical} {escape_text(name)}", items, warnings) for name, items in parts.items()}
     return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from vpptwin.errors import InputError
 
 MAX_LATE = 0.5  # s, how late a message may come and still be sorted in
 MAX_CLOCK_DISTANCE = 3600.0  # s between two topics of one recording
+MIN_RATE = 10.0  # messages per s, all topics together, that a log of more than that has; else someone set a clock
 GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
 
@@ -86,3 +89,25 @@ def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
             "one clock for all topics",
             "stamp all topics by the same clock (all simulated time, or all wall time)",
         )
+
+
+def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
+    """Refuse clocks that leap forward, before anything is laid out over the time they leap; topic -> stamps (n,) ns.
+
+    Raises:
+        InputError: naming the topic, the message and how far.
+    """
+    every = np.sort(np.concatenate(list(stamps.values())))
+    span = float(every[-1] - every[0]) * 1e-9
+    steps = np.diff(every)
+    if span <= MAX_CLOCK_DISTANCE or (steps.max() <= MAX_CLOCK_DISTANCE * 1e9 and len(every) >= MIN_RATE * span):
+        return
+    after = every[np.argmax(steps) + 1]
+    topic = next(name for name, own in stamps.items() if after in own)
+    index = int(np.searchsorted(stamps[topic], after))
+    raise InputError(
+        f"{path}: {len(every)} messages over {span:.4g} s, and the clock of {topic} leaps forward by "
+        f"{steps.max() * 1e-9:.4g} s before message {index + 1} of {len(stamps[topic])}",
+        f"at most {MAX_CLOCK_DISTANCE:g} s without any message",
+        "look for a clock that was set, cut the log there, or give `stamp: log_time` in a topic map",
+    )

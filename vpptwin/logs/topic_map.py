@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import AXES, CHANNELS, JOINT_TOPICS, Channel, Column, Source
 from vpptwin.logs.messages import shorten_type
+from vpptwin.plain import read_yaml
 
 LOG_TIME = "log_time"
 NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -139,7 +140,7 @@ def load_topic_map(path: str | os.PathLike[str] | None) -> TopicMap:
 
 def _read_document(path: Path) -> dict[str, _TopicEntry]:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path)
     except FileNotFoundError:
         raise InputError(f"no topic map {path}", "a YAML file", "check the path") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

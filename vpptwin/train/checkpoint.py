@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import subprocess
+import zipfile
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ KIND, FORMAT = "vpptwin policy", 5
 FILE_NAME, BEST_NAME = "checkpoint.pt", "best.pt"
 """Of the last state, which resuming needs, and of the best policy so far, which flies."""
 RECORDED = ("vpptwin", "torch", "torchrl", "tensordict", "mujoco", "numpy")
+PARTS = {"config": (dict,), "steps": (int,), "policy": (dict,), "commit": (str,), "training": (dict, type(None))}
+"""What a checkpoint holds, and of which type."""
 TRAIN_AGAIN = "train one with `vpptwin train task=hover`"
 
 
@@ -99,15 +102,29 @@ def read_checkpoint(path: Path | str, flying: bool = True) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(f"no checkpoint {file}", "a checkpoint or the folder of a run", TRAIN_AGAIN)
     try:
+        with zipfile.ZipFile(file) as archive:
+            if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+                raise ValueError("packed, as torch never does: it may unpack to anything")
+            broken = archive.testzip()
+        if broken is not None:
+            raise ValueError(f"its checksum says that {broken} was changed or damaged")
         content = torch.load(file, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
     except Exception as error:  # torch raises half a dozen unrelated types on foreign bytes
-        raise InputError(f"{file} is not a checkpoint", "a file that `vpptwin train` wrote", TRAIN_AGAIN) from error
+        reason = f" ({error})" if type(error) is ValueError else ""
+        found = f"{file} is not a checkpoint{reason}"
+        raise InputError(found, "a file that `vpptwin train` wrote", TRAIN_AGAIN) from error
     if not isinstance(content, dict) or content.get("kind") != KIND:
         raise InputError(f"{file} is another kind of torch file", "a file that `vpptwin train` wrote", TRAIN_AGAIN)
     if content.get("format") != FORMAT:
-        by = content.get("versions", {}).get("vpptwin", "unknown")
-        found = f"{file} has checkpoint format {content.get('format')} of vpptwin {by}"
+        by = dict(content["versions"]).get("vpptwin") if isinstance(content.get("versions"), dict) else "unknown"
+        found = f"{file} has checkpoint format {content.get('format')!r:.20} of vpptwin {by!s:.20}"
         raise InputError(found, f"format {FORMAT}", f"use that version, or {TRAIN_AGAIN}")
+    for name, kind in PARTS.items():
+        if not isinstance(content.get(name), kind):
+            found = f"{file}: {name} is {type(content.get(name)).__name__}"
+            raise InputError(found, " or ".join(str(part.__name__) for part in kind), TRAIN_AGAIN)
     return content
 
 
@@ -115,15 +132,21 @@ def build_policy(content: dict[str, Any], source: object) -> tuple[Policy, Train
     """The policy in a checkpoint's content and the configuration it was trained with.
 
     Raises:
-        InputError: if the weights do not fit the network that the configuration describes.
+        InputError: if the weights do not fit the network that the configuration describes, or are no numbers.
     """
-    config = to_config(content["config"])
+    try:
+        config = to_config(content["config"])
+    except InputError as error:
+        raise InputError(f"{source}: {error.found}", error.expected, error.action) from error
     policy = make_policy(config)
     try:
         policy.load_state_dict(content["policy"])
-    except RuntimeError as error:
+    except (RuntimeError, TypeError, AttributeError) as error:
         found = f"{source}: weights of another architecture than hidden={config.hidden}"
         raise InputError(found, "the network that its configuration describes", TRAIN_AGAIN) from error
+    wrong = [name for name, values in policy.state_dict().items() if not bool(torch.isfinite(values).all())]
+    if wrong:
+        raise InputError(f"{source}: NaN or infinity in weights {wrong[0]}", "finite numbers", TRAIN_AGAIN)
     return policy.eval(), config
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from textwrap import shorten
 from typing import Any
 
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -190,6 +191,10 @@ class TrainConfig:
         return Lesson(self.curriculum, max(self.total_steps // workers, 1), self.task.again)
 
 
+MOST = 1e12
+"""Numbers beyond make no sense in any option."""
+WIDEST = 4096
+"""Units of a layer at most: two of them are 64 MB of weights."""
 MEMORY = 5
 """Steps that the LSTM of the critic sees (paper, Asymmetric Network Structure)."""
 PRESETS: dict[str, dict[str, Any]] = {
@@ -220,9 +225,13 @@ def to_config(data: DictConfig | dict[str, Any]) -> TrainConfig:
         InputError: if a key is unknown, a value has the wrong type or makes no sense.
     """
     try:
+        if isinstance(data, dict) and "${" in str(data):
+            raise ValueError("${...}, which would be looked up on this machine")
         config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(TrainConfig), data))
-    except OmegaConfBaseException as error:
-        raise InputError(str(error).splitlines()[0], "a configuration of this version", HELP) from error
+    except (OmegaConfBaseException, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(
+            next(iter(str(error).splitlines()), "nothing that makes sense"), "a configuration of this version", HELP
+        ) from error
     assert isinstance(config, TrainConfig)
     check_values(config)
     return config
@@ -233,6 +242,15 @@ def to_plain(config: TrainConfig) -> dict[str, Any]:
     plain = OmegaConf.to_container(OmegaConf.structured(config))
     assert isinstance(plain, dict)
     return {str(key): value for key, value in plain.items()}
+
+
+def list_numbers(data: object, name: str = "") -> Iterator[tuple[str, float]]:
+    """Every number in plain data by its dotted name."""
+    if isinstance(data, (dict, list, tuple)):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from list_numbers(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(data, (int, float)):
+        yield name, data
 
 
 def check_values(config: TrainConfig) -> None:
@@ -273,9 +291,14 @@ def check_values(config: TrainConfig) -> None:
         check((name,), known.__contains__, f"one of {', '.join(known)}")
     check(("loggers",), set(LOGGERS).issuperset, "csv, tensorboard or both")
     check(("noise", "seed", "exam_every"), lambda value: value >= 0, "0 or more")
-    if len(config.hidden) != 2 or not config.critic_hidden or min(config.hidden + config.critic_hidden) < 1:
-        found = f"hidden={config.hidden} critic_hidden={config.critic_hidden}"
-        raise InputError(found, "two and one or more layer sizes", HELP)
+    sizes = [*config.hidden, *config.critic_hidden, config.critic_lstm]
+    if (
+        len(config.hidden) != 2
+        or not 1 <= len(config.critic_hidden) <= 8
+        or not 1 <= min(sizes) <= max(sizes) <= WIDEST
+    ):
+        found = f"hidden={config.hidden} critic_hidden={config.critic_hidden} critic_lstm={config.critic_lstm}"
+        raise InputError(shorten(found, 100), f"two, one to eight and one layer sizes up to {WIDEST}", HELP)
     if config.minibatch > config.num_envs * config.rollout:
         batch = config.num_envs * config.rollout
         raise InputError(f"minibatch={config.minibatch}", f"at most num_envs * rollout = {batch}", "lower it")
@@ -283,3 +306,6 @@ def check_values(config: TrainConfig) -> None:
         found = f"num_envs={config.num_envs} for workers={config.workers}"
         raise InputError(found, "as many simulations for each worker", f"make num_envs a multiple of {config.workers}")
     check_task(config.task)
+    for name, value in list_numbers(to_plain(config)):
+        if not abs(value) <= MOST:
+            raise InputError(f"{name}={value}", f"a number within ±{MOST:g}", HELP)

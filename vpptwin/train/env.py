@@ -23,6 +23,7 @@ from vpptwin.train.randomize import IDENTIFIED, Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.starts import SOON, FailedStarts
 from vpptwin.train.tasks import Task
+from vpptwin.trust import check_trusted
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
@@ -350,10 +351,8 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
-    spec = load_twin(config.twin, config.effects)
+    spec = load_trained_twin(config)
     _ = spec.vehicle  # refuses other rigs
-    if config.controller is not None:
-        spec = spec.with_controller(config.controller)
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
     spec = strengthen(spec, config.task.thrust_to_weight)
@@ -362,6 +361,19 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
         config.critic_memory, config.privileged, fault_folder, config.estimator, IDENTIFIED in config.randomize,
     )  # fmt: skip
+
+
+def load_trained_twin(config: TrainConfig, twin: str | Path | None = None) -> TwinSpec:
+    """The twin of a configuration, or another, with its effects and controller.
+
+    A configuration may come from somebody's checkpoint, so the code that it names runs only if it is trusted.
+
+    Raises:
+        InputError: if it is not, or the twin cannot be made.
+    """
+    check_trusted(config.effects, "the configuration of training")
+    spec = load_twin(twin or config.twin, config.effects)
+    return spec if config.controller is None else spec.with_controller(config.controller)
 
 
 def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:

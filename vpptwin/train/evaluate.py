@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.files import write_whole
+from vpptwin.files import write_json
 from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
 from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
@@ -21,6 +20,7 @@ from vpptwin.train.networks import Policy
 from vpptwin.train.pilot import check_task_name, choose_task
 from vpptwin.train.randomize import PAPER
 from vpptwin.train.tasks import check_task
+from vpptwin.trust import trust
 
 
 def load_policy(checkpoint: Path | str) -> Policy:
@@ -44,7 +44,7 @@ class Conditions:
         noise: sensor noise, 1 = that of vehicle.yaml.
         randomize: effects, or groups of them, drawn from their priors for every flight.
         thrust_to_weight: None for the task's.
-        effects: Python files with effects of the user's own; those of training come with the twin of training.
+        effects: Python files with effects of the user's own; those of training come with its twin, if trusted.
         estimator: what the policy is shown, `sensors` or `kalman`; None for that of training.
     """
 
@@ -113,6 +113,7 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
         task = replace(task, thrust_to_weight=given.thrust_to_weight)
         check_task(task)
     own = trained.effects if given.twin is None else []
+    trust(given.effects)
     return replace(
         trained, task=task, num_envs=given.tracks, seed=given.seed, twin=given.twin or trained.twin, noise=given.noise,
         randomize=list(given.randomize), desynchronize=False, effects=[*own, *given.effects],
@@ -135,5 +136,5 @@ def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path
     """
     result = evaluate(checkpoint, conditions)
     if json_path is not None:
-        write_whole(Path(json_path), json.dumps(result, indent=2) + "\n")
+        write_json(result, Path(json_path))
     return result

@@ -13,6 +13,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.privileged import privileged_size
 from vpptwin.train.randomize import Priors, name_effects
+from vpptwin.trust import check_trusted
 from vpptwin.twin import load_twin
 
 GIB = 2**30
@@ -92,6 +93,7 @@ def critic_shape(config: TrainConfig) -> tuple[int, int]:
 
 def count_parameters(config: TrainConfig) -> int:
     """Parameters that are drawn at every reset."""
+    check_trusted(config.effects, "the configuration of training")
     spec = load_twin(config.twin, config.effects)
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     return len(Priors.of([effect for effect in spec.catalogue if effect.id in randomized]).keys)

@@ -20,6 +20,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.config import HELP, PRESETS, Curriculum, TrainConfig, to_config
 from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS
+from vpptwin.trust import trust
 
 EXAMPLES = """\
 Numbers inside a task or a ramp go by dotted names, for example:
@@ -29,7 +30,7 @@ Numbers inside a task or a ramp go by dotted names, for example:
 
 
 def compose_config(overrides: Sequence[str]) -> TrainConfig:
-    """Build the configuration from overrides such as `task=hover` and `learning_rate.end=1e-4`.
+    """Build the configuration from overrides such as `task=hover`; files of `effects` are run, as the user named them.
 
     Raises:
         InputError: on an unknown option or task, a value of the wrong type, or numbers that make no sense.
@@ -44,7 +45,9 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
         store.store(group="task", name=task.name, node=task)
     try:
         with initialize(version_base="1.3", config_path=None):
-            return to_config(compose(config_name="train", overrides=given))
+            config = to_config(compose(config_name="train", overrides=given))
+            trust(config.effects)
+            return config
     except (HydraException, OmegaConfBaseException) as error:
         reason = str(error.__cause__ or error).strip().splitlines()[0]
         raise InputError(f"{' '.join(overrides)}: {reason}", "values of an option's type", HELP) from error
@@ -113,6 +116,7 @@ def describe_options() -> str:
         if changes:
             changed = " ".join([f"preset={name} changes", *(f"{key}={value}" for key, value in flatten(changes))])
             lines += ["", *wrap(changed, 120, subsequent_indent="  ")]
+    lines += ["", "  --trust                        run the Python files that a twin or a run to resume names, too"]
     return "\n".join([*lines, "", EXAMPLES])
 
 

@@ -21,6 +21,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
+from vpptwin.trust import trust, trusted
 
 ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
 SETTINGS = {
@@ -47,12 +48,14 @@ class WorkerEnv:
         worker: number of the worker, 0 the first.
         begun: steps that the whole run had collected before.
         fault_folder: of the run; each worker writes into a folder of its own in it, on its machine.
+        trusted: Python files that the user lets run.
     """
 
     config: TrainConfig
     worker: int
     begun: int
     fault_folder: Path
+    trusted: frozenset[Path]
 
     @property
     def seed(self) -> int:
@@ -62,6 +65,7 @@ class WorkerEnv:
     def __call__(self) -> VppEnv:
         """The environment with this worker's share of the simulations."""
         config = self.config
+        trust(self.trusted)
         torch.set_num_threads(config.torch_threads)
         torch.manual_seed(self.seed)
         check_share(config)
@@ -167,7 +171,7 @@ def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder
     # Workers run in folders of their own.
     twin = config.twin if config.twin == "nominal" else str(Path(config.twin).resolve())
     config = replace(config, twin=twin, effects=[str(Path(file).resolve()) for file in config.effects])
-    makers = [WorkerEnv(config, worker, begun, fault_folder.resolve()) for worker in range(config.workers)]
+    makers = [WorkerEnv(config, worker, begun, fault_folder.resolve(), trusted()) for worker in range(config.workers)]
     started = not ray.is_initialized()
     try:
         if started:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from numba import carray, njit, types
-from platformdirs import user_cache_path
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
@@ -19,6 +17,7 @@ from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
 from vpptwin.engine.compile import c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
+from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
 from vpptwin.twin.pipeline import Function, Pipeline, fingerprint, write_pipeline
@@ -186,7 +185,7 @@ def write_view(model: mujoco.MjModel) -> str:
 
 
 def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
-    file = _store(source, key)
+    file = open_entry(key, source)
 
     # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
     def compiled(function: Function, inline: bool = False) -> Function:
@@ -201,6 +200,8 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr)
     function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
+    if file is not None:
+        seal_entry(file)
     return Kernel(pipeline, FUNCTION(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
 
 
@@ -224,16 +225,3 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: 
     result = layer.copy()
     _warm_up(result, constants, np.ascontiguousarray(commands, dtype=np.float64), dt)
     return result
-
-
-def _store(source: str, key: str) -> Path | None:
-    """Write the text where numba can keep what it compiles beside it; None where no file lasts."""
-    try:
-        folder = user_cache_path("vpptwin") / "kernels" / key
-        folder.mkdir(parents=True, exist_ok=True)
-        file = folder / "step.py"
-        if not file.is_file() or file.read_text() != source:
-            file.write_text(source)
-        return file
-    except OSError:
-        return None

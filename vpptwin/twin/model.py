@@ -13,6 +13,7 @@ from vpptwin.effects import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, installed
 from vpptwin.errors import InputError
+from vpptwin.twin.bounds import bound_memory, check_claims, check_size
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -45,13 +46,13 @@ def compile_model(
     Raises:
         InputError: if MuJoCo or `check` refuses it, or the model is one that a twin can't step (`check_engine`).
     """
+    check_claims(path)
     try:
-        spec = specify_model(path, adapt)
-        with installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
-            model = spec.compile()
+        with bound_memory(), installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
+            model = specify_model(path, adapt).compile()
     except InputError:
         raise
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise InputError(
             f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer"
         ) from error
@@ -59,6 +60,7 @@ def compile_model(
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
     if check is not None:
         check(model, path)
+    check_size(model, path)
     check_engine(model, path)
     return model
 

@@ -16,7 +16,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file
+from vpptwin.trust import check_trusted
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.robot import Robot, Signals
 from vpptwin.twin.stepped import strip_model
@@ -182,21 +184,23 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
 
     Args:
         name: `nominal` (the shipped rig, no effect switched on) or the path of a twin YAML.
-        effect_files: Python files with effects of the user's own, besides those that the YAML names. They are run.
+        effect_files: Python files with effects of the user's own. They are run; one that the YAML names is run only
+            if it is among them, or trusted (`vpptwin.trust`).
 
     Raises:
-        InputError: if a file is missing or wrong, or an effect is unknown or out of bounds.
+        InputError: if a file is missing or wrong, an effect is unknown or out of bounds, or code is not trusted.
     """
     if str(name) == "nominal":
         file = TwinFile(model="rail_rig.xml", vehicle="vehicle.yaml")
         return build_twin("nominal", file, Path.cwd(), list_effect_files([], effect_files))
     path = Path(name)
     try:
-        content = yaml.safe_load(path.read_text())
+        content = read_yaml(path)
         if not isinstance(content, dict):
             raise InputError(f"{path}: no YAML mapping", "keys model, vehicle, effects, signals", "see docs/twin.md")
         file = TwinFile.model_validate(content)
         own = [path.parent / given for given in file.effects_from]
+        check_trusted(own, path, effect_files)
         return build_twin(str(name), file, path.parent, list_effect_files(own, effect_files))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"no readable twin {path}", "`nominal` or a twin YAML", "check the path") from error

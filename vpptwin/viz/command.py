@@ -14,23 +14,26 @@ from vpptwin.viz.curves import is_run, tell_runs
 from vpptwin.viz.panels import tell_flight
 from vpptwin.viz.playback import play_live, play_page
 from vpptwin.viz.plot import check_format, write_story
+from vpptwin.viz.serve import LOOPBACK
 from vpptwin.viz.video import check_video, write_video
 
 
 def play_log(
     logs: Sequence[Path], twin: str | None, html: Path | None, restart: float | None = 0.5,
     topic_map: Path | None = None, effects: Sequence[Path] = (), video: Path | None = None,
+    host: str = LOOPBACK,
 ) -> None:  # fmt: skip
     """Play one recording.
 
     Args:
         logs: its MCAP files.
         twin: `nominal` or a twin YAML; None plays the log alone, on the nominal rig.
-        html: the page to write; without it, and without `video`, meshcat is served until Ctrl-C.
+        html: the page to write; without it, and without `video`, a server shows it until Ctrl-C.
         restart: seconds between the twin's restarts; None lets it run freely.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own.
         video: the animation to write, .gif or .webp; None for none.
+        host: address of this machine to serve on.
     """
     if video is not None:
         check_video(video)
@@ -40,7 +43,7 @@ def play_log(
     if html is not None:
         print(play_page(flight, prediction, html, spec=spec))
     if html is None and video is None:
-        play_live(flight, prediction, spec=spec)
+        play_live(flight, prediction, spec=spec, host=host)
 
 
 def read_both(

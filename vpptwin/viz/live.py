@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
-import threading
 import time
 from collections.abc import Iterable
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
@@ -23,6 +20,7 @@ from vpptwin.viz import rotors
 from vpptwin.viz.camera import View, set_backdrop
 from vpptwin.viz.page import TEMPLATES
 from vpptwin.viz.scene import ROOT, draw_bodies, draw_surroundings, find_craft, fit_craft, make_matrix, name_body
+from vpptwin.viz.serve import LOOPBACK, Answer, Server, keep_going
 from vpptwin.viz.stage import aim_at, draw_ghost
 
 if TYPE_CHECKING:
@@ -98,73 +96,52 @@ class LiveStage:
 
 
 class Panel:
-    """A page on this machine with the scene, buttons and keys; what is asked for waits in `asked`.
+    """A page with the scene, buttons and keys; what is asked for waits in `asked`.
 
     Args:
-        scene: address of meshcat.
         commands: what may be asked for.
+        host: address of this machine to listen on.
     """
 
-    def __init__(self, scene: str, commands: Iterable[str]) -> None:
+    def __init__(self, commands: Iterable[str], host: str = LOOPBACK) -> None:
         self.asked: SimpleQueue[str] = SimpleQueue()
         self.state: dict[str, float] = {}
         known = set(commands)
-        page = TEMPLATES.get_template("live.html").render(scene=scene, keys=json.dumps(KEYS), buttons=KEYS).encode()
-        panel = self
+        page = TEMPLATES.get_template("live.html").render(keys=json.dumps(KEYS), buttons=KEYS).encode()
 
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                if self.path == "/":
-                    self._answer(page, "text/html; charset=utf-8")
-                elif self.path == "/state":
-                    self._answer(json.dumps(panel.state).encode(), "application/json")
-                else:
-                    self.send_error(HTTPStatus.NOT_FOUND)
+        def ask(body: bytes) -> tuple[str, bytes]:
+            what = body.decode()
+            if what not in known:
+                raise ValueError(what)
+            self.asked.put(what)
+            return "text/plain", b""
 
-            def do_POST(self) -> None:
-                length = min(int(self.headers.get("Content-Length") or 0), 100)
-                what = self.rfile.read(length).decode("utf-8", "replace")
-                if what not in known:
-                    self.send_error(HTTPStatus.BAD_REQUEST)
-                    return
-                panel.asked.put(what)
-                self._answer(b"", "text/plain")
-
-            def _answer(self, content: bytes, kind: str) -> None:
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", kind)
-                self.send_header("Content-Length", str(len(content)))
-                self.end_headers()
-                self.wfile.write(content)
-
-            def log_message(self, format: str, *args: object) -> None:
-                """Say nothing."""
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        gets: dict[str, Answer] = {
+            "": lambda body: ("text/html; charset=utf-8", page),
+            "state": lambda body: ("application/json", json.dumps(self.state).encode()),
+        }
+        self.server = Server(host, gets, {"": ask})
 
     @property
     def address(self) -> str:
         """Where the page is."""
-        return f"http://127.0.0.1:{self._server.server_address[1]}/"
+        return self.server.address
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()
+        self.server.close()
 
 
-def fly_live(flight: LiveFlight) -> None:
-    """Fly in real time until Ctrl-C, and print where to look."""
+def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
+    """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
     env, vehicle = flight.env, flight.env.twin.vehicle
-    vis = Visualizer()
-    panel = Panel(vis.url(), flight.commands)
+    panel = Panel(flight.commands, host)
     try:
-        stage = LiveStage(vis, env.twin.spec.model, vehicle)
+        stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
         print(f"{panel.address} {about}", flush=True)
         angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
-        while True:
+        for _ in keep_going():
             while not panel.asked.empty():  # only this loop takes from it
                 flight.commands[panel.asked.get()]()
             flight.step()
@@ -187,4 +164,3 @@ def fly_live(flight: LiveFlight) -> None:
         pass
     finally:
         panel.close()
-        vis.window.server_proc.terminate()

@@ -12,6 +12,7 @@ from meshcat.commands import SetAnimation
 
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.viz.page import Recorder, describe_show, write_page
+from vpptwin.viz.serve import LOOPBACK, Server, keep_going
 from vpptwin.viz.show import prepare_show
 from vpptwin.viz.stage import draw_show
 from vpptwin.viz.tracks import Animation
@@ -61,20 +62,26 @@ def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
     return f"twin {name}, set back to the log every {np.median(np.diff(restarts)):.3g} s"
 
 
-def play_live(flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None) -> None:
-    """Serve a flight with meshcat, which prints its address, and play it in a loop until Ctrl-C.
+def play_live(
+    flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None, host: str = LOOPBACK
+) -> None:
+    """Serve a flight on an address of this machine, print where, and play it in a loop until Ctrl-C.
 
-    The arguments are those of play_page.
+    The other arguments are those of play_page.
+
+    Raises:
+        InputError: if the log has nothing to draw, or there is no such address.
     """
     show = prepare_show(flight, prediction, spec or load_twin())
-    vis = Visualizer()
+    server = Server(host)
     try:
-        tracks = draw_show(vis, show)
-        print("Open Controls > Animations there to pause, scrub and change the speed. Ctrl-C here to end.", flush=True)
-        vis.window.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
-        while True:
+        tracks = draw_show(Visualizer(window=server), show)
+        about = "Open Controls > Animations there to pause, scrub and change the speed. Ctrl-C here to end."
+        print(f"{server.address}scene/ shows the flight. {about}", flush=True)
+        server.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
+        for _ in keep_going():
             time.sleep(0.5)
     except KeyboardInterrupt:
         pass
     finally:
-        vis.window.server_proc.terminate()
+        server.close()

@@ -18,9 +18,8 @@ from vpptwin.diagnosis.judgement.verdict import (
     Unexplained,
     Unseen,
     Verdict,
-    write_json,
 )
-from vpptwin.files import write_whole
+from vpptwin.files import write_json, write_whole
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
 CAUSE = Cause(

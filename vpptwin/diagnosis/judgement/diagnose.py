@@ -98,10 +98,21 @@ def diagnose(
         material = prepare(spec, flights, stage, progress, criteria)
         spec = material.search.bench.spec
         if causes is None:
-            selection = select_causes(material.search, material.held_out, stage)
+            selection = keep_better(material, select_causes(material.search, material.held_out, stage))
         else:
             selection = impose_causes(material.search, causes)
         return judge(spec, flights, material, selection, stage)
+
+
+def keep_better(material: Material, selection: Selection) -> Selection:
+    """The selection, or none of it if the twin that it makes predicts held-out log worse than the one given.
+
+    Whatever the search believed: this is what is written. Below chi² 1, the sensors' noise, nothing is worse.
+    """
+    search, held_out, fit = material.search, material.held_out, selection.fit
+    if not fit.effects or held_out.score(fit.values).chi2 <= max(held_out.score({}).chi2, 1.0):
+        return selection
+    return Selection(search.start, selection.first, {}, {}, {}, selection.left_out | fit.effects)
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.files import write_whole
 
 
 @dataclass(frozen=True)
@@ -155,19 +151,3 @@ class Verdict:
             "warnings": self.warnings,
         }  # fmt: skip
         return content
-
-
-def write_json(content: object, path: Path) -> None:
-    """Write JSON, whole or not at all; numbers that are not finite become null, which JSON lacks."""
-    write_whole(path, json.dumps(without_nan(content), indent=2, ensure_ascii=False) + "\n")
-
-
-def without_nan(content: object) -> object:
-    """The same content with null for NaN and infinity."""
-    if isinstance(content, float):
-        return content if math.isfinite(content) else None
-    if isinstance(content, dict):
-        return {key: without_nan(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [without_nan(value) for value in content]
-    return content

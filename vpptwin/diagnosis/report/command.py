@@ -9,7 +9,7 @@ from pathlib import Path
 
 from vpptwin.diagnosis.evidence.noise import find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis, diagnose
-from vpptwin.diagnosis.judgement.verdict import Verdict, write_json
+from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.export import name_files, write_prediction
 from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json, stage_results
 from vpptwin.diagnosis.report.page import render_report
@@ -21,7 +21,7 @@ from vpptwin.diagnosis.report.summary import Summary, summarise
 from vpptwin.diagnosis.report.terminal import print_summary
 from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
 from vpptwin.estimation.measurements import read_measurements
-from vpptwin.files import write_whole
+from vpptwin.files import write_json, write_whole
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.progress import open_bar, tell_stage

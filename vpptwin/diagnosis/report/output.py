@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from errno import EISDIR
 from pathlib import Path
 
-from vpptwin.diagnosis.judgement.verdict import without_nan, write_json
 from vpptwin.errors import InputError
+from vpptwin.files import without_nan, write_json
 
 STDOUT = Path("-")
 """Stands for standard output where a file is asked for."""

@@ -1,0 +1,44 @@
+"""The rule at the end: what predicts held-out log worse than the twin that was given is never written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
+from vpptwin.diagnosis.judgement.selection import Selection
+
+KEY = ("rail_x.coulomb", "force")
+
+
+def select(before: float, after: float) -> tuple[Selection, Selection]:
+    """A selection of one cause, and what is kept of it where held-out chi² is these without and with it."""
+
+    def score(values: Mapping[object, float]) -> SimpleNamespace:
+        return SimpleNamespace(chi2=after if values else before)
+
+    start = SimpleNamespace(effects=frozenset(), values={})
+    fit = SimpleNamespace(effects=frozenset({KEY[0]}), values={KEY: 0.3})
+    material = SimpleNamespace(search=SimpleNamespace(start=start), held_out=SimpleNamespace(score=score))
+    selection = Selection(cast(Any, fit), cast(Any, None), {KEY[0]: []}, {KEY[0]: []}, {KEY[0]: 99.0})
+    return selection, keep_better(cast(Material, material), selection)
+
+
+@pytest.mark.parametrize(("before", "after"), [(4.46, 6.06), (1.0, 1.01), (0.9, 1.1), (40.0, 40.001)])
+def test_a_twin_that_predicts_worse_is_not_kept(before: float, after: float) -> None:
+    """Whatever the evidence; the cause is named as left out, and nothing is extended."""
+    _, kept = select(before, after)
+    assert kept.fit.effects == frozenset()
+    assert kept.fit.values == {}
+    assert kept.left_out == {KEY[0]}
+    assert kept.rivals == kept.evidence == {}
+
+
+@pytest.mark.parametrize(("before", "after"), [(6.06, 4.46), (1.01, 1.0), (0.8, 0.9), (2.0, 2.0)])
+def test_a_twin_that_predicts_as_well_is_kept(before: float, after: float) -> None:
+    """Below the sensors' noise nothing is worse."""
+    given, kept = select(before, after)
+    assert kept is given

@@ -1,0 +1,49 @@
+"""A command run as a user does, with what it cost: time, peak memory, and whom it left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Exit code, what was printed, time [s] and peak memory [MB]."""
+
+    code: int
+    out: str
+    err: str
+    seconds: float
+    megabytes: float
+
+    def check_refused(self, *parts: str) -> None:
+        """Require exit code 2 and one line on standard error that holds these parts."""
+        assert self.code == 2, self.err
+        assert self.out == ""
+        assert self.err.startswith("vpptwin: "), self.err
+        assert self.err.count("\n") == 1, self.err
+        for part in parts:
+            assert part in self.err, self.err
+
+
+def run_measured(*arguments: object, folder: Path, extra: Mapping[str, str] | None = None) -> Cost:
+    """Run `vpptwin ARGUMENTS` in a folder, where its output stays out of the way."""
+    out, err = folder / ".out", folder / ".err"
+    command = [sys.executable, "-m", "vpptwin.cli", *map(str, arguments)]
+    began = time.perf_counter()
+    with out.open("w") as to_out, err.open("w") as to_err:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), **(extra or {})}
+        child = subprocess.Popen(command, stdout=to_out, stderr=to_err, cwd=folder, env=environment)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+    cost = Cost(child.returncode, out.read_text(), err.read_text(), time.perf_counter() - began, usage.ru_maxrss / 1024)
+    out.unlink()
+    err.unlink()
+    return cost

@@ -1,0 +1,76 @@
+"""Whatever is spoilt in a log, a twin, a model or a checkpoint: it works, or one line says what is wrong, soon."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fuzzers import DRAW
+from vpptwin.errors import InputError
+from vpptwin.logs import read_flight
+from vpptwin.train.checkpoint import build_policy, read_checkpoint
+from vpptwin.train.evaluate import Conditions, evaluate
+from vpptwin.twin import Twin, load_twin
+
+ROUNDS = 40
+"""Of every seed."""
+
+
+def fly_twin(path: Path) -> None:
+    """Load a twin, and step it where it is the drone."""
+    spec = load_twin(path)
+    if spec.robot.rotorcraft is not None:
+        twin = Twin(spec, 1, num_threads=1)
+        twin.step_policy(twin.initial_state(), np.array([[5.0, 0.0]]), 0.01)
+
+
+def fly_checkpoint(path: Path) -> None:
+    """Build the policy of a checkpoint, and fly it in the nominal twin."""
+    _, trained = build_policy(read_checkpoint(path), path)
+    if trained.task.episode <= 6.0:
+        evaluate(path, Conditions(tracks=1, twin="nominal"))
+
+
+USES: dict[str, Callable[[Path], object]] = {
+    "log": read_flight, "twin": fly_twin, "model": fly_twin, "checkpoint": fly_checkpoint
+}  # fmt: skip
+
+
+def use(kind: str, path: Path) -> str:
+    """What becomes of a file: the line that refuses it, or nothing; anything else fails."""
+    began = time.process_time()
+    try:
+        USES[kind](path)
+        line = ""
+    except InputError as error:
+        line = str(error)
+    assert "\n" not in line
+    assert line.isprintable(), line
+    assert not line or len(line.split("; ")) >= 3, line
+    assert len(line) < 4000
+    assert time.process_time() - began < 20.0, line
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 4e6, line  # kB, torch and all that ran before
+    return line
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", ["25", os.environ.get("VPPTWIN_SEED", "0")])
+@pytest.mark.parametrize("kind", DRAW)
+def test_spoilt_files_are_refused_or_work(
+    kind: str, seed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Forty of each kind from a fixed seed and from a fresh one."""
+    monkeypatch.chdir(tmp_path)
+    lines = []
+    for number in range(ROUNDS):
+        path = DRAW[kind](np.random.default_rng([int(seed), number]), tmp_path)
+        lines.append(use(kind, path))
+        path.unlink()
+    assert sum(map(bool, lines)) > ROUNDS / 4  # most of them are of no use
+    assert "this ran" not in "".join(lines)

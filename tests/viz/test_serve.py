@@ -1,0 +1,179 @@
+"""Served pages: heard by this machine alone, by who has the address, by no other page; gone with the process."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import psutil
+import pytest
+import umsgpack
+from meshcat.commands import Delete, SetProperty, SetTransform
+from meshcat.path import Path as ScenePath
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import websocket_connect
+
+from tests.bad_files import DEMO
+from vpptwin.cli import main
+from vpptwin.errors import InputError
+from vpptwin.viz.live import Panel
+from vpptwin.viz.serve import Server
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def panel() -> Iterator[Panel]:
+    """A page that takes one command."""
+    panel = Panel(["flip"])
+    yield panel
+    panel.close()
+
+
+def ask(address: str, method: str = "GET", path: str = "", body: bytes = b"", **headers: str) -> int:
+    """Status of a request to a path below an address, with these headers."""
+    where = urlsplit(address)
+    connection = http.client.HTTPConnection(str(where.hostname), int(where.port or 0), timeout=10.0)
+    with suppress(ValueError):
+        connection.request(method, where.path + path, body or None, headers)
+    status = connection.getresponse().status
+    connection.close()
+    return status
+
+
+def test_only_loopback_listens(panel: Panel) -> None:
+    """The socket is bound to 127.0.0.1; other addresses of this machine answer nothing."""
+    where = urlsplit(panel.address)
+    (heard,) = {c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.laddr.port == where.port}
+    assert heard == "127.0.0.1"
+    assert main(["play", str(DEMO), "--host", "203.0.113.7"]) == 2
+    with pytest.raises(InputError, match=r"--host nowhere\.invalid"):
+        Server("nowhere.invalid")
+
+
+def test_without_the_secret_nothing_is_there(panel: Panel) -> None:
+    """Not the page, not its state, not the scene, no command."""
+    other = panel.address.replace(panel.server.secret, "x" * len(panel.server.secret))
+    bare = panel.address.replace(f"{panel.server.secret}/", "")
+    for address in (other, bare):
+        for path in ("", "state", "scene/", "scene/main.min.js", "socket"):
+            assert ask(address, path=path) == 404
+        assert ask(address, "POST", body=b"flip") == 404
+    assert panel.asked.empty()
+    assert len(panel.server.secret) >= 20
+
+
+HOSTS = {
+    "localhost:{}": 200, "[::1]:{}": 200, "evil.example:{}": 403, "127.0.0.1.evil.example:{}": 403, "127.0.0.1": 403,
+    "192.168.1.5:{}": 403, "": 403,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("host", HOSTS)
+def test_other_names_for_this_machine_are_refused(panel: Panel, host: str) -> None:
+    """A page whose name is made to point here (DNS rebinding) reads nothing and asks for nothing."""
+    given = host.format(urlsplit(panel.address).port)
+    assert ask(panel.address, Host=given) == HOSTS[host]
+    assert ask(panel.address, "POST", body=b"flip", Host=given) == HOSTS[host]
+    assert panel.asked.empty() == (HOSTS[host] != 200)
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:{}", "http://127.0.0.1:1", "http://localhost:{}"]
+)
+def test_other_pages_are_refused(panel: Panel, origin: str) -> None:
+    """What another page sends, whatever it knows, is not taken, and no viewer of its gets the scene."""
+    port = urlsplit(panel.address).port
+    given = origin.format(port)
+    assert ask(panel.address, "POST", body=b"flip", Origin=given) == 403
+    assert ask(panel.address, path="state", Origin=given) == 403
+    assert panel.asked.empty()
+    assert ask(panel.address, "POST", body=b"flip", Origin=f"http://127.0.0.1:{port}") == 200
+    assert panel.asked.get_nowait() == "flip"
+    with pytest.raises(HTTPClientError, match="403"):
+        watch(panel.server, 1, Origin=given)
+
+
+def test_bad_requests_are_refused(panel: Panel) -> None:
+    """Unknown commands, bytes that are no text, bodies of megabytes, other methods."""
+    for body in (b"format the disk", b"\xff\xfe"):
+        assert ask(panel.address, "POST", body=body) == 400
+    with suppress(ConnectionError, http.client.HTTPException):
+        assert ask(panel.address, "POST", body=b"flip" * 10**6) in (400, 413)
+    assert ask(panel.address, "DELETE") == 405
+    assert ask(panel.address, path="../../etc/passwd") == 404
+    assert panel.asked.empty()
+    assert ask(panel.address) == 200
+
+
+def watch(server: Server, count: int, **headers: str) -> list[dict[str, object]]:
+    """The first commands that a viewer is sent."""
+
+    async def read() -> list[dict[str, object]]:
+        request = HTTPRequest(server.address.replace("http", "ws", 1) + "socket", headers=headers)
+        connection = await websocket_connect(request)
+        messages = [await asyncio.wait_for(connection.read_message(), 10.0) for _ in range(count)]
+        connection.close()
+        return [umsgpack.unpackb(message) for message in messages]
+
+    return asyncio.run(read())
+
+
+def test_who_comes_late_sees_the_scene_as_it_is() -> None:
+    """The last of every kind of command, nothing of what was deleted, however long it has been moving."""
+    server = Server()
+    path = ScenePath(("meshcat", "rig"))
+    for i in range(1000):
+        server.send(SetTransform(i * np.eye(4), path))
+        server.send(SetProperty("visible", i % 2 == 0, path))
+    server.send(SetTransform(np.eye(4), ScenePath(("meshcat", "gone", "part"))))
+    server.send(Delete(ScenePath(("meshcat", "gone"))))
+    seen = watch(server, 3)
+    server.close()
+    assert [command["type"] for command in seen] == ["set_transform", "set_property", "delete"]
+    assert seen[0]["matrix"][0] == 999.0  # type: ignore[index]
+    assert seen[1]["value"] is False
+    assert len(server._kept) == 3
+
+
+COMMANDS = {"log": ["play", str(DEMO)], "live": ["play", "--live", "flip"]}
+SHELL = "import subprocess, sys, time; subprocess.Popen(sys.argv[1:]); time.sleep(600)"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGINT", "SIGHUP", "SIGKILL", "parent"])
+def test_nothing_is_left_running(command: str, how: str, tmp_path: Path) -> None:
+    """After Ctrl-C, SIGTERM, a closed terminal, kill -9, or the death of who started it: no process, no open port."""
+    arguments = [sys.executable, "-u", "-m", "vpptwin.cli", *COMMANDS[command]]
+    if how == "parent":
+        arguments = [sys.executable, "-c", SHELL, *arguments]
+    with (tmp_path / "out").open("w") as out:
+        started = subprocess.Popen(
+            arguments, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )  # fmt: skip
+    address = ""
+    deadline = time.monotonic() + 120.0
+    while not address and time.monotonic() < deadline:
+        address = next((w for w in (tmp_path / "out").read_text().split() if w.startswith("http")), "")
+        time.sleep(0.1)
+    assert ask(address) == 200
+    every = [psutil.Process(started.pid), *psutil.Process(started.pid).children(recursive=True)]
+    started.send_signal(signal.SIGKILL if how == "parent" else signal.Signals[how])
+    started.wait(20)
+    _, alive = psutil.wait_procs(every, timeout=20)
+    assert alive == []
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection((str(urlsplit(address).hostname), int(urlsplit(address).port or 0)), timeout=5.0)
+    if how == "SIGINT":
+        assert started.returncode == 0
