@@ -41,9 +41,20 @@ def run_measured(*arguments: object, folder: Path, extra: Mapping[str, str] | No
     with out.open("w") as to_out, err.open("w") as to_err:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **(extra or {})}
         child = subprocess.Popen(command, stdout=to_out, stderr=to_err, cwd=folder, env=environment)
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-    cost = Cost(child.returncode, out.read_text(), err.read_text(), time.perf_counter() - began, usage.ru_maxrss / 1024)
+        peak = 0.0
+        while child.poll() is None:  # `ru_maxrss` would count what this process held when it forked
+            peak = max(peak, read_peak(child.pid))
+            time.sleep(0.005)
+    cost = Cost(child.returncode, out.read_text(), err.read_text(), time.perf_counter() - began, peak)
     out.unlink()
     err.unlink()
     return cost
+
+
+def read_peak(pid: int) -> float:
+    """The most memory that a process has held so far [MB]; 0 where it is gone."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmHWM")), 0.0)

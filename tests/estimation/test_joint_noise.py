@@ -120,7 +120,7 @@ def test_what_lags_is_moved_and_the_other_believed(tmp_path: Path) -> None:
     ):
         joint = Stream(TIME, {"position": path + draw(quiet, 1), "velocity": speed + draw(1e-3)})
         flight = Flight(tmp_path / "log.mcap", 0, {}, joints={"/joint_states": {"slide": joint}})
-        _, position, velocity = read_joint(spec, flight, "/joint_states", "slide")
+        _, position, velocity = read_joint(spec, flight, joint, "/joint_states", "slide")
         assert velocity is not None
         assert TIME[0] - position.time[0] == pytest.approx(moved[0], abs=0.003)
         assert TIME[0] - velocity.time[0] == pytest.approx(moved[1], abs=0.003)

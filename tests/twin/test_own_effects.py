@@ -16,7 +16,7 @@ STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of its own for what is compiled."""
-    monkeypatch.setattr("vpptwin.twin.kernel.user_cache_path", lambda name: tmp_path / "cache" / name)
+    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: tmp_path / "cache" / name)
     return tmp_path / "cache"
 
 

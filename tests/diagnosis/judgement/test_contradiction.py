@@ -94,6 +94,7 @@ def test_more_than_the_log_can_balance_is_refused(tmp_path: Path) -> None:
     held = find_effect(scaled.catalogue, "slide.bias").parameters[0].low
     pair = {("slide.spring", "stiffness"): most["spring"], ("slide.spring", "rest"): 1.0, ("slide.bias", "force"): held}
     assert see(spec, flight, pair)["slide.spring"].asked > CRITERIA.unbalanced
+    assert see(spec, flight, {("slide.inertia", "inertia"): 30.0})["slide.inertia"].asked == 0.0  # no force
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01])
@@ -144,8 +145,9 @@ def test_weight_by_hand(tmp_path: Path) -> None:
     seen = see(spec, flight, {("swing.inertia", "inertia"): 0.5 * BOB * LENGTH**2})["swing.inertia"]
     assert seen.contradicts(CRITERIA)
     assert abs(seen.share) < 0.15
-    # Of 1.5 times the inertia a third moves nothing: -I/3 of m L² a, where a is m g L sin over m L².
-    assert seen.asked == pytest.approx(1.0 / 3.0 / 2.0, rel=0.1)  # inertia and weight both carry that force
+    damped = see(spec, flight, {("swing.bias", "force"): 0.25 * BOB * 9.81 * LENGTH})["swing.bias"]
+    balance = BOB * 9.81 * LENGTH * 2.0 * np.abs(np.sin(angle))  # inertia and weight both carry that force
+    assert damped.asked == pytest.approx(0.25 * BOB * 9.81 * LENGTH / np.percentile(balance, 98.0), rel=0.1)
 
 
 def test_nothing_is_said_of_laws_with_a_memory(tmp_path: Path) -> None:

@@ -35,7 +35,8 @@ class Seen:
         joint: there.
         share: of its force as prediction has it: 1 agrees, 0 is nothing.
         std: its standard error, nan where inverse dynamics has no say.
-        asked: its largest force over the largest that inputs, inertia and weight in the logs balance.
+        asked: its largest force over the largest that inputs, inertia and weight in the logs balance; 0 for inertia,
+            which is no force and which springs that the twin lacks may drive.
     """
 
     effect: str
@@ -86,13 +87,14 @@ def weigh_causes(
     assert loads is not None
     size = {cause: np.sqrt((force**2).mean(axis=0)) / loads.force for cause, force in shares.made.items()}
     found = []
-    for cause in causes:
+    for cause, law in zip(causes, laws, strict=True):
         dof = int(np.argmax(size[cause]))
         if size[cause][dof] > NONE:
             acting = [cause, *(other for other in causes if other != cause and size[other][dof] > NONE)]
             joint = spec.model.joint(int(spec.model.dof_jntid[dof])).name
             share, std = fit_share(shares, acting, dof, criteria)
-            found.append(Seen(cause, joint, share, std, ask(shares, cause, dof)))
+            asked = 0.0 if "dof_armature" in law.writes else ask(shares, cause, dof)
+            found.append(Seen(cause, joint, share, std, asked))
     return found
 
 
