@@ -77,7 +77,7 @@ class TrainConfig:
     Attributes:
         task: what to fly.
         preset: values to start from, fast, paper (its networks, schedules, reward) or finetune (from init_from on).
-        twin: `nominal` or a twin YAML.
+        twin: `nominal`, `typical` or a twin YAML.
         controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
