@@ -17,6 +17,8 @@ from vpptwin.resources import find_model_file
 from vpptwin.train.randomize import Priors, randomize
 from vpptwin.train.tasks import HOVER, Task
 from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.drone import CRAFT_JOINTS
+from vpptwin.twin.losses import take_out_losses
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 FRICTION = 0.3
@@ -125,6 +127,7 @@ class EngineRigs(Rigs):
     def __init__(self, count: int, threads: int, seed: int, friction: float, clock: bool) -> None:
         super().__init__(count, threads, seed)
         spec = mujoco.MjSpec.from_file(str(find_model_file("rail_rig.xml")))
+        take_out_losses(spec, CRAFT_JOINTS)
         for name in ("rail_x", "rail_z"):
             spec.joint(name).frictionloss = friction
         self.batch, self.clock = Batch(spec.compile(), count, threads), clock

@@ -81,7 +81,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def describe_effects(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin effects`."""
-    parser.add_argument("--twin", default="nominal", help="`nominal` or a twin YAML, whose rig's effects are listed")
+    parser.add_argument(
+        "--twin", default="nominal", help="`nominal`, `typical` or a twin YAML, whose rig's effects are listed"
+    )
     add_effects(parser)
     parser.add_argument("--markdown", action="store_true", help="as a Markdown table")
     parser.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
@@ -137,7 +139,7 @@ def describe_fly(parser: argparse.ArgumentParser) -> None:
     add("--manoeuvre", metavar="NAME", help="what the scripted pilot flies; --list shows all")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
     add("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
-    add("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add_effects(parser)
     add("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
     add("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
@@ -151,7 +153,7 @@ def describe_identify(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights")
     add("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
-    add("--twin", default="nominal", help="of flights: `nominal` (default) or a twin YAML")
+    add("--twin", default="nominal", help="of flights: `nominal` (default), `typical` or a twin YAML")
     add_effects(parser)
     add("--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin")
     add("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
@@ -175,7 +177,7 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
     add("--task", help="what to fly (default: the task of training)")
     add("--tracks", type=int, default=1000, help="flights (default 1000)")
     add("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
-    add("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
     randomized = "effects drawn from their priors, separated by commas, or paper (default), all, none"
     add("--randomize", default="paper", metavar="NAMES", help=randomized)
@@ -188,14 +190,14 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
 def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
-    parser.add_argument("--twin", default="nominal", help="`nominal` (default) or a twin YAML")
+    parser.add_argument("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add_effects(parser)
     add_topic_map(parser)
 
 
 def add_beside(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that show the twin beside a log."""
-    parser.add_argument("--twin", help="`nominal` or a twin YAML, driven by the log's commands")
+    parser.add_argument("--twin", help="`nominal`, `typical` or a twin YAML, driven by the log's commands")
     add_effects(parser)
     parser.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
     parser.add_argument("--free", action="store_true", help="let the twin run freely from the start")

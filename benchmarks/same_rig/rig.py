@@ -7,6 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from vpptwin.twin.drone import CRAFT_JOINTS
+from vpptwin.twin.losses import take_out_losses
 from vpptwin.vehicle import Vehicle
 
 RIG_FILE = Path(__file__).resolve().parents[2] / "models" / "rail_rig.xml"
@@ -27,6 +29,7 @@ TRAVEL = ((-1.4375, 1.4375), (0.25, 2.4375))
 def write_rig(path: Path, friction: float = FRICTION, mass_factor: float = 1.0) -> Path:
     """Write the rig with its friction [N] in MuJoCo's constraint solver and the craft's mass times a factor."""
     spec = mujoco.MjSpec.from_file(str(RIG_FILE))
+    take_out_losses(spec, CRAFT_JOINTS)
     for name in ("rail_x", "rail_z"):
         spec.joint(name).frictionloss = friction
     spec.body("craft").mass *= mass_factor

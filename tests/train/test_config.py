@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config, to_plain
+from vpptwin.train.env import make_env
+from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config
+from vpptwin.train.ppo import find_device
 from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS, Start
 
@@ -74,7 +78,8 @@ def test_every_task_is_valid(task: str) -> None:
         (["task.gamma=-1"], "between 0 and 1"),
         (["learning_rate.start=0"], "above 0"),
         (["hidden=[96]"], "layer sizes"),
-        (["minibatch=100000"], "at most"),
+        (["device=gpu"], "cpu, cuda"),
+        (["device=cuda", "collector=ray"], "device=cpu"),
         (["sim_threads=-1"], "1 to 1024"),
         (["task.start.x=[1,-1]"], "[low, high]"),
         (["task.start.x=[1]"], "[low, high]"),
@@ -110,6 +115,44 @@ def test_bad_overrides(overrides: list[str], expected: str) -> None:
         compose_config(overrides)
     assert "\n" not in str(caught.value)
     assert expected in f"{caught.value.expected} {caught.value.action}"
+
+
+def test_few_simulations_need_no_other_minibatch(tmp_path: Path) -> None:
+    """`num_envs=16` trains: 128 steps are one minibatch where 1024 were asked for."""
+    folder = tmp_path / "run"
+    given = [
+        "task=hover",
+        "num_envs=16",
+        "rollout=8",
+        "total_steps=128",
+        "exam_every=0",
+        "loggers=csv",
+        "sim_threads=1",
+    ]
+    assert (run_train([*given, "progress=false", f"out={folder}"]) / "checkpoint.pt").is_file()
+    assert compose_config(given).minibatch == 1024
+
+
+def test_a_configuration_without_a_task_hovers() -> None:
+    """`make_env(TrainConfig())` gives the environment of the command without options, of a task of its own."""
+    env = make_env(TrainConfig(num_envs=2, sim_threads=1))
+    assert env.task == HOVER
+    assert env.task is not HOVER
+    assert env.rollout(3).batch_size == (2, 3)
+    assert to_plain(TrainConfig()) == to_plain(compose_config([]))
+
+
+def test_a_device_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is refused in one line before anything is written; on one that is, the index is told."""
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    for device in ("cuda", "cuda:3"):
+        with pytest.raises(InputError, match=f"device={device}, and torch .* finds 0 CUDA devices") as caught:
+            run_train(["task=hover", f"device={device}", f"out={tmp_path / 'run'}"])
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
+    found = [str(find_device(replace(TrainConfig(), device=device))) for device in ("cpu", "cuda", "cuda:1")]
+    assert found == ["cpu", "cuda:0", "cuda:1"]
 
 
 def test_discount_is_the_tasks_unless_given() -> None:

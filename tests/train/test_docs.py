@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from runpy import run_path
 
+import numpy as np
 import pytest
 import torch
 
 from vpptwin.train.overrides import compose_config
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "train.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "train.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("line", re.findall(r"^    vpptwin train (.+)$", PAGE, flags=re.MULTILINE))
@@ -37,3 +40,13 @@ def test_documented_python(tiny_run: Path) -> None:
     names: dict[str, torch.nn.Module] = {}
     exec(code.replace("runs/flip", str(tiny_run)), names)
     assert names["policy"](torch.zeros(5, 11)).shape == (5, 2)
+
+
+def test_the_environment_in_a_script_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """examples/own_training.py collects ten batches and updates on each; the value loss falls as the critic learns."""
+    run_path(str(ROOT / "examples/own_training.py"))
+    rows = re.findall(r"reward (\S+), value loss (\S+)", capsys.readouterr().out)
+    reward, loss = np.array(rows, dtype=float).T
+    assert len(reward) == 10
+    assert (reward > 0.0).all()
+    assert loss[-3:].mean() < loss[0]

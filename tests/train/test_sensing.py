@@ -9,6 +9,7 @@ import torch
 from tests.train.conftest import HOVER, reset_rows, see, step, tiny_env, truth
 from vpptwin.train.env import VppEnv
 from vpptwin.train.observe import observe
+from vpptwin.train.reward import compute_reward
 from vpptwin.train.tasks import HOVER as HOVERING
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.sensors import sensor_noise
@@ -85,3 +86,19 @@ def test_partial_reset_randomizes_only_its_rows() -> None:
         np.testing.assert_array_equal(after[1:], before[key][1:])
     np.testing.assert_array_equal(env.twin.constants[1:], constants[1:])
     assert env.twin.constants[0] != constants[0]
+
+
+def test_reward_goes_by_the_truth() -> None:
+    """Every term, Γ too: a motion capture that is 20 % off in scale, late and noisy changes what is seen, not paid."""
+    env = tiny_env("randomize=[mocap.scale,mocap.delay]", "noise=1", "task.weights.integral=1", "task.start.x=[1,1]")
+    env.reset()
+    env.twin.set_parameter("mocap.scale", "scale", 1.2)
+    env.twin.set_parameter("mocap.delay", "delay", 0.02)
+    integral = env.episodes.target[:, :2] - truth(env)[:, :2]  # Γ_0 = Δp_0
+    for _ in range(5):
+        paid = step(env)["reward"].numpy()[:, 0]
+        delta = env.episodes.target - truth(env)[:, :3]
+        integral = 0.9 * integral + delta[:, :2]
+        expected = compute_reward(env.task.weights, delta, truth(env)[:, 3:], integral)
+        np.testing.assert_allclose(paid, expected, rtol=1e-6)  # the reward is float32
+    assert np.abs(env.episodes.integral - integral)[:, 0].min() > 0.2  # m; that of the policy is what it senses

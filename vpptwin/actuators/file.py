@@ -26,7 +26,6 @@ class ActuatorFile(Section):
     servo: DelayedServo
     intervals_90: dict[str, list[float]] = Field(default_factory=dict)
     thrust_map: dict[str, object] = Field(default_factory=dict)
-    speed_disturbance: list[float] = Field(default_factory=list)
     held_out: dict[str, dict[str, object]] = Field(default_factory=dict)
     notes: list[str] = Field(default_factory=list)
     provenance: dict[str, object] = Field(default_factory=dict)

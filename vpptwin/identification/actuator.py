@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -22,9 +21,6 @@ WINDOW = 0.15
 """Looked at after each step [s]."""
 LAGS, DELAYS = (0.005, 0.015, 0.03, 0.06), (0.0, 0.005, 0.012, 0.025)
 """Time constants and delays that a search begins with [s]."""
-DISTURBANCE_ORDERS = range(5)
-USUAL = 3.0
-"""A rotor's governed speed is its median over this time [s]."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,6 @@ class Actuator:
         thrust: the chosen map.
         maps: all that were tried.
         constants: of motor, drag, servo.
-        disturbance: polynomial of the relative change of rotor speed against |pitch|, lowest order first.
         held_out: errors on what was left out.
         levels: the means that static fits rest on.
     """
@@ -79,7 +74,6 @@ class Actuator:
     thrust: ThrustMap
     maps: tuple[ThrustMap, ...]
     constants: tuple[Constant, ...]
-    disturbance: np.ndarray
     held_out: tuple[HeldOut, ...]
     levels: Levels
 
@@ -102,11 +96,10 @@ def identify(runs: Sequence[BenchRun], levels: Levels) -> Actuator:
     servo, servo_error = fit_servo(runs, chosen)
     k_q, drag = load[0].value, {c.name: c.value for c in load}
     inertia = fit_inertia(runs, chosen, servo, k_q, drag)
-    disturbance, speed_error = fit_disturbance(runs, chosen, servo)
     thrust_error = HeldOut("thrust at pitches left out", chosen.held_out, float(np.std(levels.thrust)), "N")
     constants = (*electrical, *load, inertia, *servo)
-    errors = (thrust_error, motor_error, current_error, servo_error, speed_error)
-    return Actuator(chosen, maps, constants, disturbance, errors, levels)
+    errors = (thrust_error, motor_error, current_error, servo_error)
+    return Actuator(chosen, maps, constants, errors, levels)
 
 
 def solve_linear(inputs: np.ndarray, wanted: np.ndarray, alike: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -281,31 +274,3 @@ def fit_inertia(
     if slope[0] <= 0.0:
         raise InputError("rotor speed that does not follow the motor's torque", "it to", "check units and signs")
     return Constant("rotor.inertia", 1.0 / slope[0], std[0] / slope[0] ** 2, "kg m^2")
-
-
-def fit_disturbance(
-    runs: Sequence[BenchRun], thrust: ThrustMap, servo: tuple[Constant, ...]
-) -> tuple[np.ndarray, HeldOut]:
-    """Relative change of rotor speed against blade pitch (paper, System Identification, item 3).
-
-    The order is the one with the least error on runs or tenths of runs left out.
-
-    Returns:
-        Coefficients of 1, |α|, α², ..., and the held-out error.
-    """
-    pitches, changes, groups = [], [], []
-    for number, run in enumerate(runs):
-        pitch = np.abs(lag_pitch(run, servo[0].value, servo[1].value) - thrust.offset)[::5]
-        each, usual = max(round(0.02 / run.dt), 1), max(round(USUAL / 0.02), 1)
-        governed = np.repeat(median_filter(run.speed[::each], (usual, 1), mode="nearest"), each, axis=0)
-        change = (run.speed / governed[: len(run.speed)] - 1.0)[::5]
-        pitches.append(pitch.ravel())
-        changes.append(change.ravel())
-        tenth = np.arange(len(pitch)) * 10 // len(pitch) + 10 * number
-        groups.append(np.repeat(tenth, pitch.shape[1]))
-    pitch, change, group = (np.concatenate(parts) for parts in (pitches, changes, groups))
-    inputs = {order: np.stack([pitch**k for k in range(order + 1)], axis=1) for order in DISTURBANCE_ORDERS}
-    errors = {order: leave_groups_out(powers, change, group) for order, powers in inputs.items()}
-    order = min(k for k in errors if errors[k] <= 1.002 * min(errors.values()))
-    found = solve_linear(inputs[order], change)[0]
-    return found, HeldOut("rotor speed, relative, left out", errors[order], float(np.std(change)), "1")

@@ -112,7 +112,6 @@ def compose_file(found: Actuator, vehicle: Vehicle, origin: Provenance) -> dict[
             "pitch_of_no_thrust_90": [round_digits(offset + side * SIGMAS_90 * std) for side in (-1.0, 1.0)],
             "held_out_error_n": {m.candidate.name: round_digits(m.held_out) for m in found.maps},
         },
-        "speed_disturbance": [round_digits(float(c)) for c in found.disturbance],
         "held_out": {
             h.what: {"rms": round_digits(h.error), "of": round_digits(h.scale), "unit": h.unit} for h in found.held_out
         },

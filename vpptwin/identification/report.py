@@ -30,15 +30,8 @@ def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -
     return open_templates("vpptwin.identification").get_template("identify.html.j2").render(
         found=found, rows=rows, maps=sorted(found.maps, key=lambda m: m.held_out), largest=largest, line=line,
         figures=[draw_thrust(found), draw_misses(found, line), draw_current(found), draw_step(found, runs)],
-        disturbance=describe_polynomial(found.disturbance), origin=origin,
+        origin=origin,
     )  # fmt: skip
-
-
-def describe_polynomial(values: np.ndarray) -> str:
-    """A polynomial in |α| in words."""
-    powers = ("", " |α|", " |α|²", " |α|³", " |α|⁴")
-    terms = [f"{value:.3g}{power}" for value, power in zip(values, powers)]
-    return " + ".join(terms).replace("+ -", "- ")
 
 
 def draw_thrust(found: Actuator) -> str:

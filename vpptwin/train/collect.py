@@ -59,7 +59,8 @@ def make_collector(
 
     Args:
         config: of the run.
-        actor: explores; its weights and its exploration are those of the moment in every batch.
+        actor: explores, on the device where it is; its weights and its exploration are those of the moment in every
+            batch.
         env: from `open_env`.
         fault_folder: where simulations that diverged are written.
         begun: steps that were collected before, by the run that is continued.
@@ -70,5 +71,6 @@ def make_collector(
     if config.collector == "ray":
         workers = start_workers(config, actor, fault_folder, begun)
         return Collection(workers, workers, None)
-    batch = config.num_envs * config.rollout
-    return Collection(Collector(env, actor, frames_per_batch=batch, total_frames=-1, **OPTIONS), env, env)
+    batch, device = config.num_envs * config.rollout, next(actor.parameters()).device
+    places = {} if device.type == "cpu" else {"env_device": "cpu", "policy_device": device, "storing_device": device}
+    return Collection(Collector(env, actor, frames_per_batch=batch, total_frames=-1, **places, **OPTIONS), env, env)

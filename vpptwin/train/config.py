@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import copy
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from textwrap import shorten
 from typing import Any
 
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
 from vpptwin.train.observe import SETUPS, Sight
 from vpptwin.train.ramp import Ramp
-from vpptwin.train.tasks import Task, check_task
+from vpptwin.train.tasks import HOVER, Task, check_task
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""
@@ -78,12 +80,12 @@ class TrainConfig:
     Attributes:
         task: what to fly.
         preset: values to start from, fast, paper (its networks, schedules, reward) or finetune (from init_from on).
-        twin: `nominal` or a twin YAML.
+        twin: `nominal`, `typical` or a twin YAML.
         controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
         init_from: policy to start from, a checkpoint, a run's folder or a shipped one; null for random weights.
-        resume: folder of a run to continue; only total_steps, workers, threads and progress can be given besides.
+        resume: folder of a run to continue; besides, only total_steps, workers, threads, device, progress.
         seed: the same seed gives the same run.
         total_steps: policy steps (0.01 s each) to collect, over all simulations.
         num_envs: simulations flown side by side.
@@ -102,7 +104,7 @@ class TrainConfig:
         critic_lstm: critic, units of its LSTM.
         privileged: the critic sees true states, actuators and randomized parameters instead of the observation.
         epochs: passes over every batch.
-        minibatch: samples per gradient step.
+        minibatch: samples per gradient step; the whole batch, num_envs x rollout, if that is less.
         gamma: discount per policy step; null for the task's.
         lmbda: lambda of the generalized advantage estimate.
         advantage_groups: advantages are normalized within so many groups of steps of like value; 1 for all as one.
@@ -121,10 +123,11 @@ class TrainConfig:
         workers: Ray workers, which share the simulations.
         sim_threads: cores for the simulation.
         torch_threads: cores for the networks; small ones are fastest on one.
+        device: of the networks in training, cpu or cuda; simulations, exams and files stay on the CPU.
         progress: show a progress bar.
     """
 
-    task: Task = MISSING
+    task: Task = field(default_factory=lambda: copy.deepcopy(HOVER))
     preset: str = "fast"
     twin: str = "nominal"
     controller: str | None = None
@@ -169,6 +172,7 @@ class TrainConfig:
     workers: int = 2
     sim_threads: int = 2
     torch_threads: int = 1
+    device: str = "cpu"
     progress: bool = True
 
     @property
@@ -214,7 +218,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """What each preset changes."""
-RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads", "progress")
+RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads", "device", "progress")
 """What may be given besides `resume`; the rest comes from the run that is continued."""
 
 
@@ -299,9 +303,9 @@ def check_values(config: TrainConfig) -> None:
     ):
         found = f"hidden={config.hidden} critic_hidden={config.critic_hidden} critic_lstm={config.critic_lstm}"
         raise InputError(shorten(found, 100), f"two, one to eight and one layer sizes up to {WIDEST}", HELP)
-    if config.minibatch > config.num_envs * config.rollout:
-        batch = config.num_envs * config.rollout
-        raise InputError(f"minibatch={config.minibatch}", f"at most num_envs * rollout = {batch}", "lower it")
+    check(("device",), lambda value: bool(re.fullmatch(r"cpu|cuda(:\d+)?", value)), "cpu, cuda or cuda:N")
+    if config.collector == "ray" and config.device != "cpu":
+        raise InputError(f"device={config.device} with collector=ray", "device=cpu", "leave one of them out")
     if config.collector == "ray" and config.num_envs % config.workers:
         found = f"num_envs={config.num_envs} for workers={config.workers}"
         raise InputError(found, "as many simulations for each worker", f"make num_envs a multiple of {config.workers}")

@@ -186,6 +186,7 @@ class VppEnv(EnvBase):
         episodes.target[ids], episodes.criterion[ids] = target, criterion
         episodes.turn[ids] = episodes.elapsed[ids] = episodes.age[ids] = episodes.total[ids] = episodes.stage[ids] = 0
         episodes.integral[ids] = episodes.action[ids] = 0.0
+        episodes.true_integral[ids] = (target - pose)[:, :2]
         episodes.closest[ids], episodes.missed[ids] = np.inf, False
         self._schedule(ids)
         if episodes.seen.size:
@@ -249,10 +250,13 @@ class VppEnv(EnvBase):
         self.flown += 1
         pose, velocity = self.state.qpos, self.state.qvel
         delta = episodes.target - pose
+        unbroken = np.flatnonzero(~broken) if broken.any() else EVERY
+        earned = accumulate_error(episodes.true_integral[unbroken], delta[unbroken, :2])
+        episodes.true_integral[unbroken] = earned
         np.minimum(episodes.closest, np.abs(wrap_angle(delta[:, 2])), out=episodes.closest)
         self._move_targets()
-        self._measure(np.flatnonzero(~broken) if broken.any() else EVERY)
-        reward = compute_reward(task.weights, delta, velocity, episodes.integral, episodes.criterion)
+        self._measure(unbroken)
+        reward = compute_reward(task.weights, delta, velocity, episodes.true_integral, episodes.criterion)
         reward[broken] = 0.0
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken

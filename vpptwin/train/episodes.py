@@ -19,7 +19,8 @@ class Episodes:
         closest: smallest angle error since the last trigger, (N,) rad.
         surprised: whether a trigger came in the last step that was not to be expected, (N,) bool.
         missed: whether a target's angle was left before it was met, (N,) bool.
-        integral: Γ, (N, 2) m.
+        integral: Γ of what is sensed, which the policy is shown, (N, 2) m.
+        true_integral: Γ of the true errors, by which the reward goes, (N, 2) m.
         started: first target, pose and velocity, (N, 9) m, rad, m/s, rad/s.
         age: time since the start, (N,) s.
         elapsed: clock of the episode, which may start later than at 0, (N,) s.
@@ -39,6 +40,7 @@ class Episodes:
     surprised: np.ndarray
     missed: np.ndarray
     integral: np.ndarray
+    true_integral: np.ndarray
     started: np.ndarray
     age: np.ndarray
     elapsed: np.ndarray
@@ -56,7 +58,8 @@ class Episodes:
             target=np.zeros((count, 3)), turn=np.zeros(count), stage=np.zeros(count, int),
             criterion=np.zeros(count, int), closest=np.full(count, np.inf),
             surprised=np.zeros(count, bool), missed=np.zeros(count, bool),
-            integral=np.zeros((count, 2)), started=np.zeros((count, 9)), age=np.zeros(count),
+            integral=np.zeros((count, 2)), true_integral=np.zeros((count, 2)),
+            started=np.zeros((count, 9)), age=np.zeros(count),
             elapsed=np.zeros(count), switch=np.full(count, np.inf),
             total=np.zeros(count), action=np.zeros((count, 2)), drawn=np.zeros((count, parameters)),
             observation=np.zeros((count, inputs), np.float32),

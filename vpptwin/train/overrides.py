@@ -84,7 +84,7 @@ def write_list(override: Override) -> str:
 
 def list_options(node: object = None, prefix: str = "") -> list[str]:
     """Dotted names of every option."""
-    node = TrainConfig(task=HOVER) if node is None else node
+    node = TrainConfig() if node is None else node
     names = []
     assert is_dataclass(node)
     for f in fields(node):
@@ -99,7 +99,7 @@ def list_options(node: object = None, prefix: str = "") -> list[str]:
 def describe_options() -> str:
     """Every option with its default and its line of help, for `vpptwin train --help`."""
     texts = dict(re.findall(r"^    (\w+): (.+)$", inspect.getdoc(TrainConfig) or "", flags=re.MULTILINE))
-    config = TrainConfig(task=HOVER)
+    config = TrainConfig()
     lines = ["Options, as Hydra overrides key=value:", ""]
     for f in fields(config):
         value = getattr(config, f.name)

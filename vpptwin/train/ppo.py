@@ -62,6 +62,22 @@ def start_from(policy: Policy, config: TrainConfig) -> None:
     policy.load_state_dict(other.state_dict())
 
 
+def find_device(config: TrainConfig) -> torch.device:
+    """Where the networks are trained.
+
+    Raises:
+        InputError: if torch finds no such device.
+    """
+    device, count = torch.device(config.device), torch.cuda.device_count()
+    if device.type == "cpu":
+        return device
+    device = torch.device("cuda", device.index or 0)
+    if device.index >= count:
+        found = f"device={config.device}, and torch {torch.__version__} finds {count} CUDA devices"
+        raise InputError(found, "one that it finds", "say device=cpu, or install a torch for your GPU's driver")
+    return device
+
+
 def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | None = None) -> Training:
     """Put a run together.
 
@@ -76,14 +92,15 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
     env = open_env(config, folder / FAULTS, saved)
-    policy = make_policy(config)
+    device = find_device(config)
+    policy = make_policy(config).to(device)
     if saved is None and config.init_from is not None:
         start_from(policy, config)
-    exploration = Exploration(policy, config.exploration.at(0.0))
+    exploration = Exploration(policy, config.exploration.at(0.0)).to(device)
     actor = make_actor(exploration)
     names = OBSERVATION if config.privileged else config.sight.names
     lstm = config.critic_lstm if config.critic == "lstm" else 0
-    critic = make_critic(names, env.episodes.seen.shape[-1], config.critic_hidden, lstm)
+    critic = make_critic(names, env.episodes.seen.shape[-1], config.critic_hidden, lstm).to(device)
     collection = make_collector(config, actor, env, folder / FAULTS, saved["steps"] if saved else 0)
     batch = config.num_envs * config.rollout
     loss = ClipPPOLoss(

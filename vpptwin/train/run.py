@@ -15,7 +15,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
 from vpptwin.train.memory import check_run, explain_exhaustion
-from vpptwin.train.ppo import FAULTS, build_training
+from vpptwin.train.ppo import FAULTS, build_training, find_device
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -35,6 +35,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     saved = None
     if config.resume is not None:
         config, saved = read_run(config, given)
+    find_device(config)
     check_run(config)
     folder = open_folder(config)
     with explain_exhaustion(config):

@@ -40,6 +40,7 @@ def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
         InputError: if a version took it that kept less of a simulation.
     """
     missing = env.state.arrays().keys() - snapshot["state"].keys()
+    missing |= vars(env.episodes).keys() - snapshot["episodes"].keys()
     if missing:
         found = f"a checkpoint whose simulations lack {', '.join(sorted(missing))}"
         raise InputError(found, "one of this version", "train on with init_from=RUN, which takes the policy alone")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import torch
@@ -78,7 +79,8 @@ def normalize(advantage: torch.Tensor, value: torch.Tensor, groups: int) -> torc
         value: of the critic, the same shape.
         groups: their number.
     """
-    flat, result = advantage.flatten(), torch.empty(advantage.numel())
+    flat = advantage.flatten()
+    result = torch.empty_like(flat)
     for ids in value.flatten().argsort().chunk(groups):
         part = flat[ids]
         result[ids] = (part - part.mean()) / part.std(correction=min(1, len(part) - 1)).clamp_min(1e-5)
@@ -171,6 +173,7 @@ class LipschitzBound(Hook):
 class Averaging(Hook):
     """Averages the policy's weights over updates: the average flies better, and differs less from one to the next.
 
+    The average is on the CPU, wherever training is.
     An average of layers within a norm is within it too, so that it keeps the Lipschitz bound.
 
     Args:
@@ -182,7 +185,7 @@ class Averaging(Hook):
 
     def __init__(self, policy: Policy, share: float) -> None:
         self.policy = policy
-        self.model = AveragedModel(policy, multi_avg_fn=get_ema_multi_avg_fn(share))
+        self.model = AveragedModel(policy, multi_avg_fn=get_ema_multi_avg_fn(share)).cpu()
 
     @property
     def averaged(self) -> Policy:
@@ -200,7 +203,8 @@ class Averaging(Hook):
         if not all(bool(torch.isfinite(value).all()) for value in self.policy.parameters()):
             expected = "finite ones; the last checkpoint is sound"
             raise InputError("weights that are not finite", expected, "lower learning_rate.start or max_grad_norm")
-        self.model.update_parameters(self.policy)
+        on_cpu = next(self.policy.parameters()).device.type == "cpu"
+        self.model.update_parameters(self.policy if on_cpu else copy.deepcopy(self.policy).cpu())
 
     def state_dict(self) -> dict[str, Any]:
         """The average."""

@@ -22,6 +22,7 @@ from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
 from vpptwin.trust import trust, trusted
+from vpptwin.twin.spec import locate_twin
 
 ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
 SETTINGS = {
@@ -169,8 +170,9 @@ def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder
     import ray
 
     # Workers run in folders of their own.
-    twin = config.twin if config.twin == "nominal" else str(Path(config.twin).resolve())
-    config = replace(config, twin=twin, effects=[str(Path(file).resolve()) for file in config.effects])
+    config = replace(
+        config, twin=locate_twin(config.twin), effects=[str(Path(file).resolve()) for file in config.effects]
+    )
     makers = [WorkerEnv(config, worker, begun, fault_folder.resolve(), trusted()) for worker in range(config.workers)]
     started = not ray.is_initialized()
     try:

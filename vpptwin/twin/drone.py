@@ -14,6 +14,7 @@ import numpy as np
 from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.effects import CATALOGUE, Effect
 from vpptwin.errors import InputError
+from vpptwin.twin.losses import take_out_losses
 from vpptwin.twin.model import compile_model, missing_parts
 from vpptwin.twin.robot import Disturbance, Loads, Robot
 from vpptwin.vehicle import Vehicle
@@ -142,7 +143,10 @@ def check_craft(model: mujoco.MjModel, path: Path) -> None:
 
 
 def apply_vehicle(vehicle: Vehicle, spec: mujoco.MjSpec, path: Path) -> None:
-    """Write the vehicle's numbers into the specification of vpp_planar.xml, rail_rig.xml or a model like them."""
+    """Write the vehicle's numbers into the specification of vpp_planar.xml, rail_rig.xml or a model like them.
+
+    Its own friction, damping and air are taken out: those of a twin are effects.
+    """
     joints = {joint.name: joint for joint in spec.joints}
     bodies = {body.name: body for body in spec.bodies}
     missing = [f"joint {name}" for name in CRAFT_JOINTS if name not in joints]
@@ -151,6 +155,7 @@ def apply_vehicle(vehicle: Vehicle, spec: mujoco.MjSpec, path: Path) -> None:
         raise InputError(
             f"{path}: no {found}", "joints rail_x, rail_z and pitch and a body craft", "leave out `vehicle`"
         )
+    take_out_losses(spec, CRAFT_JOINTS)
     spec.option.gravity = [0.0, 0.0, -vehicle.gravity]
     spec.option.timestep = 1.0 / vehicle.control.inner_rate
     craft = bodies["craft"]

@@ -19,7 +19,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.files import write_whole
-from vpptwin.twin.spec import EffectValues, load_twin
+from vpptwin.twin.spec import EffectValues, load_twin, locate_twin
 from vpptwin.twin.state import TwinState
 from vpptwin.twin.twin import Twin
 
@@ -89,7 +89,7 @@ def take_fault(
     }
     rows = np.array([row])
     return Fault(
-        twin=name if name == "nominal" else str(Path(name).resolve()), effects=effects, command=command[row].copy(),
+        twin=locate_twin(name), effects=effects, command=command[row].copy(),
         duration=duration, before=before.take(rows), after=after.take(rows),
         about={"row": int(row), "versions": {package: version(package) for package in RECORDED}},
     )  # fmt: skip

@@ -17,9 +17,10 @@ from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError
 from vpptwin.plain import read_yaml
-from vpptwin.resources import find_model_file
+from vpptwin.resources import find_model_file, models_dir
 from vpptwin.trust import check_trusted
-from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
+from vpptwin.twin.losses import read_losses
 from vpptwin.twin.robot import Robot, Signals
 from vpptwin.twin.stepped import strip_model
 from vpptwin.vehicle import Vehicle, load_vehicle
@@ -27,6 +28,9 @@ from vpptwin.vehicle import Vehicle, load_vehicle
 EffectValues = dict[str, dict[str, float]]
 Controller = Literal["map", "adaptive"]
 """How the drone's firmware turns thrust into blade pitch: by the vehicle's map, or learning what the map gets wrong."""
+
+SHIPPED = ("nominal", "typical")
+"""Twins that ship with the package, by name: every effect off, and with the MJCF's own friction, damping and drag."""
 
 
 def refuse_bool(value: object) -> object:
@@ -61,6 +65,7 @@ class TwinFile(BaseModel):
     signals: Signals | None = None
     controller: Controller = "map"
     actuator: str | None = None
+    losses: Literal["none", "mjcf"] = "none"
     provenance: Origin = Origin()
 
 
@@ -179,21 +184,23 @@ def check_effects(
     return checked
 
 
+def locate_twin(name: str) -> str:
+    """The twin as it is found from any folder: the name of a shipped one, or an absolute path."""
+    return name if name in SHIPPED else str(Path(name).resolve())
+
+
 def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] = ()) -> TwinSpec:
     """Read a twin.
 
     Args:
-        name: `nominal` (the shipped rig, no effect switched on) or the path of a twin YAML.
+        name: one of `SHIPPED` or the path of a twin YAML.
         effect_files: Python files with effects of the user's own. They are run; one that the YAML names is run only
             if it is among them, or trusted (`vpptwin.trust`).
 
     Raises:
         InputError: if a file is missing or wrong, an effect is unknown or out of bounds, or code is not trusted.
     """
-    if str(name) == "nominal":
-        file = TwinFile(model="rail_rig.xml", vehicle="vehicle.yaml")
-        return build_twin("nominal", file, Path.cwd(), list_effect_files([], effect_files))
-    path = Path(name)
+    path = models_dir() / f"{name}.yaml" if str(name) in SHIPPED else Path(name)
     try:
         content = read_yaml(path)
         if not isinstance(content, dict):
@@ -203,7 +210,7 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
         check_trusted(own, path, effect_files)
         return build_twin(str(name), file, path.parent, list_effect_files(own, effect_files))
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"no readable twin {path}", "`nominal` or a twin YAML", "check the path") from error
+        raise InputError(f"no readable twin {path}", "`nominal`, `typical` or a twin YAML", "check the path") from error
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML ({error})", "a twin YAML", "check its syntax") from error
     except ValidationError as error:
@@ -215,7 +222,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
     key = ".".join(map(str, first["loc"])) or "the file"
-    keys = "model and, if need be, vehicle, effects, signals, controller, actuator"
+    keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses"
     if first["type"] == "missing":
         return f"no key {key}", keys
     if first["type"] == "extra_forbidden":
@@ -253,6 +260,12 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         if vehicle is None
         else PlanarDrone.assemble(name, model_file, vehicle)
     )
+    if file.losses == "mjcf":
+        if vehicle is None:
+            raise InputError(
+                f"{name}: losses without vehicle", "it with our drone only", "leave it out: they act anyway"
+            )
+        given = read_losses(model_file, CRAFT_JOINTS, "craft") | given
     catalogue = robot.list_effects()
     if effect_files:
         from vpptwin.twin.effect_file import extend_catalogue  # which brings the compiler

@@ -18,6 +18,7 @@ from mujoco import sysid
 from hidden.baselines.track import VEHICLE, Track, prepare_track
 from vpptwin.logs.flight import Flight
 from vpptwin.resources import models_dir
+from vpptwin.twin.losses import take_out_losses
 
 LENGTH, EVERY = 0.5, 1.0
 """Of a sequence, and from one to the next [s]."""
@@ -31,6 +32,7 @@ def name_by_sysid(flights: Sequence[Flight]) -> str:
     """The effect whose parameter leaves its nominal by most standard errors."""
     logging.set_verbosity(logging.ERROR)  # it warns of every window that the model has no sensors
     spec = mujoco.MjSpec.from_file(str(models_dir() / "rail_rig.xml"))
+    take_out_losses(spec, JOINTS)
     model = spec.compile()
     sequences = [s for flight in flights for s in cut_sequences(prepare_track(flight), model)]
     starts, controls, measured = zip(*sequences)
