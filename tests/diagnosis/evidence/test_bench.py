@@ -9,7 +9,7 @@ import pytest
 
 from tests.diagnosis.carts import FITTED, cut, load_cart, measure_cart
 from tests.diagnosis.rigs import drive_cart
-from vpptwin.diagnosis.evidence.bench import ASTRAY, FAR, Bench
+from vpptwin.diagnosis.evidence.bench import ASTRAY, FAR, FARTHEST, Bench
 from vpptwin.diagnosis.evidence.channels import BIN, choose_bin, observe_windows
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements, Series
@@ -66,6 +66,18 @@ def test_a_simulation_that_diverges_is_far_off_and_finite(bench: Bench) -> None:
     assert missed[0, 1, 7] == ASTRAY * bench.std[1, 7]
     np.testing.assert_allclose(missed[0, 2], np.where(bench.valid[2], 0.25, 0.0))
     assert not missed[1].any()
+
+
+def test_nothing_is_so_far_off_that_squares_overflow(bench: Bench) -> None:
+    """What diverged to 1e300 is off by 1e8 noises, as is a change by so much; what is unknown changed nothing."""
+    predicted = bench.measured.copy()
+    predicted[0, :3] = 1e300
+    far = np.where(bench.valid[0, :3], FARTHEST * bench.std[0, :3], 0.0)
+    np.testing.assert_allclose(-bench.miss(predicted)[0, :3], far)
+    changed = np.full(bench.measured.shape, -1e300)
+    changed[1] = np.nan
+    np.testing.assert_allclose(-bench.bound(changed)[0, :3], far)
+    assert not bench.bound(changed)[1].any()
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,12 @@ class Bench:
     def miss(self, predicted: np.ndarray) -> np.ndarray:
         """Measured less predicted, (..., K, C B); 0 where nothing was measured, far off where the twin went astray."""
         missed = np.where(np.isfinite(predicted), self.measured - predicted, ASTRAY * self.std)
-        return np.where(self.valid, np.clip(missed, -FARTHEST * self.std, FARTHEST * self.std), 0.0)
+        return self.bound(missed)
+
+    def bound(self, changed: np.ndarray) -> np.ndarray:
+        """A change of what is measured, (..., K, C B), by `FARTHEST` at most; 0 where nothing was, or nothing known."""
+        known = self.valid & np.isfinite(changed)
+        return np.where(known, np.clip(changed, -FARTHEST * self.std, FARTHEST * self.std), 0.0)
 
     def predict(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> np.ndarray:
         """The channels in every variation, (V, K, C B).

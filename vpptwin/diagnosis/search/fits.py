@@ -279,6 +279,5 @@ class Fitter:
         on = {key[0] for key in values}
         variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
         predicted = self.bench.predict(variations, values)
-        missed, changed = self.bench.miss(predicted[0]), predicted[1:] - predicted[0]
-        changed = np.where(self.bench.valid & np.isfinite(changed), changed, 0.0)
+        missed, changed = self.bench.miss(predicted[0]), self.bench.bound(predicted[1:] - predicted[0])
         return at, changed[: len(wanted)] / steps[:, None, None], missed, changed[len(wanted) :]

@@ -206,7 +206,7 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
             variations.append(Variation(values, push=(segment, dof, times * float(assumed[dof]))))
             sizes.append(times)
     predicted = bench.predict(variations, values)
-    slopes = np.nan_to_num(predicted[1:] - predicted[0], posinf=0.0, neginf=0.0) / np.array(sizes)[:, None, None]
+    slopes = bench.bound(predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
     pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
     prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
