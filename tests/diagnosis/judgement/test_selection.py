@@ -14,6 +14,8 @@ from vpptwin.diagnosis.judgement.blocks import improvement
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import (
     Selection,
+    accept_cause,
+    confirms,
     evidence_against_rival,
     find_better,
     is_cause,
@@ -204,6 +206,33 @@ def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: flo
     """Where an effect hardly moves them, twice the evidence names it unless they speak against it."""
     assert judge(Judges(gain, 0.9 * CRITERIA.powerless), drop, a_coulomb=0.5) is named
     assert not judge(Judges(0.0, 1.1 * CRITERIA.powerless), 2.1 * BAR, a_coulomb=0.5)
+
+
+@pytest.mark.parametrize(("gain", "confirmed"), [(2.1, True), (1.9, False), (-1.0, False)])
+def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, confirmed: bool) -> None:
+    """Two standard errors; on the drone, whose gusts are known, the evidence of fitted windows may stand alone."""
+    before, after = fit(50.0), fit(-100.0, a_coulomb=1.0)
+    assert confirms(OTHER_RIG, Judges(gain), before, after) == confirmed  # type: ignore[arg-type]
+    assert confirms(SEARCH, Judges(gain), before, after)  # type: ignore[arg-type]
+
+
+def test_what_falls_behind_is_heard_where_no_other_is_left() -> None:
+    """On another rig; the leader makes errors grow. On the drone, and where a cause was found, nobody is asked."""
+    before = fit(50.0)
+    step = Step(before, {"a.coulomb": fit(-100.0, a_coulomb=1.0)}, {"a.bias": fit(20.0, a_bias=1.0)})
+
+    class Half(Judges):
+        def worsens(self, _: object, after: dict) -> bool:
+            return any(effect == "a.coulomb" for effect, _ in after)
+
+    def judged(step: Step) -> Step:
+        return Step(step.before, step.tried | step.behind)
+
+    for search, heard in ((OTHER_RIG, "a.bias"), (SEARCH, None)):
+        asking = SimpleNamespace(**vars(search), judge_behind=judged)
+        found, accepted = accept_cause(asking, Half(10.0, favour=3.0), step, {})  # type: ignore[arg-type]
+        assert accepted == heard
+        assert set(found.tried) == {"a.coulomb"} | ({"a.bias"} if heard else set())
 
 
 def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:

@@ -45,6 +45,8 @@ CONTRADICTED = (
     "may not fit all of these logs: diagnose them one by one"
 )
 
+UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
+
 Stage = Callable[[str], None]
 
 
@@ -209,7 +211,8 @@ def conclude(
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, nominal)
         own = [u for u in search.unknowns if u.effect.id == effect]
-        confidence = min((least if contradicted else sober) * selection.confidence(effect), most)
+        sure = most if effect not in selection.unconfirmed else search.criteria.suggested
+        confidence = min((least if contradicted else sober) * selection.confidence(effect), sure)
         confidence = min(confidence, least) if effect in denied else confidence
         found = {u.parameter.name: estimate(u, fit) for u in own}
         rivals, summary = selection.rivals[effect], own[0].effect.summary
@@ -232,6 +235,7 @@ def conclude(
         improvement=held_out.change(nominal, fit.values) if causes else {},
         misfit=find_misfit(held_out, fit.values, after.chi2) if missed else None,
         warnings=list(denied.values())
+        + [UNCONFIRMED.format(effect) for effect in sorted(selection.unconfirmed)]
         + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
         + [
             told

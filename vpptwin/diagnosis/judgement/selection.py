@@ -29,6 +29,7 @@ class Selection:
         instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
         left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
+        unconfirmed: causes that held-out windows by themselves would not show, where errors have the last word.
     """
 
     fit: Fit
@@ -37,6 +38,7 @@ class Selection:
     instead: dict[str, list[Fit]]
     evidence: dict[str, float]
     left_out: frozenset[str] = frozenset()
+    unconfirmed: frozenset[str] = frozenset()
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
@@ -84,7 +86,8 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-            return Selection(fit, first, rivals, instead, beside, left_out - fit.effects)
+            unconfirmed = {e for e, step in replaced.items() if not confirms(search, held_out, step.before, fit)}
+            return Selection(fit, first, rivals, instead, beside, left_out - fit.effects, frozenset(unconfirmed))
         cause, rival = better
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
@@ -183,6 +186,12 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     if held_out.worsens(step.before.values, tried.values):
         return False
     return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > 0.0
+
+
+def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
+    """Whether held-out windows alone show that a fit is better, where errors have the last word; else they need not."""
+    gain, error = compare(search, held_out, before, after)
+    return not trusts_errors(search) or gain > search.criteria.sigmas_held_out * error
 
 
 def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
