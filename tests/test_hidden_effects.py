@@ -20,7 +20,7 @@ SINGLES = ("rotors", "servo and timing", "sensors")
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     """The sessions of this file."""
-    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name], least=STRONG) for name in SINGLES}
+    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in SINGLES}
     draws |= {"none": lambda rng: {}, "alien": lambda rng: draw_effect(rng, tuple(ALIEN), least=STRONG)}
     return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py")
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.reality import (
+    COMPANIONS,
     CORE,
     EXTENDED,
     LOOK_ALIKES,
@@ -61,7 +62,7 @@ def test_look_alikes_alone_cannot_be_drawn_together() -> None:
 
 def test_groups_of_look_alikes_name_effects_that_exist() -> None:
     """Every id in a group can be drawn."""
-    assert set().union(*LOOK_ALIKES) <= set(ALL)
+    assert set().union(*LOOK_ALIKES) <= {*ALL, *COMPANIONS}
 
 
 def test_true_size_has_the_tolerance_of_the_rig() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from tests.reality import (
     ALIEN,
     ALIEN_KINDS,
+    COMPANIONS,
     CORE,
     EXTENDED,
     FORMS,
@@ -27,8 +28,8 @@ from tests.reality import (
 )
 
 Effects = dict[str, dict[str, float]]
-FLYING = (*CORE, *EXTENDED)
-"""Effects of the catalogue that are drawn; asymmetry of friction needs friction first and is not."""
+FLYING = (*CORE, *EXTENDED, *COMPANIONS)
+"""Effects of the catalogue that are drawn; asymmetry of friction comes with the friction that it needs."""
 DECK = ("single",) * 8 + ("form",) * 2 + ("two",) * 3 + ("three",) + ("alien",) * 3 + ("none",) * 3
 """Kinds of twenty sessions in a row, in a new order each time."""
 FAINT_SHARE, FAINTEST = 0.2, 0.4
@@ -159,7 +160,7 @@ def draw_plan(seed: int, number: int, effects: Sequence[str] = FLYING) -> Plan:
     elif kind in ("two", "three"):
         hidden = draw_together(rng, 2 if kind == "two" else 3, effects)
     rig, outliers = int(rng.integers(2**31)), bool(rng.random() < OUTLIER_SHARE)
-    small = draw_small(np.random.default_rng([seed, 4, number]), hidden, FLYING)
+    small = draw_small(np.random.default_rng([seed, 4, number]), hidden, (*CORE, *EXTENDED))
     return Plan(number, kind, hidden, rig, outliers, small, draw_wind(np.random.default_rng([seed, 5, number])))
 
 

@@ -18,8 +18,8 @@ from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
-MANOEUVRES = ("x_steps", "aggressive", "mixed")
-"""One flight each: x and turns, everything fast, and a bit of everything with a low pass."""
+MANOEUVRES = ("creep", "aggressive", "mixed")
+"""One flight each: holds and slow moves, everything fast, and a bit of everything with a low pass."""
 DURATION = 16.0
 """Of each flight [s]."""
 

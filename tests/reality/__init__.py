@@ -4,7 +4,17 @@ Nothing of vpptwin is imported and no MuJoCo: other equations, another integrato
 law (true sticking), another log writer.
 """
 
-from .effects import CORE, EFFECTS, EXTENDED, LOOK_ALIKES, draw_effect, draw_small, draw_together, measure_strength
+from .effects import (
+    COMPANIONS,
+    CORE,
+    EFFECTS,
+    EXTENDED,
+    LOOK_ALIKES,
+    draw_effect,
+    draw_small,
+    draw_together,
+    measure_strength,
+)
 from .flight import fly, fly_many
 from .gusts import Wind, draw_wind
 from .manoeuvres import MANOEUVRES
@@ -16,6 +26,7 @@ from .rig import true_size
 __all__ = [
     "ALIEN",
     "ALIEN_KINDS",
+    "COMPANIONS",
     "CORE",
     "EFFECTS",
     "EXTENDED",

@@ -71,7 +71,7 @@ EXTENDED: dict[str, dict[str, Size]] = {
 
 EFFECTS: dict[str, dict[str, Size]] = CORE | EXTENDED | ALIEN | {name: form.sizes for name, form in FORMS.items()}
 
-# Acts only where there is friction already; not in the draw.
+# Acts only where there is friction already, which is drawn with it.
 COMPANIONS: dict[str, dict[str, Size]] = {
     "rail_x.asymmetry": {"fraction": Size("1", 0.0, either_sign(0.2, 0.5))},
     "rail_z.asymmetry": {"fraction": Size("1", 0.0, either_sign(0.2, 0.5))},
@@ -90,8 +90,8 @@ LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
         "airframe.inertia gyro.scale rotor.thrust_gain rotor.stall",
         "mocap.delay clock.drift",
         "rail_x.spring carriage.mass rail_x.bias",
-        "rail_x.coulomb rail_x.stiction rail_x.jamming rail_x.tight_spot rail_x.viscous",
-        "rail_z.coulomb rail_z.stiction rail_z.jamming rail_z.viscous",
+        "rail_x.coulomb rail_x.stiction rail_x.jamming rail_x.tight_spot rail_x.viscous rail_x.asymmetry",
+        "rail_z.coulomb rail_z.stiction rail_z.jamming rail_z.viscous rail_z.asymmetry",
         "pitch.coulomb pitch.viscous rotor.inflow",
         "rotor.drag battery.sag",
     )
@@ -110,9 +110,12 @@ def draw_effect(
         least: Share of the first parameter's span, from its faint end on, that is left out.
 
     Returns:
-        {id: {parameter: value in SI}}.
+        {id: {parameter: value in SI}}; with asymmetry the friction that it acts on.
     """
     effect = among[int(rng.integers(len(among)))]
+    if effect in COMPANIONS:
+        friction = draw_effect(rng, (effect.replace("asymmetry", "coulomb"),), faint, least)
+        return friction | {effect: {name: size.draw(rng) for name, size in COMPANIONS[effect].items()}}
     (strength, first), *shape = EFFECTS[effect].items()
     size = first.draw(rng, least) if faint is None else first.draw_faint(rng, faint)
     return {effect: {strength: size} | {name: other.draw(rng) for name, other in shape}}
@@ -154,6 +157,8 @@ def draw_together(
     """
     for _ in range(DRAWS):
         chosen = [among[int(i)] for i in rng.choice(len(among), count, replace=False)]
+        if any(effect in COMPANIONS for effect in chosen):  # it is two by itself
+            continue
         if all(len(group.intersection(chosen)) < 2 for group in LOOK_ALIKES):
             return {k: v for effect in chosen for k, v in draw_effect(rng, (effect,), least=least).items()}
     raise ValueError(f"no {count} effects that can be told apart among {', '.join(among)}: name more")
@@ -161,7 +166,7 @@ def draw_together(
 
 def measure_strength(effect: str, values: Mapping[str, float]) -> float:
     """Strength of a hidden effect: 1 at the faint end of what is drawn, below 1 if fainter still."""
-    name, size = next(iter(EFFECTS[effect].items()))
+    name, size = next(iter((EFFECTS | COMPANIONS)[effect].items()))
     return size.measure_strength(values[name])
 
 

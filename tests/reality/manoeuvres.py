@@ -81,6 +81,16 @@ class Choreographer:
             self.script.nudge[self.tick : stop] = sign * angle
             self.wait(width)
 
+    def crawl(self, axis: int, speed: float, duration: float) -> None:
+        """Move the target along an axis (0 is x, 1 is z) at `speed` m/s for `duration` s, and back again."""
+        script, there = self.script, round(duration / PERIOD)
+        left = script.reference[self.tick : self.tick + 2 * there, axis]
+        path = speed * PERIOD * np.minimum(np.arange(1, 2 * there + 1), 2 * there - np.arange(1, 2 * there + 1))
+        left += path[: len(left)]
+        script.setpoint[self.tick : self.tick + 2 * there, axis] = left
+        script.velocity[self.tick : self.tick + 2 * there, axis] = np.gradient(left, PERIOD) if len(left) > 1 else 0.0
+        self.wait(2 * duration)
+
     def turn(self, angle: float, duration: float) -> None:
         """Pop up, then turn by `angle` rad in `duration` s along a minimum-jerk path; the thrust changes sign."""
         climb = round(0.22 / PERIOD)
@@ -191,6 +201,28 @@ def _mixed(duration: float, rng: np.random.Generator) -> Script:
     return plan.script
 
 
+def _creep(duration: float, rng: np.random.Generator) -> Script:
+    """Holds, slow moves that turn back, small dithers, now and then a step: where breakaway friction decides."""
+    plan = Choreographer(duration, rng, rng.uniform(-0.3, 0.3), rng.uniform(0.8, 1.4))
+    plan.wait(0.8)
+    acts = ["hold", "crawl x", "crawl z", "crawl x", "dither", "step"]
+    while plan.left > 0:
+        for act in rng.permutation(acts):
+            if act == "hold":
+                plan.wait(rng.uniform(1.2, 2.0))
+            elif act == "step":
+                side = -np.sign(plan.script.reference[plan.tick - 1, 0]) or 1.0
+                plan.go(x=side * rng.uniform(0.3, 0.8), z=rng.uniform(0.7, 1.7))
+                plan.wait(rng.uniform(1.2, 1.6))
+            elif act == "dither":
+                for _ in range(3):
+                    plan.nudge(plan.sign() * rng.uniform(0.03, 0.09), rng.uniform(0.15, 0.3))
+                    plan.wait(rng.uniform(0.1, 0.3))
+            else:
+                plan.crawl("xz".index(act[-1]), plan.sign() * rng.uniform(0.04, 0.20), rng.uniform(0.8, 1.4))
+    return plan.script
+
+
 def _act(plan: Choreographer, act: str, rng: np.random.Generator) -> None:
     if act == "inverted" and plan.left < 5.5:
         act = "steps"
@@ -229,6 +261,7 @@ MANOEUVRES: dict[str, Callable[[float, np.random.Generator], Script]] = {
     "figure": _figure,
     "flip": _flip,
     "mixed": _mixed,
+    "creep": _creep,
 }
 
 

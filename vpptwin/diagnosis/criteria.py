@@ -100,6 +100,8 @@ class Criteria:
         "2fc0d73; one of `HORIZONS_S`")
     worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
         "2fc0d73")
+    even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",
+        "tests allow no more since 85fc87b")
     block: float = by_hand(1.5, "s", "windows that count as one when errors are resampled", "e1272d1 (5 gust times)")
     most_drop: float = by_hand(4.0, "rms", "drop in surprise that a held-out window counts at most", "e1272d1")
 

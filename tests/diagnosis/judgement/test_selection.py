@@ -378,7 +378,7 @@ class StrictJudges(Judges):
         super().__init__(10.0, favour=10.0)
         self.harmful = set(harmful)
 
-    def is_worse(self, before: dict, after: dict) -> bool:
+    def is_worse(self, before: dict, after: dict, sticks: bool) -> bool:
         """Whether a harmful one is there."""
         return bool({effect for effect, _ in after} & self.harmful)
 

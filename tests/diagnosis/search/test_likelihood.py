@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
     couple_gusts,
+    follow_motion,
     gust_std,
     measure_response,
     whiten_with,
@@ -194,3 +196,18 @@ def test_the_model_beside_the_twin_is_found(tmp_path: Path) -> None:
     """The bench's rig has one simulated joint and one motor."""
     spec = load_twin(write_rig(CARTS, tmp_path))
     assert (spec.model.nv, spec.model.nu) == (1, 1)
+
+
+def test_a_track_follows_what_was_measured_and_changes_no_likelihood(bench: Bench) -> None:
+    """A cart that a gust of three times the usual pushed: found within its prior; a linear rig's odds stay the same."""
+    moved = Variation(velocity=np.array([0.02]), push=(1, 0, 3.0 * GUST))
+    pushed, shown = copy(bench), bench.predict([moved])[0]
+    pushed.__dict__["measured"] = shown
+    missed = pushed.residual({})
+    plain = couple_gusts(pushed, measure_response(pushed, {}), np.ones(1)).whiten(missed)
+    pushed.track = follow_motion(pushed, {}, np.ones(1))
+    response = measure_response(pushed, {})
+    followed = couple_gusts(pushed, response, np.ones(1)).whiten(response.restore(pushed.residual({})))
+    np.testing.assert_allclose(followed, plain, atol=1e-6 * np.abs(plain).max())
+    assert np.square(pushed.residual({}) / pushed.std).mean() < 0.5 < np.square(missed / pushed.std).mean()
+    assert np.all(np.argmax(pushed.track.push[:, :, 0], axis=1) == 1)

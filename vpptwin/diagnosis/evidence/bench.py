@@ -48,6 +48,25 @@ class Variation:
     push: tuple[int, int, float] | None = None
 
 
+@dataclass(frozen=True)
+class Track:
+    """What every simulation of K windows starts from and feels beside what its variation says.
+
+    Attributes:
+        pose: by which starting poses are moved along their tangents, (K, nv).
+        velocity: added to starting velocities, (K, nv).
+        push: force pulses, (K, segments, nv) N or N m.
+    """
+
+    pose: np.ndarray
+    velocity: np.ndarray
+    push: np.ndarray
+
+    def of(self, dofs: np.ndarray) -> Track:
+        """The part of some degrees of freedom, (nv,)."""
+        return Track(self.pose * dofs, self.velocity * dofs, self.push * dofs)
+
+
 def pick(motion: Motion, run: int) -> Motion:
     """One run of many, arrays (K, steps + 1, ...)."""
     speed = motion.rotor_speed
@@ -67,7 +86,12 @@ class Bench:
         causal: those states are estimated without looking ahead.
         progress: called with the number of simulated steps as they are done.
         criteria: thresholds of the diagnosis that works on it.
+
+    Attributes:
+        track: about which all is simulated; None for states as estimated, and no force.
     """
+
+    track: Track | None = None
 
     def __init__(
         self, spec: TwinSpec, windows: Windows, channels: Sequence[Channel], segments: int,
@@ -104,7 +128,10 @@ class Bench:
         return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(self.channels, ends)]
 
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
-        """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured."""
+        """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured.
+
+        What the track does is in the prediction; `Response.restore` takes it out again.
+        """
         return self.miss(self.predict([Variation(dict(values))], values)[0])
 
     def miss(self, predicted: np.ndarray) -> np.ndarray:
@@ -283,7 +310,7 @@ class Bench:
         zero = np.zeros(nv)
         pose = np.stack([zero if v.pose is None else v.pose for v in variations])
         velocity = np.stack([zero if v.velocity is None else v.velocity for v in variations])
-        disturbance = None
+        disturbance, moved = None, (pose[which], velocity[which])
         if any(v.push is not None for v in variations):
             pushes = np.zeros((len(variations), self.segments, nv))
             for i, variation in enumerate(variations):
@@ -291,6 +318,9 @@ class Bench:
                     segment, dof, size = variation.push
                     pushes[i, segment, dof] = size
             disturbance = pushes[which]
-        shifted = taken.shift(self.spec.model, pose[which], velocity[which])
+        if self.track is not None:
+            moved = moved[0] + self.track.pose[window], moved[1] + self.track.velocity[window]
+            disturbance = self.track.push[window] + (0.0 if disturbance is None else disturbance)
+        shifted = taken.shift(self.spec.model, *moved)
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
             return fly_windows(twin, shifted, disturbance)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +33,7 @@ from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Mis
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
+from vpptwin.diagnosis.search.likelihood import follow_motion
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import Stage as EffectStage
@@ -45,6 +48,8 @@ CONTRADICTED = (
     "may not fit all of these logs: diagnose them one by one"
 )
 
+MMAP_THRESHOLD = -3
+"""M_MMAP_THRESHOLD of malloc.h."""
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
 
 Stage = Callable[[str], None]
@@ -95,24 +100,33 @@ def diagnose(
     """
     for effect in causes or ():
         find_effect(spec.catalogue, effect)
+    return_memory()
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
         material = prepare(spec, flights, stage, progress, criteria)
         spec = material.search.bench.spec
         if causes is None:
-            selection = keep_better(material, select_causes(material.search, material.held_out, stage))
+            selection = select_causes(material.search, material.held_out, stage)
         else:
             selection = impose_causes(material.search, causes)
+        selection = replace(selection, fit=material.search.follow(selection.fit))
+        selection = keep_better(material, selection) if causes is None else selection
         return judge(spec, flights, material, selection, stage)
+
+
+def return_memory() -> None:
+    """Let glibc give arrays of megabytes back when they go: kept for later they double what a diagnosis takes."""
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 4 * 2**20)
 
 
 def keep_better(material: Material, selection: Selection) -> Selection:
     """The selection, or none of it if the twin that it makes predicts held-out log worse than the one given.
 
-    Whatever the search believed: this is what is written. Below chi² 1, the sensors' noise, nothing is worse.
+    Whatever the search believed: this is what is written.
     """
     search, held_out, fit = material.search, material.held_out, selection.fit
-    if not fit.effects or held_out.score(fit.values).chi2 <= max(held_out.score({}).chi2, 1.0):
+    if not fit.effects or not held_out.is_farther({}, fit.values, search.sticks(fit.effects)):
         return selection
     return Selection(search.start, selection.first, {}, {}, {}, selection.left_out | fit.effects)
 
@@ -144,7 +158,10 @@ def prepare(
     split = split_flights(measurements, window, judges, spec.robot.is_short)
     stage("linearising the twin about the flights")
     fitted = thin_out(spec, split.fitted)
-    search = Search(build_bench(spec, measurements, fitted, window, False, progress, criteria), unknowns)
+    bench = build_bench(spec, measurements, fitted, window, False, progress, criteria)
+    if not bench.guessed:
+        bench.track = follow_motion(bench, {}).of(spec.robot.rotary)
+    search = Search(bench, unknowns)
     return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress, criteria))
 
 
@@ -179,6 +196,9 @@ def open_held_out(
     """Benches of the held-out windows."""
     window = spec.robot.window
     short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
+    if not short.guessed:
+        found = follow_motion(short, {})
+        short.track = replace(found, push=found.push * spec.robot.rotary)
     long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
     return HeldOut(short, long)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
@@ -18,6 +19,7 @@ from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
     couple_gusts,
+    follow_motion,
     measure_response,
     whiten_with,
 )
@@ -59,6 +61,9 @@ class HeldOut:
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
         self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
         self._errors: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._plain = copy(short)
+        self._plain.track = None
+        self._tracks: dict[frozenset[tuple[Key, float]], tuple[Response, np.ndarray]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -89,16 +94,27 @@ class HeldOut:
                 the fit's own: a real slider slips a little earlier or later than the twin's.
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
-        residual, found = self.residual(fit.likeliest), []
-        loose = self.short.loosen(fit.values)
-        for values in (loose, fit.values) if sticks else (loose,):
-            likelihood = self.likelihood(values, fit.likelihood.gust if gust is None else gust)
-            square = (likelihood.whiten(residual) ** 2).sum(axis=1) / fit.frame.scale
+        gust, found = fit.likelihood.gust if gust is None else gust, []
+        loose = self.response(self.short.loosen(fit.values)), self.residual(fit.likeliest)
+        for response, missed in (loose, self.follow(fit)) if sticks else (loose,):
+            likelihood = couple_gusts(self.short, response, gust)
+            square = (likelihood.whiten(response.restore(missed)) ** 2).sum(axis=1) / fit.frame.scale
             usual = fit.frame.criteria.usual_misfit * float(np.median(square))
             # As in the fit, a window that goes astray must not outvote the others.
             square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
             found.append(square + likelihood.logdet)
         return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+
+    def follow(self, fit: Fit) -> tuple[Response, np.ndarray]:
+        """Response and residual of a fit's twin about the motion that is likeliest with it."""
+        key = frozenset(fit.likeliest.items())
+        if self.short.track is None:
+            return self.response(fit.values), self.residual(fit.likeliest)
+        if key not in self._tracks:
+            bench = copy(self.short)
+            bench.track = follow_motion(bench, fit.likeliest, fit.likelihood.gust)
+            self._tracks[key] = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest)
+        return self._tracks[key]
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise from one fit to another and its standard error.
@@ -128,9 +144,16 @@ class HeldOut:
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
         return any(bool(np.any(mean - error > np.log1p(self.criteria.worse))) for mean, error in grown)
 
-    def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+    def is_worse(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
         """Whether a twin with `after` predicts worse than one with `before`: nearby, or altogether."""
-        return self.worsens(before, after) or self.chi2(after) > max(self.chi2(before), 1.0)
+        return self.worsens(before, after) or self.is_farther(before, after, sticks)
+
+    def is_farther(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
+        """Whether a twin with `after` has the larger chi²; below 1, the sensors' noise, none is.
+
+        Where it sticks, when a slider slips that another twin lets glide makes chi² up to `even` larger by chance.
+        """
+        return self.chi2(after) > max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0)
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`."""
@@ -197,7 +220,7 @@ class HeldOut:
         pose, free = self._pose, self.short.windows.free_dofs
         valid = self.short.valid[:, pose]
         noise = self.short.std[:, pose]
-        residual, found = self.residual(values)[:, pose], []
+        residual, found = self._plain.residual(values)[:, pose], []
         # What sticks leaves a wrong starting state no way out; a real slider yields.
         for response in (self.response(self.short.loosen(values)), self.response(values)):
             state = response.state[:, pose] * response.state_std

@@ -28,12 +28,19 @@ class Part:
     Attributes:
         bench: K windows.
         response: of the twin to starting states and pulses.
-        residual: (K, M), build tolerances taken out.
+        missed: by the twin, (K, M), build tolerances taken out.
+        felt: whether pulses could have moved their joints, (K, segments, nv).
     """
 
     bench: Bench
     response: Response
-    residual: np.ndarray
+    missed: np.ndarray
+    felt: np.ndarray | None = None
+
+    @property
+    def residual(self) -> np.ndarray:
+        """What a twin without the bench's track would have missed, (K, M)."""
+        return self.response.restore(self.missed)
 
     def square_of_force(self, gust: np.ndarray) -> float:
         """Mean square of the innovations of unmodelled force, under gusts `gust` times as strong as assumed, (nv,)."""
@@ -85,14 +92,18 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
     looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
     blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
-    parts = [
-        with_looser_response(Part(search.bench, fit.likelihood.response, fitted), looser, blew),
-        with_looser_response(
-            Part(held_out.short, held_out.response(fit.values), judged),
-            held_out.response(held_out.short.loosen(fit.values)),
-            blew,
-        ),
+    own = held_out.response(fit.values)
+    choices = [
+        [Part(search.bench, response, fitted) for response in (looser, fit.likelihood.response)],
+        [
+            Part(held_out.short, response, judged)
+            for response in (held_out.response(held_out.short.loosen(fit.values)), own)
+        ],
     ]
+    if search.bench.track is None:  # what sticks in a twin may yield: judged is the one that leaves less to explain
+        parts = [min(choice, key=lambda part: part.square_of_force(blew)) for choice in choices]
+    else:  # the twin slips when the rig did
+        parts = [replace(loose, felt=feel(loose, sticking)) for loose, sticking in choices]
     before = [
         Part(search.bench, search.start.likelihood.response, search.start.about.missed),
         Part(held_out.short, held_out.response({}), held_out.residual({})),
@@ -137,6 +148,12 @@ def judge_weather(
     return Leftover(Unexplained(True, kept, channel, names if follows else [], sigma if follows else 0.0), plot)
 
 
+def feel(loose: Part, sticking: Part) -> np.ndarray:
+    """Whether pulses move their joints in a twin that sticks at least half as far as if it did not."""
+    far = [np.square(part.response.push / part.bench.std[..., None]).sum(axis=1) for part in (loose, sticking)]
+    return (far[1] > 0.25 * far[0]).reshape(len(far[0]), loose.bench.segments, -1)
+
+
 def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
     """The missing force of windows in parts, with what it may follow, the ways that joints have come among it.
 
@@ -149,7 +166,10 @@ def lay_out(parts: Sequence[Part], values: Mapping[Key, float]) -> Missing:
     for label in [label for label in quantities if " position [" in label]:
         way = leave_behind(quantities[label], time, flight, parts[0].bench.spec.robot.disturbance.memory)
         quantities[label.replace("position", "way from where it was")] = way
-    return Missing(join([part.missing_force() for part in parts]), time, flight, quantities)
+    felt = [part.felt for part in parts if part.felt is not None]
+    return Missing(
+        join([part.missing_force() for part in parts]), time, flight, quantities, join(felt) if felt else None
+    )
 
 
 def commands_at_start(bench: Bench) -> dict[str, np.ndarray]:
@@ -168,11 +188,6 @@ def clip_astray(squares: np.ndarray, flights: np.ndarray, times: float) -> np.nd
     """Squares of windows, (K,), none above so many times the median of its flight: early slips are no effect."""
     most = {flight: times * float(np.median(squares[flights == flight])) for flight in np.unique(flights)}
     return np.minimum(squares, [most[flight] for flight in flights])
-
-
-def with_looser_response(part: Part, response: Response, gust: np.ndarray) -> Part:
-    """The part, or the same under another response that leaves less to explain: what sticks in a twin may yield."""
-    return min(part, replace(part, response=response), key=lambda p: p.square_of_force(gust))
 
 
 def share_left(held_out: HeldOut, fit: Fit) -> float:

@@ -62,11 +62,11 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         step, accepted = accept_cause(search, held_out, step, earlier_drops)
         if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
             best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(search.refine(search.reframe(best)))
+            fit = search.drop_superfluous(settle(search, best))
             # What made way does not come back, nor what did not last: it would be taken in again and again.
             barred |= (step.before.effects | {accepted}) - fit.effects
             continue
-        if fit.effects and held_out.is_worse({}, fit.values):
+        if fit.effects and held_out.is_worse({}, fit.values, search.sticks(fit.effects)):
             lesser = drop_harmful(search, held_out, fit)
             left_out |= fit.effects - lesser.effects
             barred, fit = barred | left_out, lesser
@@ -80,7 +80,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
         other = exchange_causes(search, held_out, fit, barred, stage) if better is None else None
         if other is not None and steps + swaps < criteria.most_steps:
-            fit, swaps = search.drop_superfluous(search.refine(search.reframe(other))), swaps + 1
+            fit, swaps = search.drop_superfluous(settle(search, other)), swaps + 1
             continue
         if better is None:
             rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
@@ -92,8 +92,14 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         if trusts_errors(search):  # what they voted out does not come back on evidence
             barred |= {cause}
         earlier_drops[rival] = earlier_drops.get(cause, 0.0)
-        fit = search.drop_superfluous(search.refine(search.reframe(replaced[cause].tried[rival])))
+        fit = search.drop_superfluous(settle(search, replaced[cause].tried[rival]))
         swaps += 1
+
+
+def settle(search: Search, fit: Fit) -> Fit:
+    """A fit in a frame of its own; several laws of friction from many places, unless motion is followed in the end."""
+    framed = search.reframe(fit)
+    return search.refine(framed) if search.bench.track is None else framed
 
 
 def impose_causes(search: Search, effects: Sequence[str]) -> Selection:

@@ -154,15 +154,21 @@ class Missing:
         time: of the pulses, on their flight's clock [s].
         flight: that they belong to.
         quantities: label → (n,).
+        felt: whether each could have moved its joint, (n, nv); what sticks tells nothing of the force on it.
     """
 
     force: np.ndarray
     time: np.ndarray
     flight: np.ndarray
     quantities: Mapping[str, np.ndarray]
+    felt: np.ndarray | None = None
 
     def inspect(self, dof: int, criteria: Criteria) -> Push:
         """How the force on one joint is."""
+        if self.felt is not None and not self.felt[:, dof].all():
+            rows = np.flatnonzero(self.felt[:, dof])
+            quantities = {label: quantity[rows] for label, quantity in self.quantities.items()}
+            return Missing(self.force[rows], self.time[rows], self.flight[rows], quantities).inspect(dof, criteria)
         force = self.force[:, dof]
         block = np.floor(self.time / criteria.block) + FAR * self.flight
         fold = np.unique(block, return_inverse=True)[1] % FOLDS

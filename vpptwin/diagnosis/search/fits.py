@@ -212,7 +212,7 @@ class Fitter:
     def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:
         """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
         deviation = self._tolerate(about, effects).deviation
-        left = about.missed - np.einsum("p,pkm->km", deviation, about.slopes)
+        left = response.restore(about.missed) - np.einsum("p,pkm->km", deviation, about.slopes)
         return couple_gusts(self.bench, response, tune_gust(self.bench, response, left, about.frame.scale))
 
     def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:

@@ -33,6 +33,10 @@ class Frame:
             return np.empty((0, self.weight.size))
         return likelihood.whiten(raw).reshape(len(raw), -1) * self.weight
 
+    def whiten_missed(self, raw: np.ndarray, likelihood: Likelihood) -> np.ndarray:
+        """The same of what twins missed, (V, K, M), whatever track the windows were simulated about."""
+        return self.whiten(likelihood.response.restore(raw), likelihood)
+
 
 @dataclass(frozen=True)
 class Linearisation:
@@ -81,7 +85,7 @@ class Linearisation:
         """About another point: derivatives by the unknowns `wanted` anew, (n, K, M); the others, and trials, stay."""
         moved, columns = self.slopes.copy(), self.columns.copy()
         moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
-        residual = self.frame.whiten(missed[None], self.likelihood)[0]
+        residual = self.frame.whiten_missed(missed[None], self.likelihood)[0]
         return replace(self, at=at, slopes=moved, missed=missed, columns=columns, residual=residual)
 
 
@@ -92,8 +96,9 @@ Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Linearisation:
     """A linearisation from its derivatives."""
     at, slopes, missed, trials = derivatives
-    columns, residual, tried = (frame.whiten(rows, likelihood) for rows in (slopes, missed[None], trials))
-    return Linearisation(frame, likelihood, at, slopes, missed, trials, columns, residual[0], tried)
+    columns, tried = (frame.whiten(rows, likelihood) for rows in (slopes, trials))
+    residual = frame.whiten_missed(missed[None], likelihood)[0]
+    return Linearisation(frame, likelihood, at, slopes, missed, trials, columns, residual, tried)
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray, times: float) -> np.ndarray:

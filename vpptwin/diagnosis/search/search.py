@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -11,6 +12,8 @@ from scipy.stats.qmc import LatinHypercube
 
 from vpptwin.diagnosis.evidence.bench import Key, Variation
 from vpptwin.diagnosis.search.fits import ITERATIONS, Fit, Fitter, find_cheapest
+from vpptwin.diagnosis.search.likelihood import follow_motion
+from vpptwin.diagnosis.search.responses import Responses
 from vpptwin.diagnosis.search.shortlist import Start, advance, rank_effects, rank_trials, start_from_look_alikes
 from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import SIZES
@@ -21,6 +24,8 @@ LOWER = 4.0
 SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
 """Places that a scan simulates, the factors up and down by which shapes, and all around a fit, differ there, and how
 often a fit is refined."""
+FOLLOWED = 2
+"""Times that motion and parameters of what sticks are fitted in turn in the end."""
 LONG, BRIEF = 3, 2
 """A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
 
@@ -174,13 +179,26 @@ class Search(Fitter):
     def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
         """The two of many places that miss least under a fit's likelihood."""
         predicted = self.bench.predict([Variation(values) for values in tried], fit.values)
-        cost = (fit.about.frame.whiten(self.bench.miss(predicted), fit.about.likelihood) ** 2).sum(axis=1)
+        cost = (fit.frame.whiten_missed(self.bench.miss(predicted), fit.likelihood) ** 2).sum(axis=1)
         return [tried[i] for i in np.argsort(cost)[:2]]
+
+    def follow(self, fit: Fit) -> Fit:
+        """A fit with the parameters that it has about the motion that is likeliest with it; as it is if nothing sticks.
+
+        About another's motion a twin that sticks slips when the rig did not, and the fit makes it stick less.
+        """
+        here, other = fit, copy(self)
+        for _ in range(FOLLOWED if self.sticks(fit.effects) and self.bench.track is not None else 0):
+            other.bench, other._derivatives = copy(other.bench), {}
+            other.bench.track = follow_motion(other.bench, here.values, here.likelihood.gust)
+            other.responses = Responses(other.bench)
+            here = other.refine(other.reframe(here))
+        return replace(fit, values=here.values, std=here.std)
 
     def refine(self, fit: Fit) -> Fit:
         """A fit with several laws of dry friction, or one with a shape, from the best of many places around it."""
         own = [u for u in self.unknowns if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION]
-        if not self.bench.guessed or len(own) < 2:
+        if len(own) < 2:
             return fit
         for _ in range(REFINED):
             places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
