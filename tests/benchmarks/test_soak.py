@@ -43,7 +43,9 @@ def test_commands_that_end_badly_are_told(
     (tmp_path / "out").mkdir()
     (tmp_path / "vpptwin").mkdir()
     (tmp_path / "vpptwin" / "__init__.py").touch()
-    (tmp_path / "vpptwin" / "cli.py").write_text(f"import sys\nprint({said!r}, file=sys.stderr)\nsys.exit({code})\n")
+    (tmp_path / "vpptwin" / "__main__.py").write_text(
+        f"import sys\nprint({said!r}, file=sys.stderr)\nsys.exit({code})\n"
+    )
     monkeypatch.setattr(soak, "ROOT", tmp_path)
     monkeypatch.setattr(soak, "draw_command", lambda rng, folder: ["fly"])
     _, problems = soak.run_one(np.random.default_rng(1), tmp_path)  # which is not killed
