@@ -9,10 +9,12 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from types import FrameType
 from typing import NoReturn
 
+from vpptwin.errors import InputError
 from vpptwin.files import discard_all
 
 AGAIN = 1.0
@@ -22,12 +24,12 @@ PATIENCE = 3.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def end(number: int) -> NoReturn:
-    """End the process at once for a signal, without drafts left behind."""
+def end(code: int, line: str = "stopped") -> NoReturn:
+    """End the process at once, without drafts left behind."""
     discard_all()
     with contextlib.suppress(OSError):
-        os.write(2, b"vpptwin: stopped\n")
-    os._exit(128 + number)
+        os.write(2, f"vpptwin: {line}\n".encode())
+    os._exit(code)
 
 
 @contextlib.contextmanager
@@ -36,12 +38,13 @@ def heed_signals() -> Iterator[list[int]]:
 
     Where that would lead nowhere they end the process: while modules are imported, as libraries take what interrupts
     them for an error of their own; in finalizers, where Python prints and forgets it; in code that does not come back.
+    So does what compiled code raises, which Python would print and forget too.
     """
     heard: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield heard
         return
-    last, done = -math.inf, threading.Event()
+    last, done, crashed = -math.inf, threading.Event(), threading.Lock()
     reader, writer = os.pipe()
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -49,7 +52,7 @@ def heed_signals() -> Iterator[list[int]]:
         before, last = last, time.monotonic()
         if last > before + AGAIN:
             if is_importing(frame):
-                end(number)
+                end(128 + number)
             heard.append(number)
             raise KeyboardInterrupt
 
@@ -57,11 +60,14 @@ def heed_signals() -> Iterator[list[int]]:
         while number := os.read(reader, 1):
             came = time.monotonic()
             if not done.wait(PATIENCE) and last < came - AGAIN:
-                end(number[0])
+                end(128 + number[0])
 
     def forget(lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt) and heard:
-            end(heard[0])
+            end(128 + heard[0])
+        if "numba" in str(lost.object):  # an effect of the user's own has raised in mid-flight: what follows is wrong
+            with crashed:
+                end(2, str(explain_crash(lost)))
         hook(lost)
 
     os.set_blocking(writer, False)
@@ -82,6 +88,14 @@ def heed_signals() -> Iterator[list[int]]:
         os.close(writer)
         watcher.join()
         os.close(reader)
+
+
+def explain_crash(lost: sys.UnraisableHookArgs) -> InputError:
+    """What compiled code raised that cannot raise, and where."""
+    places = traceback.extract_tb(lost.exc_traceback)
+    place = f"{places[-1].filename}:{places[-1].lineno}: " if places else ""
+    found = f"{place}{lost.exc_type.__name__}: {lost.exc_value}"
+    return InputError(found, "an effect that returns numbers wherever a simulation gets to", "correct it")
 
 
 def is_importing(frame: FrameType | None) -> bool:
