@@ -56,8 +56,8 @@ WRITING = {
     "layouts": ["layouts", "out/layouts"],
 }
 """Commands that write, on one of two inputs."""
-MOMENT = re.compile(rb"20\d\d-\d\d-\d\d[T ][\d:.+Z-]*")
-"""A date."""
+MOMENT = re.compile(rb'20\d\d-\d\d-\d\d[T ][\d:.+Z-]*|<script id="commands".*?</script>', re.DOTALL)
+"""A date, or a scene with meshcat's random ids: what differs from run to run of one command."""
 INPUTS = ({"LOG": "flip", "SEED": "1", "TWIN": "nominal"}, {"LOG": "steps", "SEED": "2", "TWIN": "typical"})
 
 
@@ -165,17 +165,26 @@ def finish(child: subprocess.Popen[bytes], folder: Path, kill: Kill | None = Non
         ended.problems.append(f"exit code {ended.code}: {said[-500:]}")
     if any(ord(c) < 32 and c not in "\n\r\t" for c in said):
         ended.problems.append(f"control characters: {said!r}")
-    for process in psutil.process_iter(["pid"]):
-        try:
-            if os.getsid(process.pid) == child.pid and process.status() != psutil.STATUS_ZOMBIE:
-                ended.problems.append(f"left running: {process.cmdline()}")
-                process.kill()
-        except (psutil.Error, OSError):
-            continue
+    until = time.monotonic() + 3.0
+    while (left := list_session(child.pid)) and time.monotonic() < until:
+        time.sleep(0.05)  # Python's tracker of shared memory ends when it notices
+    for process in left:
+        ended.problems.append(f"left running: {process.cmdline()}")
+        process.kill()
     if kill is not None and kill.how == signal.SIGKILL:  # which nothing can clean up after
         for path in (folder / "out").rglob(".vpptwin.*"):
             shutil.rmtree(path)
     return ended
+
+
+def list_session(leader: int) -> list[psutil.Process]:
+    """The processes of a session that are still there."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error, OSError):
+            if os.getsid(process.pid) == leader and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
 
 
 def run_one(rng: np.random.Generator, folder: Path) -> tuple[str, list[str]]:
@@ -196,7 +205,7 @@ def fill(name: str, which: int) -> list[str]:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """Every file below, without what differs from run to run of one command: dates and random ids."""
+    """Every file below, without `MOMENT`."""
     files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     return {name: MOMENT.sub(b"", content) for name, content in files.items()}
 

@@ -13,6 +13,7 @@ from typing import NoReturn
 
 from vpptwin import __version__, commands
 from vpptwin.errors import InputError
+from vpptwin.files import discard_all
 from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
 from vpptwin.trust import EVERY, trust
@@ -54,6 +55,7 @@ def guard(action: Callable[[], object]) -> int:
             sys.stdout.flush()
         except BaseException as error:
             if heard or isinstance(error, KeyboardInterrupt):  # whatever a library made of it
+                discard_all()  # where tidying up was what it interrupted
                 say("stopped")
                 return 128 + (heard or [SIGINT])[0]
             if isinstance(error, BrokenPipeError):
