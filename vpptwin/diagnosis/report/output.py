@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
-from errno import EISDIR
 from pathlib import Path
 
 from vpptwin.errors import InputError
@@ -39,12 +37,10 @@ def check_target(path: Path) -> None:
     """Refuse a --json that cannot be written, before the work rather than after it."""
     if path == STDOUT:
         return
-    probe = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        if path.is_dir():
-            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
-        probe.touch()
-        probe.unlink()
+        path.parent.stat()  # which is not made for it
+        with replace_files(path.parent, [path.name]):
+            pass
     except OSError as error:
         found = f"cannot write --json {path} ({error.strerror or error})"
         raise InputError(found, "a file in an existing folder, or - for stdout", "choose another") from error
