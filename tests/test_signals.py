@@ -74,6 +74,13 @@ def test_a_signal_is_one_line_wherever_it_comes(tmp_path: Path, how: signal.Sign
     assert finish(start(tmp_path, "effects", "--effects", "own.py")) == (128 + how, STOPPED)
 
 
+def test_the_line_is_one_of_its_own_behind_a_bar(tmp_path: Path) -> None:
+    """Where the process ends at once nobody closes the bar."""
+    (tmp_path / "slow.py").write_text("import os\nos.kill(os.getpid(), 2)\n")
+    (tmp_path / "own.py").write_text("import sys\nprint('\\rbar', end='', file=sys.stderr)\nimport slow\n")
+    assert finish(start(tmp_path, "effects", "--effects", "own.py")) == (130, f"\nbar\n{STOPPED}")
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
     """A diagnosis that is stopped in mid-search: its folder, which it made, is gone."""
@@ -83,7 +90,7 @@ def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
     child.send_signal(how)  # the same impatience
     code, said = finish(child)
     assert code == 128 + how
-    assert said.endswith(STOPPED)
+    assert said.splitlines(keepends=True)[-1] == STOPPED
     assert "Traceback" not in said
     assert list(tmp_path.iterdir()) == []
 

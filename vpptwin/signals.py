@@ -27,8 +27,9 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def end(code: int, line: str = "stopped") -> NoReturn:
     """End the process at once, without drafts left behind."""
     discard_all()
+    begin = "\n" if getattr(sys.stderr, "midline", False) else ""
     with contextlib.suppress(OSError):
-        os.write(2, f"vpptwin: {line}\n".encode())
+        os.write(2, f"{begin}vpptwin: {line}\n".encode())
     os._exit(code)
 
 

@@ -18,10 +18,15 @@ OWN = re.compile(r"(\x1b\[(?:[0-3];?)+m|[\n\t])")
 
 
 class Screen:
-    """A text stream that shows control characters instead of obeying them, and what its encoding lacks as escapes."""
+    """A text stream that shows control characters instead of obeying them, and what its encoding lacks as escapes.
+
+    Attributes:
+        midline: whether what was written last, such as a progress bar, waits for the end of its line.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self.midline = False
 
     def write(self, text: str) -> int:
         """Write it; a carriage return leads what a progress bar draws."""
@@ -30,6 +35,7 @@ class Screen:
         if not rest.isprintable():
             rest = "".join(part if i % 2 else escape_text(part) for i, part in enumerate(OWN.split(rest)))
         encoding = self._stream.encoding or "utf-8"
+        self.midline = not text.endswith(("\n", "\r")) if text else self.midline
         self._stream.write(lead + rest.encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
 
