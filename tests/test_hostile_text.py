@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import io
 import json
+import os
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -101,6 +102,24 @@ def test_names_that_cannot_be_shown_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_twin(tmp_path / "twin.yaml")
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("name", [b"a\xff.mcap", b"a\x1b[31m.mcap", b"a\n.mcap"])
+def test_logs_whose_names_cannot_be_shown_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: bytes
+) -> None:
+    """Not in UTF-8, or with escapes: as an argument, and in a folder."""
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / os.fsdecode(name)
+    log.write_bytes(FLIP.read_bytes())
+    for given in (str(log), "."):
+        for arguments in (["plot", given, "--out", "a.svg"], ["play", given, "--html", "a.html"], ["compare", given]):
+            assert main(arguments) == 2
+            out, err = capsys.readouterr()
+            assert out == ""
+            assert err.count("\n") == 1
+            assert "expected one in UTF-8 without control characters; rename it" in err
+    assert [path.name for path in tmp_path.iterdir()] == [log.name]
 
 
 def test_a_terminal_is_not_steered(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from signal import SIGINT
 from typing import NoReturn
 
 from vpptwin import __version__, commands
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, check_name
 from vpptwin.files import discard_all
 from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
@@ -44,7 +44,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with show_plainly():
         options = parser.parse_args(given)
     trust([EVERY] if getattr(options, "trust", False) else getattr(options, "effects", ()))
-    return guard(lambda: options.run(options))
+    return guard(lambda: run(options, given))
+
+
+def run(options: argparse.Namespace, given: Sequence[str]) -> None:
+    """Run what was asked for, if its words can be shown."""
+    for word in given:
+        check_name(word)
+    options.run(options)
 
 
 def guard(action: Callable[[], object]) -> int:
