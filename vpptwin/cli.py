@@ -79,8 +79,9 @@ def guard(action: Callable[[], object]) -> int:
 
 def say(text: str) -> None:
     """A line on stderr, if there is anything behind it."""
+    begin = "\n" if getattr(sys.stderr, "midline", False) else ""  # a bar that was not closed
     with suppress(OSError):
-        print(f"vpptwin: {text}", file=sys.stderr)
+        print(f"{begin}vpptwin: {text}", file=sys.stderr)
 
 
 def explain(error: BaseException) -> InputError | None:
