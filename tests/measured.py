@@ -36,7 +36,7 @@ class Cost:
 def run_measured(*arguments: object, folder: Path, extra: Mapping[str, str] | None = None) -> Cost:
     """Run `vpptwin ARGUMENTS` in a folder, where its output stays out of the way."""
     out, err = folder / ".out", folder / ".err"
-    command = [sys.executable, "-m", "vpptwin.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "vpptwin", *map(str, arguments)]
     began = time.perf_counter()
     with out.open("w") as to_out, err.open("w") as to_err:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **(extra or {})}

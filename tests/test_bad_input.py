@@ -64,7 +64,7 @@ class Refusals:
     def check_process(self, *arguments: object, parts: Sequence[str]) -> None:
         """Run a command as a user does, from another folder."""
         before = list_files(self.folder)
-        command = [sys.executable, "-m", "vpptwin.cli", *map(str, arguments)]
+        command = [sys.executable, "-m", "vpptwin", *map(str, arguments)]
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(command, capture_output=True, text=True, cwd=self.folder, env=environment)
         assert done.returncode == 2, done.stderr

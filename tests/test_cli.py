@@ -48,7 +48,7 @@ class Run:
 def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The demo flights diagnosed once, as a user does, into a folder that does not exist."""
     out = tmp_path_factory.mktemp("demo") / "new" / "out"
-    command = [sys.executable, "-m", "vpptwin.cli", "diagnose", *DIAGNOSED, "--twin", "nominal", "--out", str(out)]
+    command = [sys.executable, "-m", "vpptwin", "diagnose", *DIAGNOSED, "--twin", "nominal", "--out", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env={**os.environ, "COLUMNS": "160"})
     assert done.returncode == 0, done.stderr
     return Run(out, done.stdout, done.stderr)

@@ -6,11 +6,16 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from signal import SIGINT
 from typing import NoReturn
 
 from vpptwin import __version__, commands
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, check_name
+from vpptwin.files import discard_all
+from vpptwin.signals import heed_signals
+from vpptwin.terminal import show_plainly
 from vpptwin.trust import EVERY, trust
 
 
@@ -27,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Returns:
-        Exit code: 0, or 2 with one line on stderr for bad input.
+        Exit code: 0, 2 with one line on stderr for bad input, or 130 and the like with one for a signal.
     """
     parser = build_parser()
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -36,35 +41,57 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if "--trust" in given:
             trust()
         return guard(lambda: commands.run_train([word for word in given[1:] if word != "--trust"]))
-    options = parser.parse_args(given)
+    with show_plainly():
+        options = parser.parse_args(given)
     trust([EVERY] if getattr(options, "trust", False) else getattr(options, "effects", ()))
-    return guard(lambda: options.run(options))
+    return guard(lambda: run(options, given))
+
+
+def run(options: argparse.Namespace, given: Sequence[str]) -> None:
+    """Run what was asked for, if its words can be shown."""
+    for word in given:
+        check_name(word)
+    options.run(options)
 
 
 def guard(action: Callable[[], object]) -> int:
-    """Run an action; bad input becomes one line on stderr and exit code 2."""
-    try:
-        action()
-    except InputError as error:
-        print(f"vpptwin: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        # The reader (head, less) went away; Python would complain again while closing stdout.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        # What no check foresaw: a full disk, a drive that went away.
-        where = f"{error.filename}: " if error.filename else ""
-        problem = InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
-        print(f"vpptwin: {problem}", file=sys.stderr)
-        return 2
-    except MemoryError:
-        problem = InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
-        print(f"vpptwin: {problem}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("vpptwin: stopped", file=sys.stderr)
-        return 130
+    """Run an action; bad input becomes one line on stderr and exit code 2, a signal one line and its code."""
+    with show_plainly(), heed_signals() as heard:
+        try:
+            action()
+            sys.stdout.flush()
+        except BaseException as error:
+            if heard or isinstance(error, KeyboardInterrupt):  # whatever a library made of it
+                discard_all()  # where tidying up was what it interrupted
+                say("stopped")
+                return 128 + (heard or [SIGINT])[0]
+            if isinstance(error, BrokenPipeError):
+                # The reader (head, less) went away; Python would complain again while closing stdout.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return 0
+            problem = explain(error)
+            if problem is None:
+                raise
+            say(str(problem))
+            return 2
     return 0
+
+
+def say(text: str) -> None:
+    """A line on stderr, if there is anything behind it."""
+    begin = "\n" if getattr(sys.stderr, "midline", False) else ""  # a bar that was not closed
+    with suppress(OSError):
+        print(f"{begin}vpptwin: {text}", file=sys.stderr)
+
+
+def explain(error: BaseException) -> InputError | None:
+    """What was wrong with the input, or the machine; None for a mistake of ours."""
+    if isinstance(error, OSError):  # what no check foresaw: a full disk, a drive that went away
+        where = f"{error.filename}: " if error.filename else ""
+        return InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
+    if isinstance(error, MemoryError):
+        return InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
+    return error if isinstance(error, InputError) else None
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unicodedata import category
+
 LONGEST = 1000
 """Characters shown of each part of a message, which may quote what a file holds."""
 
@@ -11,6 +13,16 @@ def escape_text(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def check_name(name: str) -> None:
+    """Refuse a file's name that no page, picture or JSON can hold.
+
+    Raises:
+        InputError: if it has control characters, or is not in UTF-8.
+    """
+    if any(category(c) in ("Cc", "Cs") for c in name):
+        raise InputError(f"the name {name!r}", "one in UTF-8 without control characters", "rename it")
 
 
 class InputError(ValueError):

@@ -1,42 +1,137 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and several of them together."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from contextlib import suppress
+import shutil
+import time
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from errno import EEXIST, EISDIR
+from fcntl import LOCK_EX, flock
 from pathlib import Path
+from secrets import token_hex
 
 from vpptwin.errors import InputError
 
+DRAFTS = ".vpptwin."
+"""How names of folders of drafts begin."""
+LEFT = 86_400.0
+"""Drafts that nobody has touched for so long [s] are those of a run that was killed."""
+_staged: dict[Path, list[Path]] = {}  # of this process: drafts → folders that were made for them
 
-def write_whole(path: Path, content: str | bytes) -> Path:
-    """Write beside the file's place and move it there; one that was there stays if anything fails.
+
+@contextmanager
+def replace_files(folder: Path, names: Collection[str], stale: Collection[str] = ()) -> Iterator[Path]:
+    """A hidden folder inside `folder` to write files into; when the block ends they take the place of the old ones.
+
+    Whatever goes wrong (an exception, a full disk, Ctrl-C), the old files stay, and folders made for the new ones go.
+    Two processes that write into one folder do so one after the other.
 
     Args:
-        path: the file; folders are made if need be.
-        content: text is written as UTF-8.
-
-    Returns:
-        `path`.
+        folder: made if need be.
+        names: files that will be written.
+        stale: files of before that go when the new ones come.
 
     Raises:
-        InputError: if it cannot be written.
+        OSError: if the folder cannot be written to, or a name is taken by something that is no file.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    drafts = folder / f"{DRAFTS}{token_hex(6)}"
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    _staged[drafts] = made
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_bytes(content.encode() if isinstance(content, str) else content)
-        os.replace(draft, path)
-    except BaseException as error:
-        with suppress(OSError):  # where its folder is none, so is the draft
-            draft.unlink()
-        if isinstance(error, OSError):
-            found = f"cannot write {path} ({error.strerror})"
-            raise InputError(found, "a writable path", "choose another") from error
-        raise
-    return path
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in (folder / name for name in names):
+            if path.exists() and not path.is_file():
+                number = EISDIR if path.is_dir() else EEXIST
+                raise OSError(number, "is a folder" if path.is_dir() else "is no file", str(path))
+        for left in folder.glob(f"{DRAFTS}*"):
+            with suppress(OSError):
+                if time.time() > left.stat().st_mtime + LEFT:
+                    shutil.rmtree(left)
+        drafts.mkdir()
+        yield drafts
+        exchange(drafts, folder, stale)
+        made.clear()
+    finally:
+        discard(drafts)
+
+
+def discard(drafts: Path) -> None:
+    """Remove a folder of drafts, and the folders that were made for it."""
+    shutil.rmtree(drafts, ignore_errors=True)
+    for folder in _staged.pop(drafts, ()):
+        with suppress(OSError):  # where something lies in it, it stays
+            folder.rmdir()
+
+
+def discard_all() -> None:
+    """Remove all drafts of this process, which is about to end."""
+    for drafts in list(_staged):
+        discard(drafts)
+
+
+def exchange(drafts: Path, folder: Path, stale: Collection[str]) -> None:
+    """Move files from `drafts` to `folder`, and put the old ones back if it fails midway.
+
+    An old file stays in its place until the moment in which the new one takes it: `kill -9` loses none.
+    """
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # some network drives lock no folders
+            flock(held, LOCK_EX)
+        fresh = [file.name for file in drafts.iterdir()]
+        existed = {name for name in {*fresh, *stale} if (folder / name).is_file()}
+        old = drafts / "old"
+        old.mkdir()
+        for name in existed:
+            try:
+                os.link(folder / name, old / name)
+            except OSError:  # a file system without links
+                shutil.copy2(folder / name, old / name)
+        try:
+            for name in fresh:
+                os.replace(drafts / name, folder / name)
+            for name in existed.difference(fresh):
+                (folder / name).unlink()
+        except BaseException:
+            for file in old.iterdir():
+                os.replace(file, folder / file.name)
+            for name in set(fresh) - existed:
+                (folder / name).unlink(missing_ok=True)
+            raise
+    finally:
+        os.close(held)
+
+
+def write_whole(path: Path, content: str | bytes) -> Path:
+    """Write a file and return its path; see `write_files`."""
+    return write_files({path: content})[0]
+
+
+def write_files(contents: Mapping[Path, str | bytes]) -> list[Path]:
+    """Write files that lie in one folder, all or none; what was there stays if anything fails.
+
+    Args:
+        contents: by path; folders are made if need be, text is written as UTF-8.
+
+    Returns:
+        The paths.
+
+    Raises:
+        InputError: if they cannot be written.
+    """
+    paths = list(contents)
+    try:
+        with replace_files(paths[0].parent, [path.name for path in paths]) as drafts:
+            for path, content in contents.items():
+                (drafts / path.name).write_bytes(content.encode() if isinstance(content, str) else content)
+    except OSError as error:
+        found = f"cannot write {paths[0]} ({error.strerror or error})"
+        raise InputError(found, "a writable path", "choose another") from error
+    return paths
 
 
 def write_json(content: object, path: Path) -> None:

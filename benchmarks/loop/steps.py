@@ -46,7 +46,7 @@ class Budget:
 def call(arguments: Sequence[str], log: Path) -> None:
     """Run vpptwin, everything it says into a file; raise with the end of it if it fails."""
     with log.open("a") as file:
-        command = [sys.executable, "-m", "vpptwin.cli", *arguments]
+        command = [sys.executable, "-m", "vpptwin", *arguments]
         done = subprocess.run(command, cwd=ROOT, stdout=file, stderr=subprocess.STDOUT)
     if done.returncode:
         raise RuntimeError(f"{' '.join(arguments)}: exit {done.returncode}\n{log.read_text()[-800:]}")

@@ -104,7 +104,7 @@ def call(arguments: list[str], log: Path) -> None:
     """Run vpptwin, everything it says into a file; raise with the end of it if it fails."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with log.open("a") as file:
-        command = [sys.executable, "-m", "vpptwin.cli", *arguments]
+        command = [sys.executable, "-m", "vpptwin", *arguments]
         done = subprocess.run(command, cwd=ROOT, env=environment, stdout=file, stderr=subprocess.STDOUT)
     if done.returncode:
         raise RuntimeError(f"{' '.join(arguments)}: exit {done.returncode}\n{log.read_text()[-800:]}")

@@ -43,8 +43,38 @@ def test_commands_that_end_badly_are_told(
     (tmp_path / "out").mkdir()
     (tmp_path / "vpptwin").mkdir()
     (tmp_path / "vpptwin" / "__init__.py").touch()
-    (tmp_path / "vpptwin" / "cli.py").write_text(f"import sys\nprint({said!r}, file=sys.stderr)\nsys.exit({code})\n")
+    (tmp_path / "vpptwin" / "__main__.py").write_text(
+        f"import sys\nprint({said!r}, file=sys.stderr)\nsys.exit({code})\n"
+    )
     monkeypatch.setattr(soak, "ROOT", tmp_path)
     monkeypatch.setattr(soak, "draw_command", lambda rng, folder: ["fly"])
     _, problems = soak.run_one(np.random.default_rng(1), tmp_path)  # which is not killed
     assert problems
+
+
+@pytest.mark.parametrize(("name", "kills"), [("layouts", 30), pytest.param("compare", 4, marks=pytest.mark.slow)])
+def test_what_is_killed_full_or_shared_stays_whole(tmp_path: Path, name: str, kills: int) -> None:
+    """Kills, two processes in one place, disks that are full: the benchmark has the other commands."""
+    rng = np.random.default_rng(int(os.environ.get("VPPTWIN_SEED", "1")))
+    assert soak.try_kills(name, rng, tmp_path, kills) == []
+    assert soak.try_pair(name, tmp_path) == []
+    assert soak.try_disks(name, tmp_path) == []
+
+
+def test_halves_and_mixtures_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that writes in place: half a file after a kill, those of two runs after two at once."""
+    (tmp_path / "vpptwin").mkdir()
+    (tmp_path / "vpptwin" / "__init__.py").touch()
+    program = """import sys, time
+for name in ("ab" if sys.argv[1] == "1" else "ba"):
+    with open(f"out/{name}", "w") as file:
+        print(sys.argv[1], file=file, flush=True)
+        time.sleep(0.5)
+        print(sys.argv[1], file=file)
+"""
+    (tmp_path / "vpptwin" / "__main__.py").write_text(program)
+    monkeypatch.setattr(soak, "ROOT", tmp_path)
+    monkeypatch.setitem(soak.WRITING, "worse", ["SEED"])
+    found = soak.try_kills("worse", np.random.default_rng(1), tmp_path, 6)
+    assert any("neither old nor new" in problem for problem in found)
+    assert any("two runs" in problem for problem in soak.try_pair("worse", tmp_path))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from shutil import copy
 
 import lz4.frame
 import numpy as np
@@ -16,12 +18,16 @@ from mcap.records import Chunk, Footer, Header
 from mcap.writer import MCAP0_MAGIC
 
 from tests.bad_files import swing
+from tests.diagnosis.made_up import FLIP
 from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, stamp_header
 from tests.measured import run_measured
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
 from vpptwin.logs.container import read_container
 from vpptwin.logs.unpack import FREE, MOST_RATIO
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from long_log import add_camera
 
 GIB = 1 << 30
 MESSAGE = struct.pack("<BQHIQQ", 5, 22, 1, 0, EPOCH, EPOCH)  # an empty one
@@ -135,3 +141,12 @@ def test_stamps_that_are_no_time_are_refused(tmp_path: Path, stamp: float) -> No
     mapped.write_text("/mocap/pose: {topic: /track, stamp: {path: t, unit: s}, fields: {x: x, z: z, theta: theta}}\n")
     with pytest.raises(InputError, match=r"/track: 1 of 100 stamps are no time, such as .*within 146 years"):
         read_flight(path, mapped)
+
+
+def test_memory_is_that_of_the_flight_not_of_the_file(tmp_path: Path) -> None:
+    """Pictures among the messages, 20 times the flight: they cost no memory, however many there are."""
+    filmed = add_camera(copy(FLIP, tmp_path / "flip.mcap"), 0.2)
+    assert filmed.stat().st_size > 2e8
+    plain, large = (run_measured("plot", log, "--out", "plot.svg", folder=tmp_path) for log in (FLIP, filmed))
+    assert plain.code == large.code == 0
+    assert large.megabytes < plain.megabytes + 80.0

@@ -120,6 +120,11 @@ def constant(body: str, writes: str) -> str:
         pytest.param("\n\nimport nothing_of_the_kind\n", r"own\.py:3: ModuleNotFoundError: .*nothing_of", id="import"),
         pytest.param("raise SystemExit(3)\n", r"own\.py:1: SystemExit: 3", id="exits"),
         pytest.param("a = 1\n", r"own\.py: no effects in it; expected Effect objects", id="empty"),
+        pytest.param(
+            wrong("a wavy rail", "\\x1b[2Ja wavy rail"), r"summary '\\x1b\[2J.*; expected a line of text", id="escapes"
+        ),
+        pytest.param(wrong('unit="N"', "unit=1"), "unit 1; expected a line of text", id="unit"),
+        pytest.param(wrong('("/joint_states",)', '"/joint_states"'), "expected a tuple of topics", id="shows"),
         pytest.param("def build_effects(model):\n    return [3]\n", "build_effects returns a int", id="no effect"),
         pytest.param("def build_effects(model):\n    return 1 / 0\n", r"own\.py:2: ZeroDivisionError", id="builder"),
         pytest.param(wrong("slide.wave", "slide.coulomb"), "like 'slide.coulomb' of the catalogue", id="taken"),

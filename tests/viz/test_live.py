@@ -133,7 +133,7 @@ def test_the_page_takes_commands_and_tells_the_state(panel: Panel) -> None:
 def test_a_button_flips_the_craft_in_the_browser(tmp_path: Path) -> None:
     """The printed page shows the scene; a key asks for a flip, and thrust turns negative. Ctrl-C ends it."""
     with (
-        serve("-m", "vpptwin.cli", "play", "--live", "flip", said="shows the flight") as address,
+        serve("-m", "vpptwin", "play", "--live", "flip", said="shows the flight") as address,
         Browser(tmp_path, offline=False) as browser,
     ):
         browser.open(address)

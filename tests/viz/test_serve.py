@@ -154,7 +154,7 @@ SHELL = "import subprocess, sys, time; subprocess.Popen(sys.argv[1:]); time.slee
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGINT", "SIGHUP", "SIGKILL", "parent"])
 def test_nothing_is_left_running(command: str, how: str, tmp_path: Path) -> None:
     """After Ctrl-C, SIGTERM, a closed terminal, kill -9, or the death of who started it: no process, no open port."""
-    arguments = [sys.executable, "-u", "-m", "vpptwin.cli", *COMMANDS[command]]
+    arguments = [sys.executable, "-u", "-m", "vpptwin", *COMMANDS[command]]
     if how == "parent":
         arguments = [sys.executable, "-c", SHELL, *arguments]
     with (tmp_path / "out").open("w") as out:

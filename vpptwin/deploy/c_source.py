@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import jinja2
@@ -12,7 +13,7 @@ import numpy as np
 from vpptwin.actuators import adaptive, motor
 from vpptwin.actuators.blade import NEWTON, is_straight, max_thrust
 from vpptwin.deploy.content import VECTORS, Content
-from vpptwin.files import write_whole
+from vpptwin.files import write_files
 from vpptwin.train.networks import ScaleInputs
 from vpptwin.train.observe import INTEGRAL_DECAY
 
@@ -35,7 +36,7 @@ def write_c(content: Content, folder: Path) -> list[Path]:
     """
     values = describe(content)
     texts = {name: TEMPLATES.get_template(f"controller{name[-2:]}.j2").render(values) for name in FILES}
-    return [write_whole(folder / name, text) for name, text in texts.items()]
+    return write_files({folder / name: text for name, text in texts.items()})
 
 
 def describe(content: Content) -> dict[str, object]:
@@ -80,10 +81,15 @@ def as_float(value: float) -> str:
 def quote(text: str) -> list[str]:
     """Text as C string literals, one a line."""
     parts = [text[i : i + LINE] for i in range(0, len(text), LINE)]
-    return ['"' + part.replace("\\", "\\\\").replace('"', '\\"') + '"' for part in parts]
+    return ['"' + re.sub(r'(["?\\])', r"\\\1", part) + '"' for part in parts]  # of "?": no trigraphs
+
+
+def as_comment(text: object) -> str:
+    """Text of anyone's for inside of a C comment, which it cannot end."""
+    return re.sub(r"[^\w .,:;()+-]", "_", str(text), flags=re.ASCII)
 
 
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("vpptwin.deploy"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
-TEMPLATES.filters["c"] = as_float
+TEMPLATES.filters |= {"c": as_float, "comment": as_comment}

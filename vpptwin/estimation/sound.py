@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import drop_rows, tell_left_out
 from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_LIKENESS, compare_steps
@@ -43,7 +44,9 @@ def vet_flight(flight: Flight, vehicle: Vehicle) -> tuple[Flight, list[str]]:
     pose = streams["/mocap/pose"]
     vets: dict[str, Callable[[Stream], tuple[Stream | None, list[str]]]] = {
         "/imu/data": lambda imu: vet_imu(imu, pose, vehicle),
-        "/rotor/state": lambda rotor: vet_rotors(rotor, vehicle),
+        "/rotor/state": lambda rotor: vet_rotors(
+            rotor, vehicle, streams.get("/imu/data"), streams.get("/rotor/command")
+        ),
     }
     for topic, vet in vets.items():
         if topic in streams and len(streams[topic]) >= FEW:
@@ -89,19 +92,71 @@ def vet_imu(imu: Stream, pose: Stream, vehicle: Vehicle) -> tuple[Stream | None,
     return drop_rows(imu, stuck | clipped), warnings
 
 
-def vet_rotors(rotor: Stream, vehicle: Vehicle) -> tuple[Stream | None, list[str]]:
-    """Rotor telemetry without dead currents; None where speeds are dead, doubled or in another unit."""
-    speed, warnings = rotor["speed"], []
-    ratio = np.median(np.abs(speed), axis=0) / vehicle.rotor.speed
-    if np.array_equal(speed[:, 0], speed[:, 1]) and is_noisy(speed[:, 0], vehicle.sensors.rotor.speed_std):
+def vet_rotors(
+    rotor: Stream, vehicle: Vehicle, imu: Stream | None, command: Stream | None
+) -> tuple[Stream | None, list[str]]:
+    """Rotor telemetry without what is dead or stuck; None where speeds are dead, doubled or in another unit.
+
+    Whether the unit is another is asked of the thrust that the accelerometer felt, where there is one.
+    """
+    noise, governed, warnings = vehicle.sensors.rotor.speed_std, vehicle.rotor.speed, list[str]()
+    backwards = np.median(rotor["speed"], axis=0) < 0.0
+    if backwards.any():
+        numbers = " and ".join(str(i + 1) for i in np.flatnonzero(backwards))
+        warnings.append(f"the speed of rotor {numbers} is negative, its sign is turned")
+        rotor = Stream(rotor.time, rotor.values | {"speed": np.where(backwards, -1.0, 1.0) * rotor["speed"]})
+    speed = rotor["speed"]
+    if np.array_equal(speed[:, 0], speed[:, 1]) and is_noisy(speed[:, 0], noise):
         return None, ["both rotor speeds are one and the same, left out"]
-    if ratio.min() < SLOWEST or ratio.max() > FASTEST:
-        worst = ratio[np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9))))]
-        return None, [f"a rotor speed is {worst:.2g} times the governed {vehicle.rotor.speed:g} rad/s, left out"]
+    ratio = np.median(np.abs(speed), axis=0) / governed
+    worst = ratio[np.argmax(np.abs(np.log(np.maximum(ratio, 1e-9))))]
+    found = f"a rotor speed is {worst:.2g} times the governed {governed:g} rad/s"
+    doubted = bool(ratio.min() < SLOWEST or ratio.max() > FASTEST)
+    if not doubted and any(is_dead(column) and column[0] != governed for column in speed.T):  # as of a simulation
+        return None, ["a rotor speed never changes, left out"]
+    logged, nominal = (
+        weigh_thrust(s, vehicle, imu, command)
+        for s in (rotor, replace(rotor, values={"speed": 0.0 * speed + governed}))
+    )
+    if logged is not None and nominal is not None:
+        fits, fits_nominal = (LEAST < factor < MOST for factor in (logged, nominal))
+        if doubted and fits and not fits_nominal and ratio.max() < 1.2 * ratio.min():
+            warnings.append(f"{found}, and so is the thrust felt: correct rotor.speed of the vehicle")
+            doubted = False
+        elif not fits and fits_nominal and not doubted:
+            found = f"at rotor speeds as logged there would be {1.0 / logged:.2g} times the thrust that is felt"
+            doubted = True
+    if doubted:
+        return None, [f"{found}, left out"]
+    stuck = np.zeros(len(rotor), dtype=bool)
+    for column in speed.T:
+        if is_noisy(column, noise):
+            stuck |= find_stuck(rotor.time, column, noise)
+    warnings += [text.split(": ", 1)[1] for text in tell_left_out("", stuck, "repeat a value to the last digit")]
+    rotor = drop_rows(rotor, stuck)
     if "current" in rotor.values and any(is_dead(column) for column in rotor["current"].T):
         warnings.append("a motor current never changes, currents are left out")
         rotor = Stream(rotor.time, {name: data for name, data in rotor.values.items() if name != "current"})
     return rotor, warnings
+
+
+def weigh_thrust(rotor: Stream, vehicle: Vehicle, imu: Stream | None, command: Stream | None) -> float | None:
+    """The thrust that the accelerometer felt over that of the blades at these speeds; None where nothing tells."""
+    if imu is None or command is None or "accel_z" not in imu.values or not imu["accel_z"].any():
+        return None
+    speed = np.stack([np.interp(command.time, rotor.time, column) for column in rotor["speed"].T], axis=1)
+    thrust = compute_thrust(vehicle.rotor, speed, command["blade_pitch"]).sum(axis=1)
+    felt = (vehicle.airframe.mass + vehicle.rig.slider_mass) * imu["accel_z"]
+    starts = max(stream.time[0] for stream in (rotor, imu, command))
+    steps = np.arange(starts, min(stream.time[-1] for stream in (rotor, imu, command)), BEND)
+    if len(steps) < FEW:
+        return None
+    made, had = (
+        np.diff(np.interp(steps, time, cumulative_trapezoid(force, time, initial=0.0)))
+        for time, force in ((command.time, thrust), (imu.time, felt))
+    )
+    factor, likeness = compare_steps(made, had)
+    return factor if likeness > MIN_LIKENESS else None
 
 
 def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) -> None:

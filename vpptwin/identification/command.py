@@ -8,16 +8,15 @@ from functools import partial
 from pathlib import Path
 
 import yaml
-from rich.console import Console
 from rich.table import Table
 
 from vpptwin.actuators.file import ActuatorFile
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.report.output import stage_results
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.effects import SIGMAS_90
 from vpptwin.errors import InputError
+from vpptwin.files import write_files
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
 from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
@@ -25,6 +24,7 @@ from vpptwin.identification.report import render_page
 from vpptwin.identification.thrust_map import ThrustMap, inflow
 from vpptwin.logs.read import read_flight
 from vpptwin.progress import open_bar, tell_stage
+from vpptwin.terminal import open_console
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
 
@@ -66,14 +66,6 @@ def check_out(out: Path) -> None:
         raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
     if not out.parent.is_dir() or out.is_dir():
         raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")
-
-
-def write_files(texts: dict[Path, str]) -> None:
-    """Write files of one folder so that all of them appear or none."""
-    folder = next(iter(texts)).parent
-    with stage_results(folder, [path.name for path in texts]) as staged:
-        for path, text in texts.items():
-            (staged / path.name).write_text(text, encoding="utf-8")
 
 
 def name_coefficients(thrust: ThrustMap, speed: float) -> dict[str, tuple[float, float]]:
@@ -124,7 +116,7 @@ def compose_file(found: Actuator, vehicle: Vehicle, origin: Provenance) -> dict[
 
 def print_found(found: Actuator, out: Path, page: Path) -> None:
     """Print constants with their intervals, the thrust maps, and where the files lie."""
-    console = Console(highlight=False, width=110)
+    console = open_console(110)
     table = Table("constant", "value", "90 % interval", "unit", box=None)
     rows = [(f"rotor.{n}", v, s, "") for n, (v, s) in name_coefficients(found.thrust, found.thrust.reference).items()]
     for name, value, std, unit in [*rows, *((c.name, c.value, c.std, c.unit) for c in found.constants)]:
@@ -187,7 +179,7 @@ def compose_twin_file(spec: TwinSpec, found: FlightFit, origin: Provenance, out:
 
 def print_flight_fit(found: FlightFit, out: Path) -> None:
     """Print values, what can't be told apart, held-out errors, and where the twin lies."""
-    console = Console(highlight=False, width=110)
+    console = open_console(110)
     table = Table("parameter", "value", "90 % interval", "in the twin", "unit", box=None)
     for key, e in found.values.items():
         low, high = e.value - SIGMAS_90 * e.std, e.value + SIGMAS_90 * e.std
@@ -215,5 +207,5 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
         )
         console.print(f"position error there: {', '.join(errors)}", soft_wrap=True)
     for warning in found.warnings:
-        console.print(f"warning: {warning}", markup=False, soft_wrap=True)
-    console.print(f"twin: {out}", markup=False, soft_wrap=True)
+        console.print(f"warning: {warning}", soft_wrap=True)
+    console.print(f"twin: {out}", soft_wrap=True)

@@ -26,6 +26,7 @@ from vpptwin.logs.unpack import Unpacker
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _MANY = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
+_READ = 1 << 25  # bytes of a file held in memory at once
 # What mcap and the decompressors raise on records whose content makes no sense.
 _BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
 
@@ -84,8 +85,9 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(self, wanted: Callable[[RawChannel], bool], unpacker: Unpacker) -> None:
-        self.wanted, self.unpacker = wanted, unpacker
+    def __init__(self, wanted: Callable[[RawChannel], bool], unpacker: Unpacker, mapped: mmap.mmap) -> None:
+        self.wanted, self.unpacker, self.mapped = wanted, unpacker, mapped
+        self.forgotten = 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -113,15 +115,23 @@ class _Scan:
                     found.append((channel_id, length - _MESSAGE.size, start + _MESSAGE.size, log_time))
                     if len(found) == _MANY:
                         self.store(data, found)
+                        self.forget(data, position)
                         found = []
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self.take_declaration(opcode, _open_stream(data, start, position), begin)
                 else:
                     self.store(data, found)
+                    self.forget(data, begin)
                     found = []
                     yield opcode, start, position
         finally:
             self.store(data, found)
+
+    def forget(self, data: bytes | memoryview, position: int) -> None:
+        """Give back the memory that the file takes up to a position, if it is the file that is walked over."""
+        if isinstance(data, memoryview) and position > self.forgotten + _READ:
+            self.mapped.madvise(mmap.MADV_DONTNEED, 0, position // mmap.PAGESIZE * mmap.PAGESIZE)
+            self.forgotten = position
 
     def take_declaration(self, opcode: int, stream: ReadDataStream, offset: int) -> None:
         """Note a schema or a channel."""
@@ -176,8 +186,8 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
     Raises:
         InputError: if the file is damaged or ends early, or unpacks to more than a log can honestly hold.
     """
-    scan = _Scan(wanted, Unpacker(path, path.stat().st_size))
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+        scan = _Scan(wanted, Unpacker(path, path.stat().st_size), mapped)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:

@@ -11,7 +11,7 @@ import yaml
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, check_name
 from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.messages import shorten_type
@@ -161,6 +161,7 @@ def _read_metadata(folder: Path) -> list[str]:
 
 
 def _read_file(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
+    check_name(str(path))
     try:
         with path.open("rb") as file:
             start = file.read(64)

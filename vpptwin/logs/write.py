@@ -9,10 +9,9 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from errno import EISDIR
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import Self
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -20,6 +19,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from vpptwin.errors import InputError
+from vpptwin.files import replace_files
 from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
 from vpptwin.logs.convert import Value, split_column
 from vpptwin.logs.decode import find_leaf
@@ -89,14 +89,15 @@ class FlightWriter:
         self._templates: dict[tuple[str, tuple[str, ...], tuple[str, ...]], _Template] = {}
         self._sequence: dict[str, int] = {}
         self._encoders: dict[str, Callable[[Mapping[str, object]], bytes]] = {}
-        self._partial = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         try:
-            if self.path.is_dir():
-                raise IsADirectoryError(EISDIR, "is a folder")
-            self._file: IO[bytes] = self._partial.open("wb")
+            self.path.parent.stat()  # a log goes where somebody keeps logs
+            with contextlib.ExitStack() as opening:
+                drafts = opening.enter_context(replace_files(self.path.parent, [self.path.name]))
+                file = opening.enter_context((drafts / self.path.name).open("wb"))
+                self._open = opening.pop_all()
         except OSError as error:
             raise self._refuse(error) from None
-        self._writer = Writer(self._file)
+        self._writer = Writer(file)
         self._writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
         if metadata:
             self._writer.add_metadata("vpptwin", dict(metadata))
@@ -110,16 +111,12 @@ class FlightWriter:
     ) -> None:
         """Complete the file, or remove what was written if there was an exception."""
         try:
-            if kind is None:
+            with self._open:
+                if error is not None:
+                    raise error
                 self._writer.finish()
-                self._file.close()
-                os.replace(self._partial, self.path)
         except OSError as failure:
             raise self._refuse(failure) from failure
-        finally:
-            with contextlib.suppress(OSError):
-                self._file.close()
-            self._partial.unlink(missing_ok=True)
 
     def _refuse(self, error: OSError) -> InputError:
         return InputError(

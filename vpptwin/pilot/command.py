@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from vpptwin import __version__
 from vpptwin.actuators.adaptive import DRAG, FAULT, FAULTS, HALF_GAP, TRIM
@@ -20,6 +19,7 @@ from vpptwin.pilot.gusts import CARRIERS, Gusts
 from vpptwin.pilot.library import LIBRARY
 from vpptwin.pilot.recording import record_streams
 from vpptwin.pilot.safety import find_danger
+from vpptwin.terminal import open_console
 from vpptwin.twin import Twin, TwinSpec
 from vpptwin.vehicle import Vehicle
 
@@ -91,9 +91,9 @@ def describe_flight(tracks: Tracks, vehicle: Vehicle, sortie: Sortie) -> None:
     pose = tracks.pose[0, lead:]
     each = round(tracks.period / tracks.step)
     off = np.hypot(*(tracks.target[0, lead_ticks:, :2] - pose[::each, :2]).T)
-    console = Console(highlight=False)
+    console = open_console()
     what = ", ".join(f"{key} {value}" for key, value in sortie.about.items())
-    console.print(f"{what}: {len(pose) * tracks.step:g} s in twin {sortie.spec.name}", markup=False, soft_wrap=True)
+    console.print(f"{what}: {len(pose) * tracks.step:g} s in twin {sortie.spec.name}", soft_wrap=True)
     (low_x, low_z), (high_x, high_z) = pose[:, :2].min(axis=0), pose[:, :2].max(axis=0)
     where = f"x {low_x:.2f} to {high_x:.2f} m, z {low_z:.2f} to {high_z:.2f} m"
     console.print(f"{where}, {1000 * off.mean():.0f} mm off its target on average")
@@ -101,8 +101,8 @@ def describe_flight(tracks: Tracks, vehicle: Vehicle, sortie: Sortie) -> None:
         console.print(line, soft_wrap=True)
     danger = find_danger(vehicle, pose, tracks.velocity[0, lead:])
     if danger:
-        console.print(f"not to be flown on a real rig: {danger}", style="bold", markup=False)
-    console.print(f"log: {sortie.out}", markup=False, soft_wrap=True)
+        console.print(f"not to be flown on a real rig: {danger}", style="bold")
+    console.print(f"log: {sortie.out}", soft_wrap=True)
 
 
 def describe_learned(memories: np.ndarray) -> list[str]:
@@ -122,11 +122,11 @@ def describe_learned(memories: np.ndarray) -> list[str]:
 
 def print_library() -> None:
     """List every manoeuvre with its settings and what it reveals."""
-    console = Console(highlight=False)
+    console = open_console()
     for manoeuvre in LIBRARY:
-        console.print(f"{manoeuvre.name}: {manoeuvre.summary}", style="bold", markup=False)
-        console.print(f"    shows {', '.join(manoeuvre.reveals)}", markup=False, soft_wrap=True)
+        console.print(f"{manoeuvre.name}: {manoeuvre.summary}", style="bold")
+        console.print(f"    shows {', '.join(manoeuvre.reveals)}", soft_wrap=True)
         for s in manoeuvre.settings:
             bounds = f"{s.low:g} to {s.high:g} {s.unit}".rstrip()
             text = f"    --set {s.name}={s.default:g}  {bounds}, {s.meaning}"
-            console.print(text, markup=False, soft_wrap=True)
+            console.print(text, soft_wrap=True)

@@ -12,6 +12,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from vpptwin.errors import InputError
+from vpptwin.files import replace_files, write_whole
 from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
 from vpptwin.train.memory import check_run, explain_exhaustion
@@ -98,10 +99,8 @@ def open_folder(config: TrainConfig) -> Path:
         advice = f"resume={folder} continues it; else choose another out"
         raise InputError(f"{folder} holds a run", "a new folder", advice)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
+        with replace_files(folder, [FILE_NAME]):
+            pass
     except OSError as error:
         found = f"cannot write to {folder} ({error.strerror})"
         raise InputError(found, "a writable folder", "choose another out") from error
@@ -113,4 +112,4 @@ def trim_logs(folder: Path, steps: int) -> None:
     for path in (folder / "log" / "scalars").glob("*.csv"):
         # A row without its line end is one that a kill cut short.
         rows = [row for row in path.read_text().splitlines(keepends=True) if row.endswith("\n")]
-        path.write_text("".join(row for row in rows if float(row.split(",")[0]) <= steps))
+        write_whole(path, "".join(row for row in rows if float(row.split(",")[0]) <= steps))

@@ -43,6 +43,12 @@ def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> Non
     if not re.fullmatch(r"[A-Za-z]\w*(\.\w+)+", str(effect.id), flags=re.ASCII):
         expected = "two words with a dot between, such as rail_x.cogging"
         raise InputError(f"{where}: id {effect.id!r}", expected, "rename it")
+    for what in ("summary", "equation"):
+        check_text(getattr(effect, what), f"{where}: {what}")
+    if isinstance(effect.shows, str):
+        raise InputError(f"{where}: shows {effect.shows!r}", f"a tuple of topics: ({effect.shows!r},)", SEE)
+    for topic in effect.shows:
+        check_text(topic, f"{where}: shows")
     if not isinstance(effect.stage, Stage):
         raise InputError(f"{where}: stage {effect.stage!r}", f"one of {', '.join(map(str, Stage))}", SEE)
     if not callable(effect.apply):
@@ -75,6 +81,12 @@ def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> Non
                 raise InputError(f"{where}: {kind} {other!r}", f"an id such as {close[0]}", "correct it")
 
 
+def check_text(text: object, where: str) -> None:
+    """Refuse what is no line of text: it stands in lists, verdicts and pages."""
+    if not isinstance(text, str) or not text.isprintable():
+        raise InputError(f"{where} {text!r}", "a line of text", "correct it")
+
+
 def check_states(effect: Effect, where: str) -> tuple[State, ...]:
     """The states of an effect, if that is what they are."""
     if not isinstance(effect.states, tuple) or not all(isinstance(state, State) for state in effect.states):
@@ -87,6 +99,8 @@ def check_states(effect: Effect, where: str) -> tuple[State, ...]:
 def check_parameter(parameter: Parameter, where: str) -> None:
     """Check that the numbers of a parameter are numbers and in order."""
     p, prior = parameter, parameter.prior
+    for what in ("unit", "source"):
+        check_text(getattr(p, what), f"{where}: {what}")
     if not isinstance(prior, Prior) or prior.kind not in KINDS:
         raise InputError(f"{where}: prior {prior}", 'one such as Prior("normal", 0.0, 0.1)', "correct it")
     numbers = {"off": p.off, "low": p.low, "high": p.high, "size": p.size, "tolerance": p.tolerance, "prior": prior.a,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -23,6 +24,8 @@ from vpptwin.twin.robot import Robot
 
 CASES = 24
 """States and parameter values that an effect is tried at."""
+LONGEST = 30.0
+"""Time for all of them, and for compiling [s]: it takes one or two."""
 TRIAL_STEP = 0.001
 """Inner step of a trial [s]."""
 FAST = 'only numbers, math and numpy functions of numbers; functions that it calls decorated with "@numba.njit"'
@@ -32,9 +35,29 @@ def try_effect(effect: Effect, where: str, rig: Robot) -> None:
     """Call an effect within its bounds and at its off values.
 
     Raises:
-        InputError: if it does not compile, raises, returns something else than finite numbers, or changes anything
-            while off.
+        InputError: if it does not compile, raises, does not end, returns something else than finite numbers, or
+            changes anything while off.
     """
+    failed: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            try_cases(effect, where, rig)
+        except BaseException as error:
+            failed.append(error)
+
+    worker = threading.Thread(target=work, daemon=True)  # which nothing can end, but the process does not wait for it
+    worker.start()
+    worker.join(LONGEST)
+    if worker.is_alive():
+        found = f"{where} has not returned within {LONGEST:g} s"
+        raise InputError(found, "a result at once, everywhere within the bounds", "look for a loop that does not end")
+    for error in failed:
+        raise error
+
+
+def try_cases(effect: Effect, where: str, rig: Robot) -> None:
+    """The calls of `try_effect`."""
     if effect.stage is Stage.CONSTANT:
         try_constants(effect, where, rig)
         return
@@ -74,7 +97,7 @@ def refuse_active(where: str, change: str, given: str) -> None:
 def compile_effect(effect: Effect, where: str) -> Callable[..., Any]:
     """The function as numba compiles it for numbers."""
     function = getattr(effect.apply, "py_func", effect.apply)
-    compiled = njit(function, error_model="numpy")
+    compiled = njit(function, error_model="numpy", nogil=True)  # without: nobody could stop waiting for it
     inputs, values = next(draw_cases(effect))
     states = start_states(effect, inputs)
     try:

@@ -58,6 +58,7 @@ def compile_model(
         ) from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
+    check_names(path, bytes(model.names).decode("utf-8", "replace").split("\0"))
     if check is not None:
         check(model, path)
     check_size(model, path)
@@ -76,6 +77,17 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
     adapt(spec, path)
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
+
+
+def check_names(path: Path, names: Iterable[str]) -> None:
+    """Refuse names that cannot be shown: they become names of effects, and stand in verdicts and pages.
+
+    Raises:
+        InputError: naming the first.
+    """
+    for name in names:
+        if not name.isprintable():
+            raise InputError(f"{path}: the name {name!r}", "letters that can be shown", "rename it")
 
 
 def check_engine(model: mujoco.MjModel, path: Path) -> None:

@@ -26,6 +26,7 @@ STYLE: dict[Any, object] = {  # keys: rcParams, which matplotlib types as one lo
     "axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK, "axes.titlesize": 10.0,
     "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
     "grid.color": INK, "grid.alpha": 0.15, "grid.linewidth": 0.8, "xtick.color": INK, "ytick.color": INK,
+    "text.parse_math": False,  # a $ in a name is one
     "legend.frameon": False, "lines.linewidth": 1.6,
 }  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vpptwin.effects import Effect
+from vpptwin.files import write_files
 from vpptwin.pilot import Script, pilot_commands
 from vpptwin.twin import Twin, TwinSpec, TwinState
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
@@ -157,11 +159,12 @@ def follow(
     return wanted.sum(axis=1), f"sum of blade pitch {unit}"
 
 
-def draw_fingerprint(print_: Fingerprint, file: Path) -> None:
-    """Write the picture, a PNG: the departure over time, and over what the effect follows."""
+def draw_fingerprint(print_: Fingerprint) -> bytes:
+    """The picture, a PNG: the departure over time, and over what the effect follows."""
     style: dict[Any, object] = {"font.size": 7.0, "axes.spines.top": False,
              "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK,
              "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.6}  # fmt: skip
+    content = io.BytesIO()
     with mpl.rc_context(style):
         figure = Figure(figsize=(3.6, 1.25), layout="constrained")
         FigureCanvasAgg(figure)
@@ -173,14 +176,12 @@ def draw_fingerprint(print_: Fingerprint, file: Path) -> None:
         right.set_xlabel(print_.cause_name)
         for axes in (left, right):
             axes.axhline(0.0, color=INK, linewidth=0.4)
-        figure.savefig(file, format="png", dpi=150, transparent=True, metadata={"Software": None})
+        figure.savefig(content, format="png", dpi=150, transparent=True, metadata={"Software": None})
+    return content.getvalue()
 
 
 def draw_catalogue(spec: TwinSpec, folder: Path) -> list[Path]:
     """Write a picture of every effect of a drone's catalogue into a folder, `ID.png`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for effect in spec.catalogue:
-        files.append(folder / f"{effect.id}.png")
-        draw_fingerprint(take_fingerprint(spec, effect), files[-1])
-    return files
+    return write_files(
+        {folder / f"{effect.id}.png": draw_fingerprint(take_fingerprint(spec, effect)) for effect in spec.catalogue}
+    )

@@ -132,11 +132,11 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
         text: what the page says around the scene.
         out: the page.
     """
-    readout = {
+    readout: dict[str, object] = {
         "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
         "views": text.views, "trail": round(TRAIL_DURATION * text.frames / text.duration),
     }  # fmt: skip
     drawing = json.dumps([base64.b64encode(command).decode() for command in commands])
     viewer = VIEWER.read_text(encoding="utf-8")
     page = TEMPLATES.get_template("play.html")
-    return write_whole(out, page.render(text=text, viewer=viewer, commands=drawing, readout=json.dumps(readout)))
+    return write_whole(out, page.render(text=text, viewer=viewer, commands=drawing, readout=readout))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -95,11 +96,12 @@ def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None
     for i, time in enumerate(triggers):
         axes.axvline(time, color=VERMILION, linestyle="--", linewidth=1.0, label="trigger" if i == 0 else None)
     for line in panel.lines:
+        name = f" {line.name}" if line.name.startswith("_") else line.name  # which matplotlib would hide
         time, values = thin_line(line)
         log = line.colour == INK
         style = "steps-post" if line.steps else "default"
         axes.plot(
-            time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=line.name,
+            time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=name,
             linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0,
         )  # fmt: skip
         if line.band is not None:
@@ -134,6 +136,7 @@ def render_page(story: Story, theme: Theme) -> str:
     rows = story.rows
     figure = make_subplots(rows=rows, cols=story.columns, shared_xaxes=True, vertical_spacing=0.03 / rows)
     named: set[str] = set()
+    shapes: list[dict[str, object]] = []
     for i, panel in enumerate(story.panels):
         place = {"row": i // story.columns + 1, "col": i % story.columns + 1}
         for line in panel.lines:
@@ -144,11 +147,17 @@ def render_page(story: Story, theme: Theme) -> str:
             }  # fmt: skip
             first = line.name not in named
             named.add(line.name)
-            about = {"name": line.name, "legendgroup": line.name, "showlegend": first, "mode": "lines"}
+            about = {"name": escape(line.name), "legendgroup": line.name, "showlegend": first, "mode": "lines"}
             figure.add_trace(Scatter(x=time, y=values, line=look, **about), **place)
-        figure.update_yaxes(title_text=panel.label, type="log" if panel.log else "linear", **place)
-        for time in story.triggers:
-            figure.add_vline(x=float(time), line={"color": VERMILION, "dash": "dash", "width": 1}, **place)
+        figure.update_yaxes(title_text=escape(panel.label), type="log" if panel.log else "linear", **place)
+        number = "" if i == 0 else str(i + 1)
+        shapes += [
+            {
+                "type": "line", "xref": f"x{number}", "yref": f"y{number} domain", "y0": 0, "y1": 1,
+                "x0": time, "x1": time, "line": {"color": VERMILION, "dash": "dash", "width": 1},
+            }
+            for time in story.triggers.tolist()
+        ]  # fmt: skip
     for column in range(story.columns):
         figure.update_xaxes(title_text=story.across, row=rows, col=column + 1)
     faint = "rgba(127,127,127,0.25)"
@@ -158,6 +167,6 @@ def render_page(story: Story, theme: Theme) -> str:
         "font": {"color": theme.ink},
     }  # fmt: skip
     height = (190 if story.columns == 1 else 420) * rows + 120
-    figure.update_layout(title=story.title, height=height, hovermode="x unified", **style)
+    figure.update_layout(title=escape(story.title), shapes=shapes, height=height, hovermode="x unified", **style)
     text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
     return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_starts
@@ -18,6 +17,7 @@ from vpptwin.diagnosis.report.terminal import print_errors
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.progress import open_bar
+from vpptwin.terminal import open_console
 from vpptwin.twin.spec import load_twin
 
 
@@ -41,7 +41,7 @@ def compare_logs(
         held_out = open_held_out(spec, measurements, starts, bar.update)
         score = held_out.score({})
     if json != STDOUT:
-        console = Console(highlight=False)
+        console = open_console()
         tables = tabulate_errors(score, None, find_noise_floor(measurements))
         print_errors(console, f"prediction error of twin {twin}", tables)
         console.print(

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.error_table import ErrorTable
 from vpptwin.diagnosis.report.summary import HORIZON, Summary
+from vpptwin.terminal import open_console
 
 MOST_WARNINGS = 3
 """Warnings that fit on a screen beside the rest."""
@@ -20,24 +20,24 @@ MOST_WARNINGS = 3
 
 def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence[str]) -> None:
     """Print what a verdict says and where its files lie."""
-    console = Console(highlight=False)
+    console = open_console()
     console.print()
     for sentence in (summary.headline, *summary.others):
-        console.print(sentence, style="bold", markup=False)
+        console.print(sentence, style="bold")
         if sentence == summary.headline and summary.remedy:
-            console.print(summary.remedy, markup=False)
+            console.print(summary.remedy)
     console.print()
     console.print(list_findings(verdict, summary))
     if verdict.experiment is not None:  # not in the grid, whose breaks would not survive copying
-        console.print(f"  {verdict.experiment.command}", markup=False, soft_wrap=True)
+        console.print(f"  {verdict.experiment.command}", soft_wrap=True)
     console.print()
     title = f"error on {verdict.held_out_windows} held-out windows{', before → after' if verdict.causes else ''}"
     print_errors(console, title, summary.tables)
     console.print(f"held-out chi² {verdict.before.chi2:.3g} → {verdict.after.chi2:.3g} (1 = noise floor)")
-    console.print(HORIZON, style="dim", markup=False)
+    console.print(HORIZON, style="dim")
     console.print()
     for name in files:
-        console.print(str(out / name), markup=False, soft_wrap=True)
+        console.print(str(out / name), soft_wrap=True)
 
 
 def list_findings(verdict: Verdict, summary: Summary) -> Table:
@@ -68,7 +68,7 @@ def print_errors(console: Console, title: str, tables: Sequence[ErrorTable]) -> 
     table = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
     table.add_column("horizon")
     for entry in tables:
-        table.add_column(escape(f"{entry.quantity} [{entry.unit}]"), justify="right")
+        table.add_column(f"{entry.quantity} [{entry.unit}]", justify="right")
     for i, row in enumerate(tables[0].rows):
         cells = [entry.rows[i] for entry in tables]
         table.add_row(row.horizon, *[f"{c.before} → {c.after}" if after else c.before for c in cells])

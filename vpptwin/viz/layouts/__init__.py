@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from vpptwin.files import write_whole
+from vpptwin.files import write_files
 
 NAMES = ("foxglove.json", "plotjuggler.xml")
 
@@ -16,4 +16,4 @@ def write_layouts(folder: Path) -> list[Path]:
     Raises:
         InputError: if it cannot be written to.
     """
-    return [write_whole(folder / name, (files(__name__) / name).read_bytes()) for name in NAMES]
+    return write_files({folder / name: (files(__name__) / name).read_bytes() for name in NAMES})

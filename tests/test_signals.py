@@ -1,0 +1,149 @@
+"""Ctrl-C, SIGTERM and effects that fail in mid-flight: one line, the exit code of it, nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.twin.own_effect_files import WAVE
+from vpptwin.errors import InputError
+from vpptwin.files import DRAFTS, LEFT, replace_files
+from vpptwin.twin import load_twin
+
+ROOT = Path(__file__).resolve().parents[1]
+STOPPED = "vpptwin: stopped\n"
+FAR = "abs(motion.position - 0.3) < 0.01 and force == 0.7"
+"""Where a flight of x_steps gets to and the trial does not."""
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """A command in a folder, which is on its path."""
+    environment = {**os.environ, "PYTHONPATH": f"{folder}:{ROOT}"}
+    command = [sys.executable, "-m", "vpptwin", *arguments]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, env=environment
+    )
+
+
+def finish(child: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code and what it said on stderr."""
+    said = child.communicate(timeout=120)[1]
+    return child.returncode, said
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Wait until something is so, a minute at most."""
+    until = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def write_effect(folder: Path, body: str) -> list[str]:
+    """A twin whose effect runs this where only a flight gets to; the arguments that fly it."""
+    text = WAVE.replace("slide", "rail_x").replace("    return -force", f"    {body}\n    return -force")
+    (folder / "own.py").write_text(text)
+    twin = "model: rail_rig.xml\nvehicle: vehicle.yaml\neffects: {rail_x.wave: {force: 0.7}}\neffects_from: [own.py]\n"
+    (folder / "twin.yaml").write_text(twin)
+    flown = "fly --manoeuvre x_steps --duration 5 --twin twin.yaml --effects own.py --out flight.mcap"
+    return flown.split()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("where", ["import", "finalizer", "swallowed"])
+def test_a_signal_is_one_line_wherever_it_comes(tmp_path: Path, how: signal.Signals, where: str) -> None:
+    """While a module is imported, in a finalizer, in a block that takes it for something else."""
+    kill = f"os.kill(os.getpid(), {int(how)})"
+    if where == "import":
+        (tmp_path / "slow.py").write_text(
+            f"import os\ntry:\n    {kill}\nexcept BaseException:\n    raise ImportError\n"
+        )
+        text = "import slow\n"
+    elif where == "finalizer":
+        text = f"import os\nclass A:\n    def __del__(self):\n        {kill}\na = A()\ndel a\n"
+    else:
+        text = f"import os\ntry:\n    {kill}\nexcept BaseException:\n    pass\nraise ValueError\n"
+    (tmp_path / "own.py").write_text(text)
+    assert finish(start(tmp_path, "effects", "--effects", "own.py")) == (128 + how, STOPPED)
+
+
+def test_the_line_is_one_of_its_own_behind_a_bar(tmp_path: Path) -> None:
+    """Where the process ends at once nobody closes the bar."""
+    (tmp_path / "slow.py").write_text("import os\nos.kill(os.getpid(), 2)\n")
+    (tmp_path / "own.py").write_text("import sys\nprint('\\rbar', end='', file=sys.stderr)\nimport slow\n")
+    assert finish(start(tmp_path, "effects", "--effects", "own.py")) == (130, f"\nbar\n{STOPPED}")
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
+    """A diagnosis that is stopped in mid-search: its folder, which it made, is gone."""
+    child = start(tmp_path, "diagnose", str(ROOT / "demo/flights/flip.mcap"), "--out", "out")
+    wait_for(lambda: any((tmp_path / "out").glob(f"{DRAFTS}*")))
+    child.send_signal(how)
+    child.send_signal(how)  # the same impatience
+    code, said = finish(child)
+    assert code == 128 + how
+    assert said.splitlines(keepends=True)[-1] == STOPPED
+    assert "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compiled_code_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
+    """An effect with a loop that ends everywhere but in flight: Ctrl-C works nevertheless."""
+    arguments = write_effect(tmp_path, f"while {FAR}:\n        force = force * 1.0")
+    child = start(tmp_path, *arguments)
+    time.sleep(2.0)
+    with pytest.raises(subprocess.TimeoutExpired):
+        child.wait(15.0)
+    child.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    assert finish(child) == (130, STOPPED)
+    assert time.monotonic() - began < 10.0
+    assert not (tmp_path / "flight.mcap").exists()
+
+
+def test_effects_that_raise_or_make_no_number_in_flight_end_it(tmp_path: Path) -> None:
+    """No log is written of a flight that cannot be believed."""
+    for body, said in (('raise ValueError("boom")', "own.py:8: ValueError: boom; "), ("return np.nan", "diverges ")):
+        arguments = write_effect(tmp_path, f"if {FAR}:\n        {body}")
+        code, line = finish(start(tmp_path, *arguments))
+        assert code == 2
+        assert line.count("\n") == 1, line
+        assert said in line
+        assert not (tmp_path / "flight.mcap").exists()
+
+
+def test_effects_that_never_return_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled, and as Python: a line names them."""
+    monkeypatch.setattr("vpptwin.twin.effect_trial.LONGEST", 5.0)
+    endless = WAVE.replace("slide", "rail_x").replace(
+        "    return -force", "    while force > -1.0:\n        force = 1.0\n    return -force"
+    )
+    (tmp_path / "own.py").write_text(endless)
+    with pytest.raises(InputError, match=r"rail_x\.wave has not returned within 5 s; .* a loop that does not end"):
+        load_twin("nominal", [tmp_path / "own.py"])
+
+
+def test_drafts_of_the_killed_go(tmp_path: Path) -> None:
+    """Those of yesterday, not those of a run that may be going on."""
+    for name, age in (("old", 2.0 * LEFT), ("new", 0.5 * LEFT)):
+        (tmp_path / f"{DRAFTS}{name}").mkdir()
+        os.utime(tmp_path / f"{DRAFTS}{name}", (0.0, time.time() - age))
+    with replace_files(tmp_path, ["a"]) as drafts:
+        (drafts / "a").touch()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{DRAFTS}new", "a"]
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+    """A device in the place of a result, which a user with all rights could lose."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="is no file"), replace_files(tmp_path, ["pipe"]):
+        pass
+    assert (tmp_path / "pipe").is_fifo()

@@ -1,0 +1,29 @@
+"""The program: `vpptwin`, or `python -m vpptwin`."""
+
+import os
+import signal
+import sys
+from typing import NoReturn
+
+
+def stop(number: int, frame: object = None) -> NoReturn:
+    """End at once: before and after a command there is nothing to tidy up."""
+    os.write(2, b"vpptwin: stopped\n")
+    os._exit(128 + number)
+
+
+signal.signal(signal.SIGINT, stop)
+
+from vpptwin.cli import main  # noqa: E402
+
+
+def run() -> int:
+    """Run a command; its exit code."""
+    try:
+        return main()
+    except KeyboardInterrupt:  # that came as the command ended
+        stop(signal.SIGINT)
+
+
+if __name__ == "__main__":
+    sys.exit(run())

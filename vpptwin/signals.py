@@ -1,0 +1,108 @@
+"""Signals that end a command: one line, nothing left behind, no traceback."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from types import FrameType
+from typing import NoReturn
+
+from vpptwin.errors import InputError
+from vpptwin.files import discard_all
+
+AGAIN = 1.0
+"""A signal so soon [s] after another is the same impatience; it interrupts no tidying up."""
+PATIENCE = 3.0
+"""Compiled code that has not come back so long [s] after a signal is not waited for."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def end(code: int, line: str = "stopped") -> NoReturn:
+    """End the process at once, without drafts left behind."""
+    discard_all()
+    begin = "\n" if getattr(sys.stderr, "midline", False) else ""
+    with contextlib.suppress(OSError):
+        os.write(2, f"{begin}vpptwin: {line}\n".encode())
+    os._exit(code)
+
+
+@contextlib.contextmanager
+def heed_signals() -> Iterator[list[int]]:
+    """Ctrl-C, SIGTERM and a closed terminal raise KeyboardInterrupt in the block; yields the numbers of what came.
+
+    Where that would lead nowhere they end the process: while modules are imported, as libraries take what interrupts
+    them for an error of their own; in finalizers, where Python prints and forgets it; in code that does not come back.
+    So does what compiled code raises, which Python would print and forget too.
+    """
+    heard: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield heard
+        return
+    last, done, crashed = -math.inf, threading.Event(), threading.Lock()
+    reader, writer = os.pipe()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal last
+        before, last = last, time.monotonic()
+        if last > before + AGAIN:
+            if is_importing(frame):
+                end(128 + number)
+            heard.append(number)
+            raise KeyboardInterrupt
+
+    def watch() -> None:
+        while number := os.read(reader, 1):
+            came = time.monotonic()
+            if not done.wait(PATIENCE) and last < came - AGAIN:
+                end(128 + number[0])
+
+    def forget(lost: sys.UnraisableHookArgs) -> None:
+        if isinstance(lost.exc_value, KeyboardInterrupt) and heard:
+            end(128 + heard[0])
+        if "numba" in str(lost.object):  # an effect of the user's own has raised in mid-flight: what follows is wrong
+            with crashed:
+                end(2, str(explain_crash(lost)))
+        hook(lost)
+
+    os.set_blocking(writer, False)
+    heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    handlers = {number: signal.signal(number, stop) or signal.SIG_DFL for number in heeded}
+    woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    hook, sys.unraisablehook = sys.unraisablehook, forget
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield heard
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(woken)
+        sys.unraisablehook = hook
+        done.set()
+        os.close(writer)
+        watcher.join()
+        os.close(reader)
+
+
+def explain_crash(lost: sys.UnraisableHookArgs) -> InputError:
+    """What compiled code raised that cannot raise, and where."""
+    places = traceback.extract_tb(lost.exc_traceback)
+    place = f"{places[-1].filename}:{places[-1].lineno}: " if places else ""
+    found = f"{place}{lost.exc_type.__name__}: {lost.exc_value}"
+    return InputError(found, "an effect that returns numbers wherever a simulation gets to", "correct it")
+
+
+def is_importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported at a frame."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
