@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 def pytest_configure() -> None:
     """Draw the seed of what is hidden in flights, unless it is given; workers of xdist inherit it."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup has processes ignore, those that tests start ignore too
     os.environ.setdefault("VPPTWIN_SEED", str(int.from_bytes(os.urandom(4))))
 
 

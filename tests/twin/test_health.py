@@ -137,7 +137,7 @@ def test_refused_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Monkey
         patch.setattr(Path, "write_bytes", fill_up)
         with pytest.warns(RuntimeWarning, match="fault 1 is not saved: .*No space"):
             save_faults(tmp_path / "faults", {1: fault})
-    assert not list((tmp_path / "faults").iterdir())
+    assert not list(tmp_path.glob("faults/*"))
     (tmp_path / "file").touch()
     with pytest.warns(RuntimeWarning, match="fault 2 is not saved"):
         save_faults(tmp_path / "file", {2: fault})

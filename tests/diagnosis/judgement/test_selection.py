@@ -102,7 +102,7 @@ class Judges:
 
 def search_of(known: bool) -> Any:  # noqa: ANN401
     """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
-    bench = SimpleNamespace(guessed=not known)
+    bench = SimpleNamespace(guessed=not known, track=None)
     return SimpleNamespace(unknowns=UNKNOWNS, criteria=CRITERIA, sticks=lambda effects: False, bench=bench)
 
 

@@ -192,7 +192,9 @@ class Search(Fitter):
             other.bench, other._derivatives = copy(other.bench), {}
             other.bench.track = follow_motion(other.bench, here.values, here.likelihood.gust)
             other.responses = Responses(other.bench)
-            here = other.refine(other.reframe(here))
+            before, here = here, other.refine(other.reframe(here))
+            if all(abs(here.values[key] - before.values[key]) < 0.5 * std for key, std in here.std.items()):
+                break
         return replace(fit, values=here.values, std=here.std)
 
     def refine(self, fit: Fit) -> Fit:
