@@ -185,3 +185,9 @@ def test_configuration_defaults_are_not_shared() -> None:
     one, other = TrainConfig(task=HOVER), TrainConfig(task=HOVER)
     assert one.hidden is not other.hidden
     assert one.learning_rate is not other.learning_rate
+
+
+def test_a_list_within_a_list_of_strings_is_refused() -> None:
+    """As a checkpoint with a flipped bit had it: a line, no error of OmegaConf's."""
+    with pytest.raises(InputError, match="Cannot convert 'list' to string"):
+        to_config({"effects": [[]]})

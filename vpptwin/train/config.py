@@ -232,6 +232,7 @@ def to_config(data: DictConfig | dict[str, Any]) -> TrainConfig:
         if isinstance(data, dict) and "${" in str(data):
             raise ValueError("${...}, which would be looked up on this machine")
         config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(TrainConfig), data))
+        OmegaConf.structured(config)  # merging lets lists within lists of strings through
     except (OmegaConfBaseException, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(
             next(iter(str(error).splitlines()), "nothing that makes sense"), "a configuration of this version", HELP
