@@ -198,6 +198,7 @@ def open_held_out(
     short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
     if not short.guessed:
         found = follow_motion(short, {})
+        # Judged without looking ahead, starts are rough: they move too.
         short.track = replace(found, push=found.push * spec.robot.rotary)
     long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
     return HeldOut(short, long)

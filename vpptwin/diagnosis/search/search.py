@@ -187,8 +187,10 @@ class Search(Fitter):
 
         About another's motion a twin that sticks slips when the rig did not, and the fit makes it stick less.
         """
+        if self.bench.track is None or not self.sticks(fit.effects):
+            return fit
         here, other = fit, copy(self)
-        for _ in range(FOLLOWED if self.sticks(fit.effects) and self.bench.track is not None else 0):
+        for _ in range(FOLLOWED):
             other.bench, other._derivatives = copy(other.bench), {}
             other.bench.track = follow_motion(other.bench, here.values, here.likelihood.gust)
             other.responses = Responses(other.bench)
