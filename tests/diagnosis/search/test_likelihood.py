@@ -16,11 +16,11 @@ from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
     couple_gusts,
-    follow_motion,
     gust_std,
     measure_response,
     whiten_with,
 )
+from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin import robot
 from vpptwin.twin.spec import load_twin

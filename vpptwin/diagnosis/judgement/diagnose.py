@@ -33,7 +33,7 @@ from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Mis
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
-from vpptwin.diagnosis.search.likelihood import follow_motion
+from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import Stage as EffectStage

@@ -19,10 +19,10 @@ from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
     couple_gusts,
-    follow_motion,
     measure_response,
     whiten_with,
 )
+from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 

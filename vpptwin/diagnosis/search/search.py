@@ -12,7 +12,7 @@ from scipy.stats.qmc import LatinHypercube
 
 from vpptwin.diagnosis.evidence.bench import Key, Variation
 from vpptwin.diagnosis.search.fits import ITERATIONS, Fit, Fitter, find_cheapest
-from vpptwin.diagnosis.search.likelihood import follow_motion
+from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.responses import Responses
 from vpptwin.diagnosis.search.shortlist import Start, advance, rank_effects, rank_trials, start_from_look_alikes
 from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
