@@ -6,9 +6,10 @@
 For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
 hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights are
 diagnosed, and again with the manoeuvre that the first diagnosis suggests if it does, (4) a policy is trained on the
-extended twin, its effects drawn from the identified intervals, (5) it flies. Beside it fly the nominal one, one with
-the paper's randomization, and an oracle trained on a twin of the truth, all by the same recipe and seed. What the twin
-at hand predicts of the same flights (its own engine, filter, gusts and noise) is compared with what was flown.
+extended twin, its effects drawn from the identified intervals, (5) it flies. Beside it fly the nominal one, the same
+under the adaptive controller of actuators, one with the paper's randomization, and an oracle trained on a twin of the
+truth, all by the same recipe and seed. What the twin at hand predicts of the same flights (its own engine, filter,
+gusts and noise) is compared with what was flown.
 
 Everything is kept in --folder: an interrupted run goes on where it was.
 """
@@ -22,6 +23,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
@@ -109,11 +111,12 @@ def run(args: argparse.Namespace) -> list[dict[str, Any]]:
     others = side_by_side(tasks, args.jobs, "train again")
     flying: list[tuple[Any, ...]] = []
     for i, (h, rig) in enumerate(zip(homes, rigs)):
-        runs = dict(zip(POLICIES, (nominal, randomized, *others[2 * i : 2 * i + 2]), strict=True))
-        twins = dict(zip(POLICIES, ("nominal", "nominal", extended[i], truths[i]), strict=True))
+        runs = dict(zip(POLICIES, (nominal, nominal, randomized, *others[2 * i : 2 * i + 2]), strict=True))
+        twins = dict(zip(POLICIES, (*3 * ["nominal"], extended[i], truths[i]), strict=True))
         for name in POLICIES:
             export(runs[name])
-            flying.append((measure, h / f"{name}.json", runs[name], rig, twins[name], seed, budget.flights))
+            craft = replace(rig, controller="adaptive" if name == "adaptive" else "own")
+            flying.append((measure, h / f"{name}.json", runs[name], craft, twins[name], seed, budget.flights))
     flown = iter(side_by_side(flying, args.jobs, "fly"))
     return [
         describe(rig, read_verdict(folder), {name: next(flown) for name in POLICIES}, seed)

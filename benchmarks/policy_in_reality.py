@@ -4,9 +4,10 @@
     python benchmarks/policy_in_reality.py runs/flip --effects none --no-gusts --flights 50
 
 Wide random initial states and targets as the task draws them; hidden in every flight all the effects that training
-randomizes by default, drawn from the central 95 % of their priors; gusts, sensor noise, dropouts, a mocap that is 8 to
-17 ms late, the rig off nominal within its tolerance (tests/reality, which shares no physics with vpptwin, nor the state
-estimate or the observation).
+randomizes by default, drawn from the central 95 % of their priors (with `--effects worn` besides actuators with
+0.02 rad of play, up to 0.02 rad off in trim and 20 % in drag, as on the thrust stand); gusts, sensor noise, dropouts,
+a mocap that is 8 to 17 ms late, the rig off nominal within its tolerance (tests/reality, which shares no physics with
+vpptwin, nor the state estimate or the observation; unless `--controller` has vpptwin's firmware fly there).
 """
 
 from __future__ import annotations
@@ -34,8 +35,15 @@ from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402
 from vpptwin.train.randomize import PAPER_EFFECTS  # noqa: E402
 from vpptwin.train.tasks import TASKS  # noqa: E402
 
-EFFECTS = {"none": (), "paper": PAPER_EFFECTS}
+EFFECTS = {"none": (), "paper": PAPER_EFFECTS, "worn": PAPER_EFFECTS}
 """What is hidden in every flight."""
+HIDDEN = {
+    "none": "nothing hidden",
+    "paper": "its randomized effects hidden",
+    "worn": "its randomized effects hidden, actuators worn",
+}
+CONTROLLERS = {"own": "its own firmware", "map": "vpptwin's firmware", "adaptive": "vpptwin's adaptive firmware"}
+"""Of the actuators."""
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -46,6 +54,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1, help="flight i is the same for any --flights")
     parser.add_argument("--task", choices=list(TASKS), help="by default that of training")
     parser.add_argument("--effects", choices=list(EFFECTS), default="paper", help="hidden in every flight")
+    parser.add_argument("--controller", choices=CONTROLLERS, default="own", help="of the actuators")
     parser.add_argument("--no-gusts", dest="gusts", action="store_false")
     parser.add_argument("--no-dropouts", dest="dropouts", action="store_false")
     parser.add_argument("--json", type=Path, help="write the results and every flight here")
@@ -56,12 +65,19 @@ def run(options: argparse.Namespace) -> dict:
     """Fly; results and where they come from, as plain data."""
     content = read_checkpoint(options.checkpoint)
     policy, task = load_flyer(options.checkpoint, options.task)
-    sky = Sky(EFFECTS[options.effects], gusts=options.gusts, dropouts=options.dropouts)
+    sky = Sky(
+        EFFECTS[options.effects],
+        gusts=options.gusts,
+        dropouts=options.dropouts,
+        worn=options.effects == "worn",
+        controller=options.controller,
+    )
     bar = tqdm(total=options.flights, unit="flight", desc=task.name)
     with bar:
         outcomes = measure(policy, task, sky, options.flights, options.seed, tell=lambda _: bar.update())
     return {
         "task": task.name, "hidden": options.effects, "gusts": options.gusts, "dropouts": options.dropouts,
+        "controller": options.controller,
         "seed": options.seed, "window_s": task.success.window, "success_distance_m": task.success.position,
         "success_angle_rad": task.success.angle, "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "checkpoint": {"path": options.checkpoint, "steps": content["steps"], "commit": content["commit"]},
@@ -82,7 +98,7 @@ def format_table(result: dict) -> str:
         ("position error inverted", show(result["inverted_error_m"])),
         ("angle error [mrad]", show(result["angle_error_rad"])),
     ]  # fmt: skip
-    hidden = "its randomized effects hidden" if result["hidden"] == "paper" else "nothing hidden"
+    hidden = HIDDEN[result["hidden"]] + f", {CONTROLLERS[result['controller']]}"
     calm = "" if result["gusts"] else ", no gusts"
     lines = [f"| {result['task']}, {flights} flights, {hidden}{calm} | |", "|---|---:|"]
     lines += [f"| {name} | {value} |" for name, value in rows]

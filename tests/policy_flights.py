@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from tests.firmware import VpptwinFirmware
 from tests.reality import EFFECTS, Recording, fly_policy
 from tests.reality.flight import FlightPlan
 from tests.reality.policy import Policy
+from tests.thrust_tracking import draw_worn
 from vpptwin.effects import Effect, Parameter
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
@@ -45,6 +48,8 @@ class Sky:
         dropouts: of mocap frames.
         rig: what one rig has, which then flies all flights; None for effects drawn for every flight.
         session: seed of that rig's tolerances; None for another rig every flight.
+        worn: actuators are as bad as those on the thrust stand (`tests.thrust_tracking.draw_worn`).
+        controller: of actuators, "map" or "adaptive" in vpptwin's firmware; "own" for the simulation's own firmware.
     """
 
     effects: Sequence[str] = PAPER_EFFECTS
@@ -53,6 +58,8 @@ class Sky:
     dropouts: bool = True
     rig: Effects | None = None
     session: int | None = None
+    worn: bool = False
+    controller: str = "own"
 
 
 @dataclass(frozen=True)
@@ -140,6 +147,8 @@ def assign(task: Task, sky: Sky, number: int, seed: int, catalogue: Mapping[str,
     hidden = sky.rig
     if hidden is None:
         hidden = {effect: draw_values(catalogue[effect], rng) for effect in sky.effects if effect in EFFECTS}
+    if sky.worn:
+        hidden = hidden | draw_worn(0.8 + 0.4 * (number % 2), np.random.default_rng([seed, number, 1]))
     plan: FlightPlan = {
         "effects": hidden,
         "session": sky.session,
@@ -204,7 +213,9 @@ def fly_assignments(
     for start in range(first, first + count, TOGETHER):
         numbers = range(start, min(start + TOGETHER, first + count))
         batch = [assign(task, sky, number, seed, catalogue) for number in numbers]
-        recordings = fly_policy(policy, np.stack([a.targets for a in batch]), [a.plan for a in batch])
+        ours = partial(VpptwinFirmware, adaptive=sky.controller == "adaptive")
+        firmware = None if sky.controller == "own" else ours
+        recordings = fly_policy(policy, np.stack([a.targets for a in batch]), [a.plan for a in batch], firmware)
         yield from zip(batch, recordings)
 
 

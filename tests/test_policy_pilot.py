@@ -8,8 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.policy_flights import CENTRAL, PERIOD, Sky, assign, draw_targets, judge, read_drone, summarise
+from tests.firmware import VpptwinFirmware
+from tests.policy_flights import (
+    CENTRAL,
+    PERIOD,
+    Sky,
+    assign,
+    draw_targets,
+    judge,
+    load_flyer,
+    measure,
+    read_drone,
+    summarise,
+)
 from tests.reality import EFFECTS, fly_policy
+from tests.reality.control import PITCH_LSB, Firmware
 from tests.reality.flight import FlightPlan
 from tests.reality.policy import PolicyPilot, observe
 from tests.reality.rig import load_nominal
@@ -166,3 +179,27 @@ def test_flights_are_judged_by_the_task() -> None:
         pytest.approx(1 / 3),
     )
     assert result["inverted_error_m"]["worst"] == far.position_error
+
+
+def test_both_firmwares_allocate_alike() -> None:
+    """Rate loop and allocation, written twice: blade pitches of both agree to a bit of the servo command."""
+    rng, count = np.random.default_rng(0), 5
+    theirs, ours = Firmware(load_nominal(), count), VpptwinFirmware(count, adaptive=False)
+    for _ in range(50):
+        thrust, rate = rng.uniform(-9.0, 9.0, count), rng.uniform(-12.0, 12.0, count)
+        for _ in range(10):
+            sensed = rng.normal(0.0, 3.0, count), rng.normal(471.0, 3.0, (2, count)), rng.uniform(1.0, 5.0, (2, count))
+            pitch, wanted = (firmware.command(thrust, rate, *sensed)[0] for firmware in (ours, theirs))
+            np.testing.assert_allclose(pitch, wanted, rtol=0.0, atol=PITCH_LSB)
+
+
+def test_the_adaptive_controller_flies_worn_actuators_better() -> None:
+    """Play, trim and drag as on the thrust stand: the median error is four fifths of the map's or less."""
+    policy, task = load_flyer("flip")
+    outcomes = {
+        controller: measure(policy, task, Sky(worn=True, gusts=False, controller=controller), 12, 5)
+        for controller in ("map", "adaptive")
+    }
+    assert not any(o.failed for o in outcomes["adaptive"])
+    errors = {name: np.median([o.position_error for o in each]) for name, each in outcomes.items()}
+    assert errors["adaptive"] < 0.8 * errors["map"]

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from tests.firmware import NOMINAL, STEP, start_memories
 from tests.reality.effects import Effects
 from tests.reality.thrust_stand import ThrustStand
-from vpptwin.actuators.adaptive import DRAG, FAULT, HALF_GAP, TRIM, start_memory
+from vpptwin.actuators.adaptive import DRAG, FAULT, HALF_GAP, TRIM
 from vpptwin.actuators.controller import drive_rotor
-from vpptwin.actuators.layer import layer_dtype
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.vehicle import load_vehicle
 
-STEP = 0.001  # s
-NOMINAL = load_vehicle()
 LEVELS = (0.0, 2.0, -2.0, 4.0, -4.0, 1.0, -1.0, 3.0, 0.5, -3.0, 2.5, -0.5)
 """Thrusts of the step sequence, N."""
 DWELL = 0.5
@@ -106,10 +103,7 @@ def track_thrust(
     steps, count = round(duration / STEP), len(effects)
     stand = ThrustStand(effects, seed, steps)
     vehicle = record_vehicle(NOMINAL)[0]
-    memories = np.zeros((2, count), layer_dtype(1, 0, adaptive)).view(np.recarray)
-    if adaptive:
-        memories.adaptive[:] = start_memory(NOMINAL.rotor.speed)
-    memories.throttle[:, :, 0] = NOMINAL.rotor.speed / NOMINAL.motor.k_v / NOMINAL.motor.battery
+    memories = start_memories((2, count), 1, adaptive)
     time = np.arange(steps) * STEP
     wanted = COMMANDS[command](time)
     pitch, throttle = np.zeros((2, count)), np.zeros((2, count))
@@ -134,17 +128,17 @@ def track_thrust(
     return Track(time, wanted, reachable, thrust, speed, believed, fault)
 
 
+def draw_worn(drag: float, random: np.random.Generator) -> Effects:
+    """Actuators with 0.02 rad of play, trim errors of up to 0.02 rad, and `drag` times the drag of the map."""
+    trim = random.uniform(-0.02, 0.02, 2)
+    return {
+        "servo.backlash": {"gap": 0.02},
+        "servo.trim": {"offset_1": float(trim[0]), "offset_2": float(trim[1])},
+        "rotor.drag": {"gain": drag},
+    }
+
+
 def draw_stands(count: int, seed: int) -> list[Effects]:
-    """Stands with 0.02 rad of play, trim errors of up to 0.02 rad, and a drag map that is 20 % off, either way."""
+    """Stands with worn actuators and a drag map that is 20 % off, either way."""
     random = np.random.default_rng(seed)
-    stands: list[Effects] = []
-    for i in range(count):
-        trim = random.uniform(-0.02, 0.02, 2)
-        stands.append(
-            {
-                "servo.backlash": {"gap": 0.02},
-                "servo.trim": {"offset_1": float(trim[0]), "offset_2": float(trim[1])},
-                "rotor.drag": {"gain": 1.2 if i % 2 == 0 else 0.8},
-            }
-        )
-    return stands
+    return [draw_worn(1.2 if i % 2 == 0 else 0.8, random) for i in range(count)]

@@ -12,13 +12,13 @@ import numpy as np
 from loop.steps import POLICIES
 from vpptwin.files import write_whole
 from vpptwin.viz.figure import follow_reader, open_figure, write_svg
-from vpptwin.viz.palette import BLUE, GREY, ORANGE, VERMILION
+from vpptwin.viz.palette import BLUE, GREY, ORANGE, PURPLE, VERMILION
 
 LOST = 0.5
 """What a lost flight counts as in the score [m], as in the choice of a run's best policy."""
 CLOSE = 0.2
 """A predicted error is right within this share of the flown one."""
-COLOURS = {"nominal": VERMILION, "randomized": ORANGE, "extended": BLUE, "oracle": GREY}
+COLOURS = {"nominal": VERMILION, "adaptive": PURPLE, "randomized": ORANGE, "extended": BLUE, "oracle": GREY}
 
 
 def score(flown: dict[str, Any]) -> float:
@@ -40,7 +40,7 @@ def closed_share(rigs: Sequence[dict[str, Any]]) -> float:
 
 
 def mean_score(rigs: Sequence[dict[str, Any]], name: str) -> float:
-    """Mean score of one of the four policies over rigs [m]."""
+    """Mean score of one of the policies over rigs [m]."""
     return statistics.fmean(score(rig["policies"][name]["flown"]) for rig in rigs)
 
 
@@ -56,7 +56,7 @@ def format_table(rigs: Sequence[dict[str, Any]]) -> str:
     lines = [head, "|" + "---|" * 7]
     for setting in dict.fromkeys(rig["setting"] for rig in rigs):
         group = [rig for rig in rigs if rig["setting"] == setting]
-        for name, title in POLICIES.items():
+        for name, title in list_flown(group).items():
             pairs = [rig["policies"][name] for rig in group]
             cells = [
                 group[0]["title"] if name == "nominal" else "", title,
@@ -70,6 +70,11 @@ def format_table(rigs: Sequence[dict[str, Any]]) -> str:
     note = "Score: mean position error, a lost flight counted as 0.5 m. In brackets: what the twin at hand predicts."
     lines += ["", note, ""]
     return "\n".join([*lines, *map(tell, rigs), sum_up(rigs)])
+
+
+def list_flown(rigs: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """What was flown on all these rigs, in words, by name: earlier results have no adaptive controller."""
+    return {name: title for name, title in POLICIES.items() if all(name in rig["policies"] for rig in rigs)}
 
 
 def in_mm(metres: float | None) -> float | None:
@@ -107,7 +112,7 @@ def tell(rig: dict[str, Any]) -> str:
 
 def sum_up(rigs: Sequence[dict[str, Any]]) -> str:
     """All rigs in a line: what was closed, and how well the extended twin and the nominal one predict errors."""
-    scores = {name: 1e3 * mean_score(rigs, name) for name in POLICIES}
+    scores = {name: 1e3 * mean_score(rigs, name) for name in list_flown(rigs)}
     off = {name: [abs(misjudged(rig, name)) for rig in rigs] for name in ("nominal", "extended")}
     within = {name: sum(share <= CLOSE for share in shares) for name, shares in off.items()}
     return (
@@ -127,19 +132,21 @@ def list_effects(effects: dict[str, dict[str, str]]) -> str:
 
 
 def draw_picture(rigs: Sequence[dict[str, Any]], path: Path) -> Path:
-    """Score of the four policies on every setting, a dot for every seed, the twin's prediction as a bar across."""
-    settings = list(dict.fromkeys(rig["setting"] for rig in rigs))
+    """Score of the policies on every setting, a dot for every seed, the twin's prediction as a bar across."""
+    settings, flown = list(dict.fromkeys(rig["setting"] for rig in rigs)), list(list_flown(rigs))
     with open_figure(9.0, 3.4) as figure:
         panels = figure.subplots(1, len(settings), sharey=True, squeeze=False)[0]
         for axes, setting in zip(panels, settings):
             group = [rig for rig in rigs if rig["setting"] == setting]
-            for x, (name, colour) in enumerate(COLOURS.items()):
+            for x, name in enumerate(flown):
                 for i, rig in enumerate(group):
                     place = x + 0.22 * (i - 0.5 * (len(group) - 1))
-                    flown, guess = (1e3 * score(rig["policies"][name][key]) for key in ("flown", "predicted"))
-                    axes.plot(place, flown, "o", color=colour, markersize=6.5)
-                    axes.plot([place - 0.09, place + 0.09], [guess, guess], color=colour, linewidth=2.2, alpha=0.75)
-            axes.set_xticks(range(len(COLOURS)), ["nominal", "randomized", "extended", "oracle"], rotation=25)
+                    scored, guess = (1e3 * score(rig["policies"][name][key]) for key in ("flown", "predicted"))
+                    axes.plot(place, scored, "o", color=COLOURS[name], markersize=6.5)
+                    axes.plot(
+                        [place - 0.09, place + 0.09], [guess, guess], color=COLOURS[name], linewidth=2.2, alpha=0.75
+                    )
+            axes.set_xticks(range(len(flown)), flown, rotation=25)
             axes.set_yscale("log")
             axes.set_title(group[0]["title"])
             axes.margins(x=0.12)

@@ -72,16 +72,18 @@ class Rig:
         setting: it comes from.
         hidden: effect → parameter → value.
         session: seed of its build tolerances.
+        controller: of its actuators, as `Sky` says.
     """
 
     setting: Setting
     hidden: Effects
     session: int
+    controller: str = "own"
 
     @property
     def sky(self) -> Sky:
         """What its flights go through: gusts, noise, dropouts, its effects and tolerances."""
-        return Sky(rig=self.hidden, session=self.session)
+        return Sky(rig=self.hidden, session=self.session, controller=self.controller)
 
     def choose_task(self, task: Task) -> Task:
         """The task as it is flown here."""

@@ -21,11 +21,12 @@ ROOT = Path(__file__).resolve().parents[2]
 COMPILE = ("gcc", "-O2", "-std=c99", "-shared", "-fPIC")
 POLICIES = {
     "nominal": "nominal twin",
+    "adaptive": "the same, flown by the adaptive controller",
     "randomized": "nominal twin, the paper's randomization",
     "extended": "extended twin, identified intervals",
     "oracle": "the truth",
 }
-"""The four that fly, and what each was trained on."""
+"""Those that fly, and what each was trained on."""
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def fake_rig(seed: int, errors: dict[str, float], lost: int = 0) -> dict:
     return {**about, "hidden": {"servo.lag": {"time_constant": 0.041}}, "diagnosis": diagnosis, "policies": policies}
 
 
-ERRORS = {"nominal": 0.05, "randomized": 0.03, "extended": 0.012, "oracle": 0.01}
+ERRORS = {"nominal": 0.05, "adaptive": 0.04, "randomized": 0.03, "extended": 0.012, "oracle": 0.01}
 
 
 def test_what_is_closed_by_hand() -> None:

@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from .rotor import STEP
+from .sensors import quantise
 
 PITCH_LSB = 2.0**-14  # rad, resolution of the servo command
 THROTTLE_LSB = 2.0**-12
 _SPEED_KP, _SPEED_KI = 0.02, 0.15  # V s/rad, V/rad
+
+
+class Controller(Protocol):
+    """Whose loops run in a batch of flights."""
+
+    def command(
+        self, thrust: np.ndarray, rate: np.ndarray, gyro: np.ndarray, speed: np.ndarray, current: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run the loops once.
+
+        Args:
+            thrust: Commanded by the policy, N. (flights,).
+            rate: Commanded by the policy, rad/s. (flights,).
+            gyro: Measured q, rad/s. (flights,).
+            speed: Measured rotor speeds, rad/s. (2, flights).
+            current: Measured motor currents, A. (2, flights).
+
+        Returns:
+            Blade pitch rad and throttle, both (2, flights).
+        """
 
 
 class Firmware:
@@ -27,19 +50,9 @@ class Firmware:
         self.integral = np.zeros((2, count))  # V
 
     def command(
-        self, thrust: np.ndarray, rate: np.ndarray, gyro: np.ndarray, speed: np.ndarray
+        self, thrust: np.ndarray, rate: np.ndarray, gyro: np.ndarray, speed: np.ndarray, current: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Run the loops once.
-
-        Args:
-            thrust: Commanded by the policy, N. (flights,).
-            rate: Commanded by the policy, rad/s. (flights,).
-            gyro: Measured q, rad/s. (flights,).
-            speed: Measured rotor speeds, rad/s. (2, flights).
-
-        Returns:
-            Blade pitch rad and throttle, both (2, flights).
-        """
+        """Run the loops once, as `Controller` says; currents do not matter to it."""
         before = self.rate
         self.rate = before + self.filter_gain * (gyro - before)
         moment = self.kp * (rate - self.rate) - self.kd * (self.rate - before) / STEP
@@ -48,7 +61,7 @@ class Firmware:
         split = np.minimum(np.maximum(split, -limit), limit)
         room = limit - np.abs(split)  # what rate control leaves for thrust
         mean = np.minimum(np.maximum(0.5 * thrust, -room), room)
-        pitch = np.rint(np.stack([mean - split, mean + split]) * (self.per_newton / PITCH_LSB)) * PITCH_LSB
+        pitch = quantise(np.stack([mean - split, mean + split]) * self.per_newton, PITCH_LSB)
         pitch = np.minimum(np.maximum(pitch, -self.pitch_max), self.pitch_max)
         return pitch, self._govern(pitch, speed)
 

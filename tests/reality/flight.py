@@ -6,12 +6,12 @@ their commands, stamped t_k, which act until the next one. Currents are those un
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypedDict
 
 import numpy as np
 
-from .control import Firmware
+from .control import Controller, Firmware
 from .effects import Effects
 from .gusts import Field, Wind
 from .manoeuvres import write_script
@@ -117,12 +117,15 @@ def fly(
     return fly_many([plan])[0]
 
 
-def fly_many(plans: Sequence[FlightPlan], pilot: Commander | None = None) -> list[Recording]:
+def fly_many(
+    plans: Sequence[FlightPlan], pilot: Commander | None = None, firmware: Callable[[int], Controller] | None = None
+) -> list[Recording]:
     """Fly a batch of flights of equal duration at once: 64 take little longer than one.
 
     Args:
         plans: One dictionary per flight, the arguments of `fly`.
         pilot: Who flies all of them; by default the script of each flight's manoeuvre, which else only names it.
+        firmware: Makes the loops below the pilot for so many flights; by default `Firmware`.
 
     Returns:
         A recording per flight. A flight does not depend on the others of its batch.
@@ -130,7 +133,7 @@ def fly_many(plans: Sequence[FlightPlan], pilot: Commander | None = None) -> lis
     batch = [_DEFAULTS | plan for plan in plans]
     if len({(plan["duration"], plan["initial"] is None) for plan in batch}) != 1:
         raise ValueError("flights of one batch need the same duration, and all or none an initial state")
-    return Batch(batch, pilot).run()
+    return Batch(batch, pilot, firmware).run()
 
 
 def _read_scripts(flights: Sequence[FlightPlan], nominal: dict) -> Pilot:
@@ -141,7 +144,10 @@ def _read_scripts(flights: Sequence[FlightPlan], nominal: dict) -> Pilot:
 class Batch:
     """Flights that are stepped together. Time is the first axis of every series, the flight the last."""
 
-    def __init__(self, flights: list[FlightPlan], pilot: Commander | None = None) -> None:
+    def __init__(
+        self, flights: list[FlightPlan], pilot: Commander | None = None,
+        firmware: Callable[[int], Controller] | None = None,
+    ) -> None:  # fmt: skip
         self.flights = flights
         self.count = len(flights)
         self.all = np.arange(self.count)
@@ -162,8 +168,9 @@ class Batch:
             state[:] = np.array([f["initial"] for f in flights], dtype=float).T
         self.plant = Plant(self.rig, state[:3], state[3:])
         hover = nominal["gravity"] * (nominal["airframe"]["mass"] + nominal["rig"]["slider_mass"]) / 2
-        self.firmware = Firmware(nominal, self.count)
-        trim = np.full((2, self.count), hover * self.firmware.per_newton)
+        believed = Firmware(nominal, self.count)
+        self.firmware: Controller = firmware(self.count) if firmware else believed
+        trim = np.full((2, self.count), hover * believed.per_newton)
         trim = np.copysign(trim, np.cos(state[PITCH]))  # carries the craft either way up
         self.servo, self.motor, self.propeller = Servo(self.rig, trim), Motor(self.rig), Propeller(self.rig)
         self.propeller.pitch = trim.copy()
@@ -204,7 +211,8 @@ class Batch:
             self._sample(k, blade, speed, thrust)
             if k % MOCAP_PERIOD == 0:
                 command = self._pilot(k)
-            pitch, throttle = self.firmware.command(*command, self.gyro[k], self.speed_read[k])
+            current = quantise(self.current[k] + chances.current[k], CURRENT_LSB)
+            pitch, throttle = self.firmware.command(*command, self.gyro[k], self.speed_read[k], current)
             self.pitch_command[k], self.throttle[k] = pitch, throttle
             if k == self.steps:
                 break

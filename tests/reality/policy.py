@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .control import Controller
 from .flight import FlightPlan, fly_many
 from .recording import Recording
 from .rig import PITCH, X, Z, load_nominal
@@ -66,7 +67,12 @@ class PolicyPilot:
         return thrust, turn
 
 
-def fly_policy(policy: Policy, targets: np.ndarray, plans: Sequence[FlightPlan]) -> list[Recording]:
+def fly_policy(
+    policy: Policy,
+    targets: np.ndarray,
+    plans: Sequence[FlightPlan],
+    firmware: Callable[[int], Controller] | None = None,
+) -> list[Recording]:
     """Fly a batch of flights by a policy.
 
     Args:
@@ -74,10 +80,11 @@ def fly_policy(policy: Policy, targets: np.ndarray, plans: Sequence[FlightPlan])
         targets: x m, z m, theta rad of each flight's policy periods from 0 to `duration`. (flights, ticks, 3).
         plans: As `fly_many` takes them; the manoeuvre is a name for the recording. Without an initial state the craft
             settles at its first target before the log starts.
+        firmware: As `fly_many` takes it.
 
     Returns:
         A recording per flight.
     """
     if targets.shape[:1] + targets.shape[2:] != (len(plans), 3):
         raise ValueError(f"targets {targets.shape}, expected ({len(plans)}, ticks, 3)")
-    return fly_many(plans, PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0))))
+    return fly_many(plans, PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0))), firmware)
