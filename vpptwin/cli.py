@@ -12,7 +12,7 @@ from signal import SIGINT
 from typing import NoReturn
 
 from vpptwin import __version__, commands
-from vpptwin.errors import InputError, check_name
+from vpptwin.errors import InputError, check_name, explain_missing
 from vpptwin.files import discard_all
 from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
@@ -91,6 +91,8 @@ def explain(error: BaseException) -> InputError | None:
         return InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
     if isinstance(error, MemoryError):
         return InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
+    if isinstance(error, ModuleNotFoundError):
+        return explain_missing(error)
     return error if isinstance(error, InputError) else None
 
 
@@ -104,6 +106,12 @@ def build_parser() -> argparse.ArgumentParser:
         describe(command)
         command.set_defaults(run=run)
     return parser
+
+
+def describe_demo(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin demo`."""
+    out = Path("out") / "demo"
+    parser.add_argument("--out", type=Path, default=out, help=f"folder for report and flip (default {out})")
 
 
 def describe_effects(parser: argparse.ArgumentParser) -> None:
@@ -246,6 +254,7 @@ def add_topic_map(parser: argparse.ArgumentParser) -> None:
 
 
 COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentParser], None]]] = {
+    "demo": ("diagnose the flights that ship with vpptwin", commands.run_demo, describe_demo),
     "effects": ("list the catalogue of effects", commands.run_effects, describe_effects),
     "diagnose": ("find what a twin gets wrong, from flight logs", commands.run_diagnose, describe_diagnose),
     "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),

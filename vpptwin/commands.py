@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from vpptwin.pilot.flight import Pilot
 
 
+def run_demo(options: argparse.Namespace) -> None:
+    """`vpptwin demo`."""
+    from vpptwin.demo import show_demo
+
+    show_demo(options.out)
+
+
 def run_effects(options: argparse.Namespace) -> None:
     """`vpptwin effects`."""
     from vpptwin.effects.table import print_catalogue

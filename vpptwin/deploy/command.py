@@ -6,7 +6,6 @@ from pathlib import Path
 
 from vpptwin.deploy.c_source import write_c
 from vpptwin.deploy.content import collect_content
-from vpptwin.deploy.onnx_model import write_onnx
 from vpptwin.errors import InputError
 
 
@@ -32,4 +31,6 @@ def export(checkpoint: Path, kind: str, out: Path | None, twin: str | None = Non
     target = out or Path(f"{name}.onnx")
     if target.suffix != ".onnx":
         raise InputError(f"--out {target}", "a name that ends in .onnx", f"e.g. --out {name}.onnx")
+    from vpptwin.deploy.onnx_model import write_onnx  # torch loads
+
     return [write_onnx(content, target)]

@@ -12,13 +12,14 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.files import write_json
-from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
+from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
 from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
 from vpptwin.train.pilot import check_task_name, choose_task
 from vpptwin.train.randomize import PAPER
+from vpptwin.train.stored import find_commit, find_versions
 from vpptwin.train.tasks import check_task
 from vpptwin.trust import trust
 

@@ -14,6 +14,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from vpptwin.errors import InputError
@@ -45,7 +46,9 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
         store.store(group="task", name=task.name, node=task)
     try:
         with initialize(version_base="1.3", config_path=None):
-            config = to_config(compose(config_name="train", overrides=given))
+            composed = OmegaConf.to_container(compose(config_name="train", overrides=given), resolve=True)
+            assert isinstance(composed, dict)
+            config = to_config({str(key): value for key, value in composed.items()})
             trust(config.effects)
             return config
     except (HydraException, OmegaConfBaseException) as error:

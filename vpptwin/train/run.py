@@ -9,14 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
+import yaml
 
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files, write_whole
-from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
+from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
 from vpptwin.train.memory import check_run, explain_exhaustion
 from vpptwin.train.ppo import FAULTS, build_training, find_device
+from vpptwin.train.stored import FILE_NAME
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -42,7 +43,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     with explain_exhaustion(config):
         training = build_training(config, folder, saved)
     trim_logs(folder, saved["steps"] if saved else 0)
-    OmegaConf.save(OmegaConf.create(to_plain(config)), folder / "config.yaml")
+    write_whole(folder / "config.yaml", yaml.safe_dump(to_plain(config), sort_keys=False))
     started, begun = time.monotonic(), training.trainer.collected_frames
     try:
         with explain_exhaustion(config):

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from omegaconf import OmegaConf
+from yaml import YAMLError
 
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.viz.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from vpptwin.viz.panels import Line, Panel, Story
 
@@ -89,8 +90,8 @@ def read_options(run: Path) -> dict[str, object]:
     """
     file = run / "config.yaml"
     try:
-        nested = OmegaConf.to_container(OmegaConf.load(file))
-    except Exception as error:  # OmegaConf and YAML raise a dozen kinds
+        nested = read_yaml(file)
+    except (OSError, ValueError, YAMLError) as error:
         found = f"{file} cannot be read ({type(error).__name__})"
         raise InputError(found, "the configuration that training saves", "name the folder of a training run") from error
     flat: dict[str, object] = {}
