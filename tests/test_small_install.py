@@ -34,8 +34,8 @@ for command in json.load(sys.stdin):
 """
 WORKING = {
     "effects": ["effects"],
-    "scripted pilot": ["fly", "--manoeuvre", "hover", "--duration", "5", "--out", "hover.mcap"],
-    "shipped policy": ["fly", "flip", "--duration", "5", "--out", "flip.mcap"],
+    "scripted pilot": ["fly", "--manoeuvre", "hover", "--duration", "6", "--out", "hover.mcap"],
+    "shipped policy": ["fly", "flip", "--duration", "6", "--out", "flip.mcap"],
     "c": ["export", "flip", "--format", "c"],
     "compare": ["compare", "flip.mcap"],
     "plot": ["plot", "flip.mcap", "--twin", "nominal"],

@@ -128,6 +128,7 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin diagnose`."""
     add_logs(parser)
     add = parser.add_argument
+    add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
 
@@ -135,7 +136,9 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
 def describe_compare(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin compare`."""
     add_logs(parser)
-    parser.add_argument("--json", type=Path, help="write the figures here as well; - prints them instead")
+    add = parser.add_argument
+    add("--twin", action="append", help="`nominal` (default), `typical` or a twin YAML; several times for several")
+    add("--json", type=Path, help="write the figures here as well; - prints them instead")
 
 
 def describe_play(parser: argparse.ArgumentParser) -> None:
@@ -225,7 +228,6 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
 def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
-    parser.add_argument("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add_effects(parser)
     add_topic_map(parser)
 

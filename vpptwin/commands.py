@@ -41,10 +41,6 @@ def run_diagnose(options: argparse.Namespace) -> None:
     """`vpptwin diagnose`."""
     from vpptwin.diagnosis.report.command import diagnose_logs
 
-    for i, log in enumerate(options.logs):
-        if log.resolve() in [other.resolve() for other in options.logs[:i]]:
-            expected = "every flight once, as those that judge must not be those that are fitted"
-            raise InputError(f"{log} is given twice", expected, "leave one out")
     diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
 
 
@@ -52,7 +48,7 @@ def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
     from vpptwin.diagnosis.report.compare import compare_logs
 
-    compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
+    compare_logs(options.logs, options.twin or ["nominal"], options.json, options.topic_map, options.effects)
 
 
 def run_play(options: argparse.Namespace) -> None:

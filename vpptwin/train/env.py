@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import Lesson, TrainConfig
+from vpptwin.train.config import Lesson, TrainConfig, check_values
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
 from vpptwin.train.onboard import Onboard
@@ -22,7 +23,7 @@ from vpptwin.train.randomize import IDENTIFIED, Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.rotors import load_trained_twin, strengthen
 from vpptwin.train.starts import SOON, FailedStarts
-from vpptwin.train.tasks import Task
+from vpptwin.train.tasks import TASKS, Task, check_task_name
 from vpptwin.twin import Twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
@@ -364,3 +365,29 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
         config.critic_memory, config.privileged, fault_folder, config.estimator, IDENTIFIED in config.randomize,
     )  # fmt: skip
+
+
+def make_task_env(
+    task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
+    randomize: Sequence[str] = (),
+) -> VppEnv:  # fmt: skip
+    """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
+
+    Args:
+        task: one of `vpptwin.train.tasks.TASKS`.
+        twin: `nominal`, `typical` or a twin YAML.
+        num_envs: simulations flown side by side.
+        seed: of everything random.
+        noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
+        randomize: effects drawn from their priors at every reset; `paper` and `all` stand for groups.
+
+    Raises:
+        InputError: if there is no such task, twin or effect.
+    """
+    check_task_name(task)
+    config = TrainConfig(
+        copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
+        desynchronize=False,
+    )  # fmt: skip
+    check_values(config)
+    return make_env(config)

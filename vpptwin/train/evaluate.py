@@ -17,10 +17,10 @@ from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
 from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
-from vpptwin.train.pilot import check_task_name, choose_task
+from vpptwin.train.pilot import choose_task
 from vpptwin.train.randomize import PAPER
 from vpptwin.train.stored import find_commit, find_versions
-from vpptwin.train.tasks import check_task
+from vpptwin.train.tasks import check_task, check_task_name
 from vpptwin.trust import trust
 
 

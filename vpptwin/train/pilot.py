@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.errors import InputError
 from vpptwin.pilot.manoeuvre import SHORTEST, check_duration
 from vpptwin.train.actor import build_actor
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.observe import accumulate_error, observe
 from vpptwin.train.rotors import strengthen
 from vpptwin.train.stored import open_checkpoint
-from vpptwin.train.tasks import TASKS, Task
+from vpptwin.train.tasks import TASKS, Task, check_task_name
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
@@ -99,16 +98,6 @@ def load_pilot(
     chosen = choose_task(trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
     return PolicyPilot(actor, trained, chosen, spec.vehicle, duration, seed), spec
-
-
-def check_task_name(task: str | None) -> None:
-    """Refuse a task that there is none of.
-
-    Raises:
-        InputError: naming those that there are.
-    """
-    if task is not None and task not in TASKS:
-        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
 
 
 def choose_task(trained: TrainConfig, task: str | None) -> Task:

@@ -13,7 +13,8 @@ import pytest
 
 from tests.diagnosis.made_up import FLIP, make_diagnosis
 from vpptwin.cli import main
-from vpptwin.diagnosis.report import command
+from vpptwin.diagnosis.report import result
+from vpptwin.diagnosis.report.command import diagnose_logs
 from vpptwin.diagnosis.report.output import stage_results
 from vpptwin.errors import InputError
 from vpptwin.files import exchange
@@ -30,9 +31,9 @@ MEMORY: dict[str, object] = {}
 @pytest.fixture(autouse=True)
 def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """Diagnoses are made up, and predicted and drawn once, so that these tests are about files."""
-    monkeypatch.setattr(command, "diagnose", lambda *arguments: make_diagnosis())
+    monkeypatch.setattr(result, "judge", lambda *arguments: make_diagnosis())
     for name in SLOW:
-        monkeypatch.setattr(command, name, partial(remember, name, getattr(command, name)))
+        monkeypatch.setattr(result, name, partial(remember, name, getattr(result, name)))
 
 
 def remember(name: str, function: Callable[..., object], *arguments: object) -> object:
@@ -97,7 +98,7 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"])
-@pytest.mark.parametrize("step", ["diagnose", "write_prediction", "write_json", "write_whole", "render_report"])
+@pytest.mark.parametrize("step", ["judge", "write_prediction", "write_json", "write_whole", "render_report"])
 def test_a_run_that_fails_leaves_the_old_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ) -> None:
@@ -105,9 +106,9 @@ def test_a_run_that_fails_leaves_the_old_results(
     old = {name: f"old {name}".encode() for name in RESULTS}
     for name, content in old.items():
         (tmp_path / name).write_bytes(content)
-    monkeypatch.setattr(command, step, refuse(fault))
+    monkeypatch.setattr(result, step, refuse(fault))
     with pytest.raises(type(fault)):
-        command.diagnose_logs([FLIP], "nominal", tmp_path)
+        diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == old
 
 
@@ -159,7 +160,7 @@ def test_predictions_of_other_logs_do_not_stay(tmp_path: Path) -> None:
 def test_an_old_verdict_that_makes_no_sense_is_replaced(tmp_path: Path, content: str) -> None:
     """It tells nothing about old predictions; the run goes on."""
     (tmp_path / "verdict.json").write_text(content)
-    assert command.list_stale(tmp_path) == []
+    assert result.list_stale(tmp_path) == []
 
 
 def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
@@ -167,7 +168,7 @@ def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     (tmp_path / "report.html/keep").write_text("mine")
     with pytest.raises(InputError, match=r"report\.html is a folder"):
-        command.diagnose_logs([FLIP], "nominal", tmp_path)
+        diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == {"report.html/keep": b"mine"}
 
 
