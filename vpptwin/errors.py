@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from unicodedata import category
 
 LONGEST = 1000
@@ -46,6 +48,12 @@ class InputError(ValueError):
         parts = (found, f"expected {expected}", action)
         line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
         super().__init__(escape_text(" ".join(line.split())))
+
+
+def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") -> str:
+    """What to do about a name that is unknown: the known one that is closest to it, if one is close."""
+    close = get_close_matches(name, known, n=1)
+    return f"did you mean {close[0]}?" if close else otherwise
 
 
 def explain_missing(error: ModuleNotFoundError) -> InputError | None:

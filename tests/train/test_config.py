@@ -63,7 +63,10 @@ def test_every_task_is_valid(task: str) -> None:
     ("overrides", "expected"),
     [
         (["num_env=4"], "num_envs"),
-        (["task=hovr"], "hover"),
+        (["task=hovr"], "did you mean hover?"),
+        (["preset=papr"], "did you mean paper?"),
+        (["learning_rate=nan"], "learning_rate.start, learning_rate.end"),
+        (["exploration=0.1"], "exploration.start"),
         (["task.episod=4"], "task.episode"),
         (["task.name=other"], "option"),
         (["+speed=1"], "option"),

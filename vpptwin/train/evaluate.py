@@ -129,6 +129,19 @@ def summarize(errors: np.ndarray) -> dict[str, float | None]:
     return {"median": float(np.median(errors)), "mean": float(errors.mean()), "worst": float(errors.max())}
 
 
+def describe(result: dict[str, Any]) -> str:
+    """What `evaluate` found, in a sentence or two."""
+    count, lost = result["tracks"], round(result["tracks"] * result["fail_rate"])
+    told = [f"{count} flights of {result['task']} in twin {result['twin']}: {lost} failed"]
+    for side in ("upright", "inverted"):
+        mean = result[f"{side}_error_m"]["mean"]
+        told += [f"{1e3 * mean:.1f} mm {side}"] if mean is not None else []
+    turns, drawn = result["full_turns"], ", ".join(result["randomized"])
+    told += [f"{turns['made']} of {turns['asked']} full turns made"] if turns["asked"] else []
+    how = f"sensor noise × {result['noise']:g}; {f'drawn for each flight: {drawn}' if drawn else 'nothing drawn'}"
+    return f"{', '.join(told)}\n(mean error over the last {result['window_s']:g} s; {how})"
+
+
 def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path | str | None) -> dict[str, Any]:
     """`evaluate`, and write the result as JSON unless `json_path` is None.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Collection
@@ -18,6 +19,12 @@ from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config
 from vpptwin.train.memory import check_run, explain_exhaustion
 from vpptwin.train.ppo import FAULTS, build_training, find_device
 from vpptwin.train.stored import FILE_NAME
+
+NEXT = """next: vpptwin evaluate {0}
+      vpptwin play --live {0}
+      vpptwin fly {0} --out flight.mcap
+      vpptwin plot {0} --out curves.png"""
+"""What to do with a run that is over."""
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -59,6 +66,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     seconds = time.monotonic() - started
     steps = training.trainer.collected_frames - begun
     print(f"{steps} steps in {seconds:.0f} s, checkpoint {folder / FILE_NAME}", file=sys.stderr)
+    print(NEXT.format(shlex.quote(str(folder))), file=sys.stderr)
     if training.simulations.faults:
         found = f"{training.simulations.faults} simulations diverged; the first are in {folder / FAULTS}"
         print(f"{found}, `python -m vpptwin.twin.health FILE` replays one", file=sys.stderr)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.train.observe import wrap_angle
 from vpptwin.train.reward import RewardWeights
 from vpptwin.vehicle import Vehicle
@@ -262,4 +262,4 @@ def check_task_name(task: str | None) -> None:
         InputError: naming those that there are.
     """
     if task is not None and task not in TASKS:
-        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
+        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", suggest(task, TASKS))

@@ -69,7 +69,7 @@ def read_both(
 
 
 def plot(
-    sources: Sequence[Path], twin: str | None, out: Path | None, restart: float | None = 0.5,
+    sources: Sequence[Path], twin: str | None, out: Path, restart: float | None = 0.5,
     theme: str = "light", topic_map: Path | None = None, effects: Sequence[Path] = (),
 ) -> None:  # fmt: skip
     """Draw one recording, or training runs.
@@ -77,7 +77,7 @@ def plot(
     Args:
         sources: MCAP files of one recording, or folders of training runs.
         twin: `nominal` or a twin YAML to draw beside a log; None for the log alone.
-        out: .png, .svg or .html; None for a PNG named like the first source, in the current folder.
+        out: .png, .svg or .html.
         restart: seconds between the twin's restarts; None lets it run freely.
         theme: `light` or `dark`.
         topic_map: YAML that renames topics of other people's bags.
@@ -86,7 +86,6 @@ def plot(
     Raises:
         InputError: if a source is not what it should be, or the picture cannot be written.
     """
-    out = out or Path(f"{sources[0].resolve().stem}.png")
     check_format(out)
     runs = [source for source in sources if is_run(source)]
     if not runs:
@@ -97,6 +96,11 @@ def plot(
     else:
         story = tell_runs(runs)
     print(write_story(story, out, theme))
+
+
+def name_picture(sources: Sequence[Path]) -> Path:
+    """What is written if nobody says: a PNG named like the first source, in the current folder."""
+    return Path(f"{sources[0].resolve().stem}.png")
 
 
 def check_craft(flight: Flight) -> None:

@@ -39,7 +39,7 @@ def is_run(path: Path) -> bool:
 
 
 def read_curve(run: Path, name: str) -> Curve | None:
-    """A logged scalar, averaged to at most `POINTS` points; None where it was not logged.
+    """A logged scalar, averaged to at most `POINTS` points; None where no number was.
 
     Raises:
         InputError: if its file is not what training writes.
@@ -50,7 +50,8 @@ def read_curve(run: Path, name: str) -> Curve | None:
     try:
         rows = np.loadtxt(file, delimiter=",", ndmin=2)
         parts = [part for part in np.array_split(rows, min(POINTS, len(rows))) if np.isfinite(part[:, 1]).any()]
-        return [round(float(p[:, 0].mean())) for p in parts], [float(np.nanmean(p[:, 1])) for p in parts]
+        steps = [round(float(p[:, 0].mean())) for p in parts]
+        return (steps, [float(np.nanmean(p[:, 1])) for p in parts]) if parts else None
     except (ValueError, IndexError) as error:
         raise InputError(f"{file}: {error}", "lines of step, value", "name the folder of a training run") from error
 
@@ -63,7 +64,7 @@ def tell_runs(runs: Sequence[Path]) -> Story:
     """
     curves: dict[str, list[dict[str, Curve]]] = {}
     for label, run in zip(name_runs(runs), runs):
-        logged = {name: curve for name in PANELS if (curve := read_curve(run, name)) is not None}
+        logged = {name: curve for name in PANELS if (curve := read_curve(run, name))}
         if not logged:
             found = f"{run}: no {', '.join(PANELS)} in log/scalars"
             raise InputError(found, "a run that has finished an update", "train on, with loggers=[csv]")

@@ -21,6 +21,8 @@ from vpptwin.files import exchange
 from vpptwin.twin.spec import load_twin
 
 RESULTS = ["prediction.mcap", "report.html", "twin.yaml", "verdict.json"]
+OURS = '\x07\0\0\0vpptwin "horizons_s" vpptwin diagnose'
+"""By which files that vpptwin wrote are known."""
 Fault = type[BaseException] | BaseException
 
 
@@ -103,7 +105,7 @@ def test_a_run_that_fails_leaves_the_old_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ) -> None:
     """Wherever it fails, a good verdict, report, twin and prediction stay, with nothing half-made beside them."""
-    old = {name: f"old {name}".encode() for name in RESULTS}
+    old = {name: f"old {name} {OURS}".encode() for name in RESULTS}
     for name, content in old.items():
         (tmp_path / name).write_bytes(content)
     monkeypatch.setattr(result, step, refuse(fault))
@@ -149,7 +151,7 @@ def test_an_exchange_that_fails_midway_is_undone(tmp_path: Path, monkeypatch: py
 
 def test_predictions_of_other_logs_do_not_stay(tmp_path: Path) -> None:
     """A folder used before for two other logs loses their predictions, and nothing that is not ours."""
-    (tmp_path / "verdict.json").write_text(json.dumps({"logs": ["a.mcap", "b.mcap"]}))
+    (tmp_path / "verdict.json").write_text(json.dumps({"logs": ["a.mcap", "b.mcap"], "horizons_s": []}))
     for name in ("prediction_a.mcap", "prediction_b.mcap", "prediction_mine.mcap", "notes.txt"):
         (tmp_path / name).write_text("something")
     assert run(tmp_path) == 0

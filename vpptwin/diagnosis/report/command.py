@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.diagnosis.report.export import name_files
-from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json, stage_results
+from vpptwin.diagnosis.report.output import check_target, give_json, stage_results
 from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, diagnose, list_stale
 from vpptwin.diagnosis.report.terminal import print_summary
+from vpptwin.files import STDOUT
 
 
 def diagnose_logs(
     logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
-    effects: Sequence[Path] = (),
+    effects: Sequence[Path] = (), force: bool = False,
 ) -> Result:  # fmt: skip
     """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
 
@@ -24,6 +25,7 @@ def diagnose_logs(
         topic_map: YAML that renames topics of other people's bags.
         json: another place for the verdict; `-` prints it to standard output instead of the summary.
         effects: Python files with effects of the user's own.
+        force: overwrite files in `out` that vpptwin did not write, too.
 
     Raises:
         InputError: on bad logs, a bad twin, or a folder that cannot be written; old results are left as they were.
@@ -31,7 +33,7 @@ def diagnose_logs(
     if json is not None:
         check_target(json)
     files = [VERDICT, REPORT, TWIN, *name_files(logs)]
-    with stage_results(out, files, list_stale(out)) as folder:
+    with stage_results(out, files, list_stale(out), force) as folder:
         result = diagnose(logs, twin, topic_map, effects)
         result.write(folder, out)
     if json is not None:

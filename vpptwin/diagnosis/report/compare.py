@@ -14,12 +14,13 @@ from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
-from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json
+from vpptwin.diagnosis.report.output import check_target, give_json
 from vpptwin.diagnosis.report.sources import Log, open_flights, open_twin
 from vpptwin.diagnosis.report.summary import SHOWN_HORIZON
 from vpptwin.diagnosis.report.terminal import print_beside, print_errors
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements
+from vpptwin.files import STDOUT
 from vpptwin.logs.flight import Flight
 from vpptwin.progress import open_bar
 from vpptwin.terminal import open_console

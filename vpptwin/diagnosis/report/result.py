@@ -95,14 +95,18 @@ class Result:
     def _logs(self) -> list[Path]:
         return [prediction.flight.path for prediction in self._predictions]
 
-    def save(self, folder: str | PathLike[str]) -> None:
+    def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write verdict.json, report.html, twin.yaml and the twins' predictions, as `vpptwin diagnose --out` does.
 
+        Args:
+            folder: made if need be.
+            force: overwrite files of these names that vpptwin did not write, too.
+
         Raises:
-            InputError: if the folder cannot be written to.
+            InputError: if the folder cannot be written to, or holds such a file.
         """
         out = Path(folder)
-        with stage_results(out, self.files, list_stale(out)) as drafts:
+        with stage_results(out, self.files, list_stale(out), force) as drafts:
             self.write(drafts, out)
 
     def write(self, folder: Path, out: Path) -> None:
