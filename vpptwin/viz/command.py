@@ -10,18 +10,12 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
-from vpptwin.viz.curves import is_run, tell_runs
-from vpptwin.viz.panels import tell_flight
-from vpptwin.viz.playback import play_live, play_page
-from vpptwin.viz.plot import check_format, write_story
-from vpptwin.viz.serve import LOOPBACK
-from vpptwin.viz.video import check_video, write_video
 
 
 def play_log(
     logs: Sequence[Path], twin: str | None, html: Path | None, restart: float | None = 0.5,
     topic_map: Path | None = None, effects: Sequence[Path] = (), video: Path | None = None,
-    host: str = LOOPBACK,
+    host: str = "127.0.0.1",
 ) -> None:  # fmt: skip
     """Play one recording.
 
@@ -35,7 +29,11 @@ def play_log(
         video: the animation to write, .gif or .webp; None for none.
         host: address of this machine to serve on.
     """
+    from vpptwin.viz.playback import play_live, play_page  # neither of the two commands waits for the other's
+
     if video is not None:
+        from vpptwin.viz.video import check_video, write_video
+
         check_video(video)
     flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
     if video is not None:
@@ -86,6 +84,10 @@ def plot(
     Raises:
         InputError: if a source is not what it should be, or the picture cannot be written.
     """
+    from vpptwin.viz.curves import is_run, tell_runs
+    from vpptwin.viz.panels import tell_flight
+    from vpptwin.viz.plot import check_format, write_story
+
     check_format(out)
     runs = [source for source in sources if is_run(source)]
     if not runs:
