@@ -120,8 +120,8 @@ def test_bad_overrides(overrides: list[str], expected: str) -> None:
     assert expected in f"{caught.value.expected} {caught.value.action}"
 
 
-def test_few_simulations_need_no_other_minibatch(tmp_path: Path) -> None:
-    """`num_envs=16` trains: 128 steps are one minibatch where 1024 were asked for."""
+def test_few_simulations_need_no_other_minibatch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`num_envs=16` trains: 128 steps are one minibatch, where 1024 were asked for; it says what to do next."""
     folder = tmp_path / "run"
     given = [
         "task=hover",
@@ -134,6 +134,9 @@ def test_few_simulations_need_no_other_minibatch(tmp_path: Path) -> None:
     ]
     assert (run_train([*given, "progress=false", f"out={folder}"]) / "checkpoint.pt").is_file()
     assert compose_config(given).minibatch == 1024
+    said = capsys.readouterr().err
+    assert f"next: vpptwin evaluate {folder}\n" in said
+    assert f"vpptwin play --live {folder}\n" in said
 
 
 def test_a_configuration_without_a_task_hovers() -> None:
