@@ -41,7 +41,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 demo: $(STAMP) ## diagnose the flights that ship with the project, write a report
-	$(BIN)/python -m vpptwin.demo
+	$(BIN)/vpptwin demo
 
 # One thread per worker: two workers already fill two cores, and torch's own threads would fight them.
 test: $(STAMP) ## all tests but the long sweeps (make test SELECT= runs those too)

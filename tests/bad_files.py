@@ -97,7 +97,7 @@ SHORT: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
 TWINS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown_effect": (
         RIG + "effects: {rail_x.colomb: {force: 0.3}}",
-        ("unknown effect 'rail_x.colomb'", "rail_x.coulomb", "`vpptwin effects` lists all"),
+        ("unknown effect 'rail_x.colomb'", "rail_x.coulomb", "did you mean rail_x.coulomb?"),
     ),
     "unknown_parameter": (
         RIG + "effects: {rail_x.coulomb: {mass: 0.3}}",

@@ -77,7 +77,7 @@ class Refusals:
 def refusals(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Refusals:
     """A folder with a good verdict of an earlier day, where commands run."""
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "verdict.json").write_text('{"gap": true}')
+    (tmp_path / "old" / "verdict.json").write_text('{"gap": true, "horizons_s": []}')
     (tmp_path / "file").write_text("no folder")
     (tmp_path / "folder").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -163,7 +163,9 @@ def test_play_refuses_an_unwritable_page(path: str, shelf: Path, refusals: Refus
     ("arguments", "parts"),
     [
         (["diagnose", "flight.mcap"], ["required: --out", "diagnose --help"]),
-        (["diagnoze"], ["invalid choice: 'diagnoze'", "diagnose"]),
+        (["diagnoze"], ["invalid choice: 'diagnoze'", "did you mean diagnose?"]),
+        (["diagnose", "flight.mcap", "--out", "x", "--twyn", "y"], ["--twyn", "did you mean --twin?"]),
+        (["export", "flip", "--format", "onx"], ["invalid choice: 'onx'", "did you mean onnx?"]),
         ([], ["required: COMMAND"]),
         (["play", "flight.mcap", "--restart", "soon"], ["--restart: invalid float value: 'soon'"]),
         (["effects", "--colour"], ["unrecognized arguments: --colour"]),

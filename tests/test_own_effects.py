@@ -95,7 +95,7 @@ def test_diagnose_takes_the_extended_twin(extended: Path, tmp_path: Path, monkey
         seen.append(spec)
         raise InputError("enough", "no more", "stop")
 
-    monkeypatch.setattr("vpptwin.diagnosis.report.command.diagnose", stop)
+    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", stop)
     given = ["--twin", str(extended), "--effects", str(COGGING), "--out", str(tmp_path / "out")]
     assert main(["diagnose", LOGS[0], *given]) == 2
     assert seen[0].effects == HIDDEN

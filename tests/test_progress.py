@@ -5,7 +5,7 @@ import time
 import pytest
 
 from vpptwin import progress
-from vpptwin.progress import open_bar, tell_stage
+from vpptwin.progress import open_bar, tell_stage, tell_wait
 
 
 def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,3 +28,18 @@ def test_nothing_before_the_first_step(capfd: pytest.CaptureFixture[str]) -> Non
     with open_bar(desc="diagnose") as bar:
         tell_stage(bar, "reading")
     assert capfd.readouterr().err.strip() == ""
+
+
+def test_waiting_shows_itself_on_a_terminal_alone(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Text and time while it lasts, nothing left of it; a file gets nothing."""
+    with tell_wait("compiling"):
+        pass
+    assert capfd.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with tell_wait("compiling"):
+        time.sleep(0.7)
+    said = capfd.readouterr().err
+    assert "compiling: 00:00" in said
+    assert said.endswith("\r")

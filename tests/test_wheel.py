@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import venv
@@ -60,20 +61,24 @@ def installation(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Insta
 
 
 def test_wheel_holds_models_and_package(wheel: Path) -> None:
-    """The models and every module and data file of the package are in the wheel, and nothing of the tests."""
+    """Models, flights, every module and data file of the package are in the wheel, and nothing of the tests."""
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"vpptwin/models/{name}" for name in ("rail_rig.xml", "vpp_planar.xml", "vehicle.yaml")} <= names
+    assert {f"vpptwin/flights/{path.name}" for path in (ROOT / "demo/flights").glob("*.mcap")} <= names
     files = (path for path in (ROOT / "vpptwin").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     assert {path.relative_to(ROOT).as_posix() for path in files} <= names
     assert all(name.startswith("vpptwin") for name in names)
 
 
 def test_wheel_runs_its_own_code(installation: Installation) -> None:
-    """Package and models come from the new environment, not from this checkout."""
-    script = "import vpptwin, vpptwin.resources as r; print(vpptwin.__file__, r.models_dir(), sep='\\n')"
+    """Package, models and flights come from the new environment, not from this checkout."""
+    script = (
+        "import vpptwin as v, vpptwin.resources as r; print(v.__file__, r.models_dir(), r.flights_dir(), sep='\\n')"
+    )
     done = installation.run("python", "-c", script)
     assert done.returncode == 0, done.stderr
-    for path in done.stdout.split("\n")[:2]:
+    for path in done.stdout.splitlines():
+        assert Path(path).exists()
         assert Path(path).is_relative_to(installation.folder)
 
 
@@ -85,12 +90,12 @@ def test_installed_command_prints_the_catalogue(installation: Installation) -> N
     assert not missing
 
 
-def test_catalogue_needs_no_torch(installation: Installation) -> None:
-    """Who only diagnoses does not wait for torch: the command line works where it cannot be imported."""
-    script = (
-        "import sys; sys.modules['torch'] = None; sys.argv = ['vpptwin', 'effects']\n"
-        "from vpptwin.cli import main; sys.exit(main())"
-    )
-    done = installation.run("python", "-c", script)
-    assert done.returncode == 0, done.stderr
-    assert FIRST_EFFECTS[0] in done.stdout
+def test_training_is_an_extra(wheel: Path) -> None:
+    """The metadata asks for torch and what comes with it under an extra only."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        needs = re.findall(r"^Requires-Dist: (.+)$", archive.read(name).decode(), flags=re.MULTILINE)
+    heavy = [need for need in needs if re.match("torch|tensordict|hydra|tensorboard|onnx|ray|gymnasium", need)]
+    assert len(heavy) >= 9
+    assert all("extra ==" in need for need in heavy)
+    assert any(need.startswith("mujoco") and "extra" not in need for need in needs)

@@ -1,3 +1,68 @@
-"""vpptwin: the simulation twin that tells you what it gets wrong."""
+"""vpptwin: the simulation twin that tells you what it gets wrong.
+
+What is listed here is imported when it is asked for: `import vpptwin` costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vpptwin.diagnosis.judgement.verdict import Verdict as Verdict
+    from vpptwin.diagnosis.report.compare import Comparison as Comparison
+    from vpptwin.diagnosis.report.compare import compare as compare
+    from vpptwin.diagnosis.report.result import Result as Result
+    from vpptwin.diagnosis.report.result import diagnose as diagnose
+    from vpptwin.errors import InputError as InputError
+    from vpptwin.logs import Flight as Flight
+    from vpptwin.logs import read_flight as read_log
+    from vpptwin.train.env import make_task_env as make_env
+    from vpptwin.twin import Twin as Twin
+    from vpptwin.twin import TwinSpec as TwinSpec
+    from vpptwin.twin import load_twin as load_twin
 
 __version__ = "0.1.0"
+__all__ = [
+    "Comparison", "Flight", "InputError", "Result", "Twin", "TwinSpec", "Verdict", "__version__", "compare",
+    "diagnose", "load_twin", "make_env", "read_log",
+]  # fmt: skip
+
+_PLACES = {
+    "Comparison": "vpptwin.diagnosis.report.compare:Comparison",
+    "Flight": "vpptwin.logs:Flight",
+    "InputError": "vpptwin.errors:InputError",
+    "Result": "vpptwin.diagnosis.report.result:Result",
+    "Twin": "vpptwin.twin:Twin",
+    "TwinSpec": "vpptwin.twin:TwinSpec",
+    "Verdict": "vpptwin.diagnosis.judgement.verdict:Verdict",
+    "compare": "vpptwin.diagnosis.report.compare:compare",
+    "diagnose": "vpptwin.diagnosis.report.result:diagnose",
+    "load_twin": "vpptwin.twin:load_twin",
+    "make_env": "vpptwin.train.env:make_task_env",
+    "read_log": "vpptwin.logs:read_flight",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import what is asked for (PEP 562).
+
+    Raises:
+        InputError: if that takes an extra that is not installed.
+    """
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, there = _PLACES[name].partition(":")
+    try:
+        found: object = getattr(import_module(module), there)
+    except ModuleNotFoundError as error:
+        from vpptwin.errors import explain_missing
+
+        problem = explain_missing(error)
+        if problem is None:
+            raise
+        raise problem from error
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

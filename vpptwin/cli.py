@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -12,18 +13,25 @@ from signal import SIGINT
 from typing import NoReturn
 
 from vpptwin import __version__, commands
-from vpptwin.errors import InputError, check_name
-from vpptwin.files import discard_all
+from vpptwin.errors import InputError, check_name, explain_missing, suggest
+from vpptwin.files import check_own, discard_all
 from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
 from vpptwin.trust import EVERY, trust
+
+WRITTEN = ("out", "json", "html", "video")
+"""Options that name what a command writes: a file, or, by their metavar, a folder, whose files the command looks at."""
 
 
 class Parser(argparse.ArgumentParser):
     """A parser that refuses in one line, as every other part of vpptwin does."""
 
     def error(self, message: str) -> NoReturn:
-        """Print what was wrong, what was expected and where to read more; exit with code 2."""
+        """Print what was wrong, what is close to it, what was expected and where to read more; exit with code 2."""
+        known = [word for action in self._actions for word in (*action.option_strings, *(action.choices or ()))]
+        wrong = re.findall(r"invalid choice: '([^']*)'|unrecognized arguments: (--[^ =]*)", message)
+        near = suggest("".join(wrong[0]), map(str, known), "") if wrong else ""
+        message += f"; {near}" if near else ""
         usage = " ".join(self.format_usage().removeprefix("usage: ").split())
         self.exit(2, f"vpptwin: {message}; expected {usage}; see `{self.prog} --help`\n")
 
@@ -42,7 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             trust()
         return guard(lambda: commands.run_train([word for word in given[1:] if word != "--trust"]))
     with show_plainly():
-        options = parser.parse_args(given)
+        options, unknown = parser.parse_known_args(given)
+        if unknown:
+            options.parser.error(f"unrecognized arguments: {' '.join(unknown)}")
     trust([EVERY] if getattr(options, "trust", False) else getattr(options, "effects", ()))
     return guard(lambda: run(options, given))
 
@@ -51,6 +61,8 @@ def run(options: argparse.Namespace, given: Sequence[str]) -> None:
     """Run what was asked for, if its words can be shown."""
     for word in given:
         check_name(word)
+    if not getattr(options, "force", True):
+        check_own(path for name in options.written if (path := getattr(options, name)) is not None)
     options.run(options)
 
 
@@ -91,6 +103,8 @@ def explain(error: BaseException) -> InputError | None:
         return InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
     if isinstance(error, MemoryError):
         return InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
+    if isinstance(error, ModuleNotFoundError):
+        return explain_missing(error)
     return error if isinstance(error, InputError) else None
 
 
@@ -102,8 +116,20 @@ def build_parser() -> argparse.ArgumentParser:
     for name, (summary, run, describe) in COMMANDS.items():
         command = subparsers.add_parser(name, help=summary, add_help=name != "train")
         describe(command)
-        command.set_defaults(run=run)
+        written = [action for action in command._actions if action.dest in WRITTEN]
+        if written:
+            command.add_argument("--force", action="store_true", help="overwrite files that vpptwin did not write, too")
+        files = [action.dest for action in written if action.metavar is None]
+        command.set_defaults(run=run, parser=command, written=files)
     return parser
+
+
+def describe_demo(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin demo`."""
+    out = Path("out") / "demo"
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", default=out, help=f"folder for report and flip (default {out})"
+    )
 
 
 def describe_effects(parser: argparse.ArgumentParser) -> None:
@@ -120,14 +146,17 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin diagnose`."""
     add_logs(parser)
     add = parser.add_argument
-    add("--out", type=Path, required=True, help="folder for verdict.json, report.html and twin.yaml")
+    add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
+    add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
 
 
 def describe_compare(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin compare`."""
     add_logs(parser)
-    parser.add_argument("--json", type=Path, help="write the figures here as well; - prints them instead")
+    add = parser.add_argument
+    add("--twin", action="append", help="`nominal` (default), `typical` or a twin YAML; several times for several")
+    add("--json", type=Path, help="write the figures here as well; - prints them instead")
 
 
 def describe_play(parser: argparse.ArgumentParser) -> None:
@@ -194,7 +223,7 @@ def describe_export(parser: argparse.ArgumentParser) -> None:
     add("--format", choices=["c", "onnx"], required=True)
     add("--twin", help="whose vehicle the cascade is for (default: that of training)")
     add_effects(parser)
-    add("--out", type=Path, help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
+    add("--out", type=Path, metavar="PATH", help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
 
 
 def describe_evaluate(parser: argparse.ArgumentParser) -> None:
@@ -202,7 +231,7 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     add("--task", help="what to fly (default: the task of training)")
-    add("--tracks", type=int, default=1000, help="flights (default 1000)")
+    add("--tracks", type=int, default=200, help="flights, flown side by side (default 200)")
     add("--seed", type=int, default=0, help="of everything random about the flights (default 0)")
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--noise", type=float, default=1.0, help="times the noise of vehicle.yaml (default 1)")
@@ -211,13 +240,12 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
     add("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
     add("--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)")
     add_effects(parser)
-    add("--json", type=Path)
+    add("--json", type=Path, help="write all figures here as well; - prints them instead of the sentence")
 
 
 def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
-    parser.add_argument("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add_effects(parser)
     add_topic_map(parser)
 
@@ -246,6 +274,7 @@ def add_topic_map(parser: argparse.ArgumentParser) -> None:
 
 
 COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentParser], None]]] = {
+    "demo": ("diagnose the flights that ship with vpptwin", commands.run_demo, describe_demo),
     "effects": ("list the catalogue of effects", commands.run_effects, describe_effects),
     "diagnose": ("find what a twin gets wrong, from flight logs", commands.run_diagnose, describe_diagnose),
     "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),

@@ -9,10 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vpptwin.errors import InputError
-from vpptwin.files import without_nan
+from vpptwin.files import STDOUT, check_own, without_nan
 
 if TYPE_CHECKING:
     from vpptwin.pilot.flight import Pilot
+
+
+def run_demo(options: argparse.Namespace) -> None:
+    """`vpptwin demo`."""
+    from vpptwin.demo import show_demo
+
+    show_demo(options.out, options.force)
 
 
 def run_effects(options: argparse.Namespace) -> None:
@@ -34,18 +41,15 @@ def run_diagnose(options: argparse.Namespace) -> None:
     """`vpptwin diagnose`."""
     from vpptwin.diagnosis.report.command import diagnose_logs
 
-    for i, log in enumerate(options.logs):
-        if log.resolve() in [other.resolve() for other in options.logs[:i]]:
-            expected = "every flight once, as those that judge must not be those that are fitted"
-            raise InputError(f"{log} is given twice", expected, "leave one out")
-    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
+    given = (options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
+    diagnose_logs(*given, options.force)
 
 
 def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
     from vpptwin.diagnosis.report.compare import compare_logs
 
-    compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
+    compare_logs(options.logs, options.twin or ["nominal"], options.json, options.topic_map, options.effects)
 
 
 def run_play(options: argparse.Namespace) -> None:
@@ -72,10 +76,13 @@ def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
 
 def run_plot(options: argparse.Namespace) -> None:
     """`vpptwin plot`."""
-    from vpptwin.viz.command import plot
+    from vpptwin.viz.command import name_picture, plot
 
     restart = None if options.free else options.restart
-    plot(options.source, options.twin, options.out, restart, options.theme, options.topic_map, options.effects)
+    out = options.out or name_picture(options.source)
+    if not options.force:
+        check_own([out])
+    plot(options.source, options.twin, out, restart, options.theme, options.topic_map, options.effects)
 
 
 def run_layouts(options: argparse.Namespace) -> None:
@@ -159,7 +166,7 @@ def run_export(options: argparse.Namespace) -> None:
     """`vpptwin export`."""
     from vpptwin.deploy.command import export
 
-    for file in export(options.checkpoint, options.format, options.out, options.twin):
+    for file in export(options.checkpoint, options.format, options.out, options.twin, options.force):
         print(file)
 
 
@@ -172,7 +179,7 @@ def run_train(overrides: Sequence[str]) -> None:
 
 def run_evaluate(options: argparse.Namespace) -> None:
     """`vpptwin evaluate`."""
-    from vpptwin.train.evaluate import Conditions
+    from vpptwin.train.evaluate import Conditions, describe
     from vpptwin.train.evaluate import run_evaluate as evaluate
 
     names = [name for name in options.randomize.split(",") if name not in ("", "none")]
@@ -180,5 +187,6 @@ def run_evaluate(options: argparse.Namespace) -> None:
         options.task, options.tracks, options.seed, options.twin, options.noise, names, options.thrust_to_weight,
         [str(file) for file in options.effects], options.estimator,
     )  # fmt: skip
-    result = evaluate(options.checkpoint, conditions, options.json)
-    print(json.dumps(without_nan(result), indent=2))
+    aside = None if options.json == STDOUT else options.json
+    result = evaluate(options.checkpoint, conditions, aside)
+    print(json.dumps(without_nan(result), indent=2) if options.json == STDOUT else describe(result))

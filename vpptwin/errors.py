@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from unicodedata import category
 
 LONGEST = 1000
 """Characters shown of each part of a message, which may quote what a file holds."""
+EXTRAS = {
+    "train": ("torch", "tensordict", "torchrl", "hydra", "omegaconf", "tensorboard", "psutil"),
+    "deploy": ("onnx", "onnxscript", "onnxruntime"),
+    "ray": ("ray",),
+    "gymnasium": ("gymnasium",),
+}
+"""Modules that come with no plain `pip install vpptwin`, by the extra that brings them."""
 
 
 def escape_text(text: str) -> str:
@@ -39,3 +48,18 @@ class InputError(ValueError):
         parts = (found, f"expected {expected}", action)
         line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
         super().__init__(escape_text(" ".join(line.split())))
+
+
+def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") -> str:
+    """What to do about a name that is unknown: the known one that is closest to it, if one is close."""
+    close = get_close_matches(name, known, n=1)
+    return f"did you mean {close[0]}?" if close else otherwise
+
+
+def explain_missing(error: ModuleNotFoundError) -> InputError | None:
+    """Which extra brings a module that is not installed; None if it is none of theirs."""
+    module = str(error.name).partition(".")[0]
+    for extra, modules in EXTRAS.items():
+        if module in modules:
+            return InputError(f"{module} is not installed", f"vpptwin[{extra}]", f"pip install 'vpptwin[{extra}]'")
+    return None

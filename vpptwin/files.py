@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import mmap
 import os
+import re
 import shutil
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from errno import EEXIST, EISDIR
 from fcntl import LOCK_EX, flock
@@ -20,6 +22,15 @@ DRAFTS = ".vpptwin."
 """How names of folders of drafts begin."""
 LEFT = 86_400.0
 """Drafts that nobody has touched for so long [s] are those of a run that was killed."""
+OWN = {
+    ".mcap": rb"\x07\0\0\0vpptwin",
+    ".yaml": rb"\bvpptwin (diagnose|identify)\b",
+    ".json": rb'"horizons_s"|"vpptwin"',
+}
+"""By what files that vpptwin wrote are known: MCAP by a record of that name, YAML by the command, JSON by a key."""
+STDOUT = Path("-")
+"""Stands for standard output where a file is asked for."""
+ANYWAY = "choose another name, or overwrite it with --force"
 _staged: dict[Path, list[Path]] = {}  # of this process: drafts → folders that were made for them
 
 
@@ -104,6 +115,28 @@ def exchange(drafts: Path, folder: Path, stale: Collection[str]) -> None:
             raise
     finally:
         os.close(held)
+
+
+def check_own(paths: Iterable[Path]) -> None:
+    """Refuse to overwrite what vpptwin did not write, before the work rather than after it.
+
+    Raises:
+        InputError: naming the first such file.
+    """
+    for path in paths:
+        if path.is_file() and not is_own(path):
+            raise InputError(
+                f"{path} is there, and vpptwin did not write it", "a new file, or one of vpptwin's", ANYWAY
+            )
+
+
+def is_own(path: Path) -> bool:
+    """Whether vpptwin wrote a file; an empty one is nobody's."""
+    with path.open("rb") as file:
+        if not path.stat().st_size:
+            return True
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return re.search(OWN.get(path.suffix.lower(), rb"vpptwin"), content) is not None
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
+from threading import Event, Thread
 
 from tqdm import tqdm
 
@@ -25,3 +28,25 @@ def open_bar(**options: object) -> tqdm:
 def tell_stage(bar: tqdm, text: str) -> None:
     """Put what is being done beside the bar, once there is one."""
     bar.set_postfix_str(text, refresh=bar.n > 0)
+
+
+@contextmanager
+def tell_wait(text: str) -> Iterator[None]:
+    """While in the block, text and the seconds so far on a terminal; a file gets nothing."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    over = Event()
+    with tqdm(desc=text, bar_format="{desc}: {elapsed}", leave=False, total=1) as bar:
+
+        def show() -> None:
+            while not over.wait(0.5):
+                bar.refresh()
+
+        clock = Thread(target=show, daemon=True)
+        clock.start()
+        try:
+            yield
+        finally:
+            over.set()
+            clock.join()

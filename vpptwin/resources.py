@@ -1,4 +1,4 @@
-"""Files that ship with the package: MJCF models and the nominal vehicle."""
+"""Files that ship with the package: MJCF models, the nominal vehicle, flights."""
 
 from __future__ import annotations
 
@@ -6,12 +6,19 @@ from pathlib import Path
 
 from vpptwin.errors import InputError
 
+PACKAGE = Path(__file__).resolve().parent
+
 
 def models_dir() -> Path:
     """Folder of the shipped models: inside the package when installed, at the top of a checkout otherwise."""
-    package = Path(__file__).resolve().parent
-    installed = package / "models"
-    return installed if installed.is_dir() else package.parent / "models"
+    installed = PACKAGE / "models"
+    return installed if installed.is_dir() else PACKAGE.parent / "models"
+
+
+def flights_dir() -> Path:
+    """Folder of the flights that `vpptwin demo` diagnoses, likewise."""
+    installed = PACKAGE / "flights"
+    return installed if installed.is_dir() else PACKAGE.parent / "demo" / "flights"
 
 
 def find_model_file(name: str, relative_to: Path | None = None) -> Path:

@@ -14,6 +14,7 @@ import torch
 from vpptwin.actuators.adaptive import SIZE
 from vpptwin.deploy.c_source import write_c
 from vpptwin.deploy.content import Content, collect_content, make_content
+from vpptwin.train.actor import Actor
 from vpptwin.train.networks import Policy
 from vpptwin.train.overrides import compose_config
 from vpptwin.vehicle import Vehicle
@@ -56,7 +57,9 @@ def make_random(*overrides: str, vehicle: Vehicle | None = None) -> Content:
     with torch.no_grad():
         for layer in policy.layers():
             layer.weight.mul_(1.5)
-    content = make_content(policy, trained, {"checkpoint": "random", "steps": 0, "trained_at": "none"})
+    content = make_content(
+        Actor(policy.state_dict()), trained, {"checkpoint": "random", "steps": 0, "trained_at": "none"}
+    )
     return content if vehicle is None else replace(content, vehicle=vehicle)
 
 

@@ -12,11 +12,12 @@ import torch
 
 from tests.deploy.conftest import compile_library, make_random
 from vpptwin.cli import main
-from vpptwin.deploy.content import TOLERANCE, Content, draw_observations
+from vpptwin.deploy.content import STATES, TOLERANCE, Content, draw_observations
 from vpptwin.deploy.load import CompiledController, OnnxController, load_exported
-from vpptwin.deploy.onnx_model import INPUTS, write_onnx
+from vpptwin.deploy.onnx_model import write_onnx
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
+from vpptwin.train.evaluate import load_policy
 from vpptwin.train.observe import accumulate_error, observe
 
 
@@ -39,9 +40,9 @@ def test_onnx_gives_the_actions_of_torch(shipped: Content, model: Path) -> None:
     """Ten thousand states through onnxruntime: observation, integral and action within 1e-5 of torch on the same."""
     session = onnxruntime.InferenceSession(model.read_bytes(), providers=["CPUExecutionProvider"])
     given = [values.astype(np.float32) for values in draw_states(10_000)]
-    action, grown, seen = session.run(None, dict(zip(INPUTS, given)))
+    action, grown, seen = session.run(None, dict(zip(STATES, given)))
     with torch.no_grad():
-        wanted = shipped.policy(torch.from_numpy(seen)).numpy()
+        wanted = load_policy("flip")(torch.from_numpy(seen)).numpy()
     assert np.abs(action - wanted).max() < TOLERANCE
     pose, velocity, target, before = (values.astype(float) for values in given)
     integral = accumulate_error(before, (target - pose)[:, :2])

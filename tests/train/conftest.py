@@ -48,7 +48,7 @@ def tiny_config(*overrides: str) -> TrainConfig:
         value = override.value()
         if key not in ("task", "preset"):
             OmegaConf.update(config, key, [value] if key == "randomize" and isinstance(value, str) else value)
-    return to_config(config)
+    return to_config(OmegaConf.to_container(config))
 
 
 def tiny_env(*overrides: str, lesson: Lesson | None = None) -> VppEnv:

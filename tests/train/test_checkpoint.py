@@ -7,18 +7,23 @@ import os
 import shutil
 import zipfile
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from torch.utils._pytree import tree_flatten
 
 from vpptwin.cli import main
 from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import FORMAT, find_checkpoint, read_checkpoint, shipped_policies, write_checkpoint
+from vpptwin.train.actor import build_actor
+from vpptwin.train.checkpoint import build_policy, read_checkpoint, write_checkpoint
 from vpptwin.train.config import to_config
 from vpptwin.train.evaluate import load_policy
 from vpptwin.train.networks import Policy
 from vpptwin.train.observe import Sight
+from vpptwin.train.stored import FORMAT, PlainUnpickler, find_checkpoint, open_checkpoint, shipped_policies
 
 
 def test_round_trip(tiny_run: Path, tmp_path: Path) -> None:
@@ -43,7 +48,7 @@ def test_a_folder_flies_its_best_and_resumes_its_last(tiny_run: Path, tmp_path: 
 
 def test_policies_ship_by_name(tiny_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A bare name stands for models/policies/NAME.pt, unless there is such a file here; others are refused."""
-    monkeypatch.setattr("vpptwin.train.checkpoint.models_dir", lambda: tmp_path)
+    monkeypatch.setattr("vpptwin.train.stored.models_dir", lambda: tmp_path)
     (tmp_path / "policies").mkdir()
     shutil.copy(tiny_run / "best.pt", tmp_path / "policies" / "spin.pt")
     observation = torch.randn(3, 11)
@@ -64,6 +69,27 @@ def test_every_policy_that_ships_can_be_flown() -> None:
         policy = load_policy(name)
         bound = to_config(read_checkpoint(name)["config"]).lipschitz
         assert bound is None or policy.lipschitz() <= bound * (1.0 + 1e-5)  # float32
+
+
+def test_a_policy_flies_without_torch(tiny_run: Path) -> None:
+    """NumPy reads the same numbers, of the file that resuming needs too, and acts as torch does within float32."""
+    for flying in (True, False):
+        plain, content = open_checkpoint(tiny_run, flying), read_checkpoint(tiny_run, flying)
+        flat, same = tree_flatten(plain), tree_flatten(content)
+        assert flat[1] == same[1]
+        for value, other in zip(flat[0], same[0]):
+            assert np.array_equal(value, other) if isinstance(value, np.ndarray) else value == other
+        observation = torch.randn(100, 11)
+        with torch.no_grad():
+            wanted = build_policy(content, tiny_run)[0](observation).numpy()
+        np.testing.assert_allclose(build_actor(plain, tiny_run)[0](observation.numpy()), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "stride"), [((10**9,), (1,)), ((3, 3), (-1, 1)), ((2, 3), (3, 2))])
+def test_tensors_reach_no_further_than_their_numbers(size: tuple[int, ...], stride: tuple[int, ...]) -> None:
+    """What a file says of a tensor's shape is checked before anything is read."""
+    with pytest.raises(UnpicklingError, match="beyond"):
+        PlainUnpickler._rebuild(np.zeros(6, np.float32), 0, size, stride)
 
 
 def damage(content: dict[str, Any], kind: str) -> dict[str, Any]:
@@ -189,6 +215,7 @@ def test_code_in_a_checkpoint_does_not_run(tmp_path: Path) -> None:
             return Path.touch, (tmp_path / "ran",)  # type: ignore[return-value]
 
     torch.save({"kind": "vpptwin policy", "format": FORMAT, "policy": Payload()}, tmp_path / "evil.pt")
-    with pytest.raises(InputError, match="not a checkpoint"):
-        load_policy(tmp_path / "evil.pt")
+    for read in (read_checkpoint, open_checkpoint):
+        with pytest.raises(InputError, match="not a checkpoint"):
+            read(tmp_path / "evil.pt")
     assert not (tmp_path / "ran").exists()

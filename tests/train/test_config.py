@@ -63,7 +63,10 @@ def test_every_task_is_valid(task: str) -> None:
     ("overrides", "expected"),
     [
         (["num_env=4"], "num_envs"),
-        (["task=hovr"], "hover"),
+        (["task=hovr"], "did you mean hover?"),
+        (["preset=papr"], "did you mean paper?"),
+        (["learning_rate=nan"], "learning_rate.start, learning_rate.end"),
+        (["exploration=0.1"], "exploration.start"),
         (["task.episod=4"], "task.episode"),
         (["task.name=other"], "option"),
         (["+speed=1"], "option"),
@@ -117,8 +120,8 @@ def test_bad_overrides(overrides: list[str], expected: str) -> None:
     assert expected in f"{caught.value.expected} {caught.value.action}"
 
 
-def test_few_simulations_need_no_other_minibatch(tmp_path: Path) -> None:
-    """`num_envs=16` trains: 128 steps are one minibatch where 1024 were asked for."""
+def test_few_simulations_need_no_other_minibatch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`num_envs=16` trains: 128 steps are one minibatch, where 1024 were asked for; it says what to do next."""
     folder = tmp_path / "run"
     given = [
         "task=hover",
@@ -131,6 +134,9 @@ def test_few_simulations_need_no_other_minibatch(tmp_path: Path) -> None:
     ]
     assert (run_train([*given, "progress=false", f"out={folder}"]) / "checkpoint.pt").is_file()
     assert compose_config(given).minibatch == 1024
+    said = capsys.readouterr().err
+    assert f"next: vpptwin evaluate {folder}\n" in said
+    assert f"vpptwin play --live {folder}\n" in said
 
 
 def test_a_configuration_without_a_task_hovers() -> None:
@@ -188,6 +194,6 @@ def test_configuration_defaults_are_not_shared() -> None:
 
 
 def test_a_list_within_a_list_of_strings_is_refused() -> None:
-    """As a checkpoint with a flipped bit had it: a line, no error of OmegaConf's."""
-    with pytest.raises(InputError, match="Cannot convert 'list' to string"):
+    """As a checkpoint with a flipped bit had it: a line."""
+    with pytest.raises(InputError, match=r"effects\.0=\[\]: input should be a valid string"):
         to_config({"effects": [[]]})

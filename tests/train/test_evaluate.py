@@ -13,7 +13,7 @@ from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import to_config
-from vpptwin.train.evaluate import Conditions, configure_flights, evaluate, run_evaluate
+from vpptwin.train.evaluate import Conditions, configure_flights, describe, evaluate, run_evaluate
 from vpptwin.train.randomize import PAPER_EFFECTS
 from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
 
@@ -78,11 +78,27 @@ def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.Capture
     """`vpptwin evaluate` prints what was flown: no effects with `--randomize none`, names and groups otherwise."""
     command = ["evaluate", str(tiny_run), "--tracks", "2", "--seed", "3", "--noise", "0.5"]
     for given, expected in (("none", []), ("air.drag,servo.lag", ["air.drag", "servo.lag"])):
-        assert main([*command, "--randomize", given, "--thrust-to-weight", "2", "--estimator", "kalman"]) == 0
+        flown = ["--randomize", given, "--thrust-to-weight", "2", "--estimator", "kalman", "--json", "-"]
+        assert main([*command, *flown]) == 0
         result = json.loads(capsys.readouterr().out)
         assert sorted(result["randomized"]) == expected
         assert (result["noise"], result["seed"], result["thrust_to_weight"]) == (0.5, 3, 2.0)
         assert result["estimator"] == "kalman"
+
+
+def test_a_sentence_says_how_it_flew(tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Flights, failures, errors, conditions; all figures go where `--json` says."""
+    told = tmp_path / "all.json"
+    assert main(["evaluate", str(tiny_run), "--tracks", "3", "--randomize", "none", "--json", str(told)]) == 0
+    said = capsys.readouterr().out
+    result = json.loads(told.read_text())
+    assert said.startswith(f"3 flights of hover in twin nominal: {round(3 * result['fail_rate'])} failed")
+    assert "sensor noise × 1; nothing drawn" in said
+    flip = {**result, "tracks": 200, "fail_rate": 0.005, "upright_error_m": {"mean": 0.0074}, "task": "flip"}
+    flip |= {"inverted_error_m": {"mean": None}, "full_turns": {"asked": 64, "made": 60}}
+    assert describe(flip).splitlines()[0] == (
+        "200 flights of flip in twin nominal: 1 failed, 7.4 mm upright, 60 of 64 full turns made"
+    )
 
 
 @pytest.mark.parametrize(
@@ -116,6 +132,8 @@ def test_what_is_no_number_is_null_in_json(
     monkeypatch.setattr(
         "vpptwin.train.evaluate.evaluate", lambda *given: {"lipschitz": float("nan"), "n": [1.0, float("inf")]}
     )
-    assert main(["evaluate", "flip", "--json", str(tmp_path / "out.json")]) == 0
-    for text in (capsys.readouterr().out, (tmp_path / "out.json").read_text()):
+    monkeypatch.setattr("vpptwin.train.evaluate.describe", str)
+    for target in ("-", str(tmp_path / "out.json")):
+        assert main(["evaluate", "flip", "--json", target]) == 0
+    for text in (capsys.readouterr().out.partition("{'")[0], (tmp_path / "out.json").read_text()):
         assert json.loads(text, parse_constant=refuse) == {"lipschitz": None, "n": [1.0, None]}

@@ -12,7 +12,9 @@ import torch
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.logs.read import read_flight
+from vpptwin.train.actor import Actor
 from vpptwin.train.checkpoint import make_policy
+from vpptwin.train.evaluate import load_policy
 from vpptwin.train.observe import observe
 from vpptwin.train.pilot import PolicyPilot, load_pilot, plan_targets
 from vpptwin.train.tasks import WALL_BACKTRACK, Target, Task
@@ -101,7 +103,7 @@ def test_a_pilot_gets_the_rotors_that_its_task_wants(tiny_run: Path) -> None:
     pose, still, blank = np.array([[1.0, 1.2, 0.0]]), np.zeros((1, 3)), np.zeros((1, 2))
     command, integral = pilot.command(0, pose, still, blank)
     seen = observe(pose, still, pilot.target(0), integral, pilot.trained.sight)
-    action = pilot.policy(torch.from_numpy(seen)).detach().numpy()
+    action = load_policy(tiny_run)(torch.from_numpy(seen)).detach().numpy()
     np.testing.assert_allclose(command, action * [12.2625, 12.0], rtol=1e-6)  # N and rad/s
     assert load_pilot(tiny_run, None, load_twin(), 6.0, 3)[1].vehicle == drone()
 
@@ -123,13 +125,13 @@ def test_a_pilot_sees_the_setup_it_was_trained_on(tiny_run: Path) -> None:
     """Its observation is that of the setup of training: a policy of six inputs gets those six."""
     hover, _ = load_pilot(tiny_run, None, load_twin(), 6.0, 3)
     trained = replace(hover.trained, setup="VA", paper_inputs=True)
-    policy = make_policy(trained)
+    policy = Actor(make_policy(trained).state_dict())
     pilot = PolicyPilot(policy, trained, trained.task, drone(), 6.0, 3)
     pose, velocity = np.array([[0.1, 1.2, 0.7]]), np.array([[0.2, -0.1, 1.0]])
     command, integral = pilot.command(0, pose, velocity, np.zeros((1, 2)))
     seen = observe(pose, velocity, pilot.target(0), integral, trained.sight)
     assert seen.shape == (1, 6)
-    expected = policy(torch.from_numpy(seen)).detach().numpy() * [10.0, 12.0]  # N and rad/s
+    expected = policy(seen) * [10.0, 12.0]  # N and rad/s
     np.testing.assert_allclose(command, expected, rtol=1e-6)
 
 

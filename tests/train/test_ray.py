@@ -156,7 +156,7 @@ def test_without_ray(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pyt
     monkeypatch.setitem(sys.modules, "ray", None)
     assert main(["train", *WORKED, f"out={tmp_path / 'run'}"]) == 2
     said = capfd.readouterr().err
-    assert "Ray is not installed" in said
+    assert "ray is not installed" in said
     assert "pip install 'vpptwin[ray]'" in said
     assert said.count("\n") == 1
 

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from tests.train.conftest import step, tiny_env
-from vpptwin.train.env import VppEnv, strengthen
+from vpptwin.train.env import VppEnv
+from vpptwin.train.rotors import strengthen
 from vpptwin.twin import load_twin
 
 WEIGHT = 0.5 * 9.81

@@ -17,7 +17,7 @@ from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.train.checkpoint import find_checkpoint
+from vpptwin.train.stored import find_checkpoint
 from vpptwin.twin.spec import load_twin
 from vpptwin.vehicle import load_vehicle
 from vpptwin.viz.camera import View

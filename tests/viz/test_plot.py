@@ -21,8 +21,10 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import load_twin
 from vpptwin.vehicle import load_vehicle
 from vpptwin.viz.curves import name_runs, read_curve, tell_runs
-from vpptwin.viz.panels import Panel, Story, differentiate, tell_flight
-from vpptwin.viz.plot import write_story
+from vpptwin.viz.figure import INK, open_figure
+from vpptwin.viz.palette import BRIGHT, TARGET, TWIN, VERMILION, to_rgb
+from vpptwin.viz.panels import Line, Panel, Story, differentiate, tell_flight
+from vpptwin.viz.plot import THEMES, brighten, draw_story, write_story
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
 CART = """
@@ -107,8 +109,8 @@ def test_pictures_are_drawn_in_either_theme(flight: Flight, prediction: Predicti
     ground = picture[0, 0]
     assert (ground.mean() > 200) == (theme == "light")
     assert np.abs(picture - ground).max() > 150
-    for colour in ((0x00, 0x72, 0xB2), (0xCC, 0x79, 0xA7), (0xD5, 0x5E, 0x00)):  # twin, setpoint, trigger
-        assert (np.abs(picture - colour).max(axis=-1) < 8).sum() > 100
+    for colour in (TWIN if theme == "light" else BRIGHT, TARGET, VERMILION):
+        assert (np.abs(picture - 255.0 * np.array(to_rgb(colour))).max(axis=-1) < 8).sum() > 100
 
 
 def test_an_svg_stands_alone(flight: Flight, prediction: Prediction, tmp_path: Path) -> None:
@@ -256,3 +258,42 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path, capsys: pytest
         assert hint in said
         assert "\n" not in said
     assert {path.name for path in tmp_path.iterdir()} == before
+
+
+def test_a_picture_names_each_line_once() -> None:
+    """Whatever the number of panels that it is in; in a page too."""
+    time = np.arange(10.0)
+    panels = [Panel(name, [Line("log", time, time, INK), Line("twin", time, -time, TWIN, "--")]) for name in "abc"]
+    with open_figure(9.0, 4.0) as figure:
+        draw_story(figure, Story("three", panels))
+        legends = [axes.get_legend() for axes in figure.axes]
+    assert [len(legend.get_texts()) if legend else 0 for legend in legends] == [2, 0, 0]
+
+
+def test_the_twin_is_seen_on_dark_ground() -> None:
+    """Contrast of its line to the paper is above 4.5, which WCAG asks of text; on light ground the colour stays."""
+
+    def luminance(colour: str) -> float:
+        parts = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)]
+        return float(np.dot(parts, [0.2126, 0.7152, 0.0722]))
+
+    time = np.arange(10.0)
+    story = brighten(Story("one", [Panel("a", [Line("twin", time, time, TWIN, "--"), Line("log", time, time, INK)])]))
+    twin, log = story.panels[0].lines
+    assert (luminance(twin.colour) + 0.05) / (luminance(THEMES["dark"].paper) + 0.05) > 4.5
+    assert log.colour == INK
+
+
+def test_curves_of_a_short_run_are_seen(tmp_path: Path) -> None:
+    """A single value is a dot; a scalar without any number takes no panel."""
+    scalars = tmp_path / "run/log/scalars"
+    scalars.mkdir(parents=True)
+    (tmp_path / "run/config.yaml").write_text("task: {name: hover}\n")
+    (scalars / "return.csv").write_text("128,3.5\n")
+    (scalars / "exam_failures.csv").write_text("128,nan\n")
+    story = tell_runs([tmp_path / "run"])
+    assert [panel.label for panel in story.panels] == ["return of finished episodes"]
+    with open_figure(9.0, 4.0) as figure:
+        draw_story(figure, story)
+        (line,) = figure.axes[0].get_lines()
+    assert line.get_marker() == "o"

@@ -14,7 +14,6 @@ from vpptwin.actuators import adaptive, motor
 from vpptwin.actuators.blade import NEWTON, is_straight, max_thrust
 from vpptwin.deploy.content import VECTORS, Content
 from vpptwin.files import write_files
-from vpptwin.train.networks import ScaleInputs
 from vpptwin.train.observe import INTEGRAL_DECAY
 
 PREFIX = "vpptwin"
@@ -42,19 +41,17 @@ def write_c(content: Content, folder: Path) -> list[Path]:
 def describe(content: Content) -> dict[str, object]:
     """What the templates fill in."""
     vehicle, policy, metadata = content.vehicle, content.policy, content.metadata
-    dt, scaling = 1.0 / vehicle.control.inner_rate, policy.body[0]
-    assert isinstance(scaling, ScaleInputs)
+    dt = 1.0 / vehicle.control.inner_rate
     left = math.exp(-dt / max(vehicle.servo.time_constant, 1e-12))
     names = content.trained.sight.names
     return {
         "prefix": PREFIX, "header": FILES[0], "names": names, "inputs": INPUTS, "vectors": VECTORS,
         "trigonometric": any(name.startswith("sin") for name in names), "decay": INTEGRAL_DECAY,
         "layers": [
-            {"rows": layer.out_features, "columns": layer.in_features, "weight": layer.weight.tolist(),
-             "bias": layer.bias.tolist()}
-            for layer in policy.layers()
+            {"rows": weight.shape[0], "columns": weight.shape[1], "weight": weight.tolist(), "bias": bias.tolist()}
+            for weight, bias in policy.layers()
         ],
-        "scale": scaling.scale.tolist(), "fine": scaling.fine.tolist(), "share": scaling.share.tolist(),
+        **{name: policy.weights[f"body.0.{name}"].tolist() for name in ("scale", "fine", "share")},
         "v": vehicle, "a": adaptive, "dt": dt, "step": dt / vehicle.rotor.inertia, "newton": NEWTON,
         "thrust_limit": float(max_thrust(vehicle.rotor)), "straight": bool(is_straight(vehicle.rotor)),
         "lag_left": left, "lag_mean": vehicle.servo.time_constant / dt * (1.0 - left),

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from vpptwin import __version__
-from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
+from vpptwin.train.actor import Actor, build_actor
 from vpptwin.train.config import TrainConfig, to_plain
-from vpptwin.train.env import load_trained_twin, strengthen
-from vpptwin.train.networks import Policy
+from vpptwin.train.rotors import load_trained_twin, strengthen
+from vpptwin.train.stored import find_commit, find_versions, open_checkpoint
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
+STATES = ("pose", "velocity", "target", "integral")
+"""What an ONNX model takes."""
 VECTORS = 64
 """Test vectors: observations and the actions that belong to them."""
 TOLERANCE = 1e-5
@@ -39,7 +40,7 @@ class Content:
         metadata: plain data that is stored in the export.
     """
 
-    policy: Policy
+    policy: Actor
     trained: TrainConfig
     vehicle: Vehicle
     adaptive: bool
@@ -58,13 +59,13 @@ def collect_content(checkpoint: Path | str, twin: str | None = None) -> Content:
     Raises:
         InputError: if the checkpoint or the twin is not what it should be.
     """
-    content = read_checkpoint(checkpoint)
-    policy, trained = build_policy(content, checkpoint)
+    content = open_checkpoint(checkpoint)
+    policy, trained = build_actor(content, checkpoint)
     about = {"checkpoint": Path(str(checkpoint)).name, "steps": content["steps"], "trained_at": content["commit"]}
     return make_content(policy, trained, about, twin)
 
 
-def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], twin: str | None = None) -> Content:
+def make_content(policy: Actor, trained: TrainConfig, about: dict[str, Any], twin: str | None = None) -> Content:
     """The same of a network and its configuration.
 
     Args:
@@ -78,14 +79,12 @@ def make_content(policy: Policy, trained: TrainConfig, about: dict[str, Any], tw
     """
     spec = strengthen(load_trained_twin(trained, twin), trained.task.thrust_to_weight)
     inputs = draw_observations(trained, VECTORS, seed=1)
-    with torch.no_grad():
-        outputs = policy(torch.from_numpy(inputs)).numpy()
     metadata = {
         "vpptwin": __version__, **about, "exported_at": find_commit(), "versions": find_versions(),
         "twin": Path(spec.name).name, "twin_sha256": hash_twin(spec), "controller": spec.controller,
         "observation": list(trained.sight.names), "config": to_plain(replace(trained, out=None, resume=None)),
     }  # fmt: skip
-    return Content(policy, trained, spec.vehicle, spec.controller == "adaptive", inputs, outputs, metadata)
+    return Content(policy, trained, spec.vehicle, spec.controller == "adaptive", inputs, policy(inputs), metadata)
 
 
 def draw_observations(trained: TrainConfig, count: int, seed: int) -> np.ndarray:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.deploy.c_source import PREFIX
-from vpptwin.deploy.content import TOLERANCE
-from vpptwin.deploy.onnx_model import INPUTS
+from vpptwin.deploy.content import STATES, TOLERANCE
 from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config
 from vpptwin.train.observe import INTEGRAL_DECAY
@@ -57,10 +56,8 @@ class OnnxController(Exported):
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise InputError("no onnxruntime", "the packages for ONNX", "pip install 'vpptwin[deploy]'") from error
+        import onnxruntime
+
         try:
             self._session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
             about = self._session.get_modelmeta().custom_metadata_map
@@ -88,7 +85,7 @@ class OnnxController(Exported):
         return self._run(pose, velocity, target, (grown - target[:, :2]) / INTEGRAL_DECAY)[0]
 
     def _run(self, *given: np.ndarray) -> list[np.ndarray]:
-        feeds = {name: np.asarray(values, np.float32) for name, values in zip(INPUTS, given)}
+        feeds = {name: np.asarray(values, np.float32) for name, values in zip(STATES, given)}
         return list(self._session.run(None, feeds))
 
     def decide(

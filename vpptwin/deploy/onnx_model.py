@@ -9,16 +9,16 @@ import warnings
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import onnx
+import onnxscript  # noqa: F401  # torch's exporter needs it
 import torch
 from torch import nn
 
-from vpptwin.deploy.content import Content
-from vpptwin.errors import InputError
+from vpptwin.deploy.content import STATES, Content
 from vpptwin.files import write_whole
 from vpptwin.train.networks import Policy
 from vpptwin.train.observe import INTEGRAL_DECAY
 
-INPUTS = ("pose", "velocity", "target", "integral")
 OUTPUTS = ("action", "integral_next", "observation")
 
 
@@ -63,21 +63,18 @@ def write_onnx(content: Content, path: Path) -> Path:
     """Write the model, with test vectors and metadata in its properties.
 
     Raises:
-        InputError: if onnx is not installed, or the file cannot be written.
+        InputError: if the file cannot be written.
     """
-    try:
-        import onnx
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        raise InputError(f"no {error.name}", "the packages for ONNX", "pip install 'vpptwin[deploy]'") from error
-    module = WholePolicy(content.policy, content.trained.sight.names).eval()
+    policy = Policy(content.trained.sight, (content.trained.hidden[0], content.trained.hidden[1]))
+    policy.load_state_dict({name: torch.from_numpy(values) for name, values in content.policy.weights.items()})
+    module = WholePolicy(policy, content.trained.sight.names).eval()
     examples = (torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 2))
     batch = torch.export.Dim("batch")
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            module, examples, dynamo=True, input_names=list(INPUTS), output_names=list(OUTPUTS),
+            module, examples, dynamo=True, input_names=list(STATES), output_names=list(OUTPUTS),
             dynamic_shapes=tuple({0: batch} for _ in examples), verbose=False,
         )  # fmt: skip
     assert program is not None

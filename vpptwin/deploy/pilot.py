@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.deploy.load import Exported, load_exported
-from vpptwin.train.env import strengthen
-from vpptwin.train.pilot import PolicyPilot, check_task_name, choose_task
-from vpptwin.train.tasks import Task
+from vpptwin.train.pilot import PolicyPilot, choose_task
+from vpptwin.train.rotors import strengthen
+from vpptwin.train.tasks import Task, check_task_name
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 

@@ -10,12 +10,11 @@ import ctypes
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
-from numba import types
-
-from vpptwin.engine.compile import c_function
 
 MARK = int.from_bytes(b"vpptwin!", "little")
 """First word of `userdata` in our simulations."""
@@ -28,18 +27,23 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 _LOCK = threading.RLock()
 
 
-@c_function(types.float64())
 def stop_clock() -> float:
     """Time that does not pass [ms]."""
     return 0.0
 
 
-@c_function(types.void(types.voidptr))
 def keep_quiet(text: int) -> None:
     """Take a warning of the engine and leave it."""
 
 
-_STOPPED_CLOCK, _QUIET = stop_clock.ctypes, keep_quiet.ctypes
+@cache
+def compile_both() -> tuple[Any, Any]:
+    """The two as C functions; numba loads here, as reading a model does without."""
+    from numba import types
+
+    from vpptwin.engine.compile import c_function
+
+    return c_function(types.float64())(stop_clock), c_function(types.void(types.voidptr))(keep_quiet)
 
 
 @contextmanager
@@ -50,7 +54,7 @@ def stopped_clock() -> Iterator[None]:
     as small as ours.
     """
     clock = mujoco.get_mjcb_time()
-    mujoco.set_mjcb_time(_STOPPED_CLOCK)
+    mujoco.set_mjcb_time(compile_both()[0].ctypes)
     try:
         yield
     finally:
@@ -64,15 +68,28 @@ def installed(callback: object) -> Iterator[None]:
     The engine's profiling clock stands still meanwhile. Its warnings, which it would write into a file of the working
     folder, are left: they are of simulations that diverge, and `vpptwin.twin.health` tells those.
     """
-    with _LOCK, stopped_clock():
-        before, warning = mujoco.get_mjcb_control(), mujoco.get_mju_user_warning()
-        mujoco.set_mjcb_control(callback)
-        mujoco.set_mju_user_warning(_QUIET)
-        try:
-            yield
-        finally:
-            mujoco.set_mjcb_control(before)
-            mujoco.set_mju_user_warning(warning)
+    with _LOCK, stopped_clock(), exchanged(callback, compile_both()[1].ctypes):
+        yield
+
+
+@contextmanager
+def left_alone() -> Iterator[None]:
+    """Run without a control callback while in the block: MuJoCo calls it while it compiles a model, too."""
+    with _LOCK, exchanged(None, keep_quiet):
+        yield
+
+
+@contextmanager
+def exchanged(callback: object, silence: object) -> Iterator[None]:
+    """Put a control callback and a taker of warnings in the place of those that were there, while in the block."""
+    before, warning = mujoco.get_mjcb_control(), mujoco.get_mju_user_warning()
+    mujoco.set_mjcb_control(callback)
+    mujoco.set_mju_user_warning(silence)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_control(before)
+        mujoco.set_mju_user_warning(warning)
 
 
 def mark_rows(userdata: np.ndarray, context: np.ndarray) -> None:

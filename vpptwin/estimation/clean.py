@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.estimation.outliers import find_frozen, find_spikes, find_strays
-from vpptwin.estimation.series import Series
+from vpptwin.estimation.series import Series, integrate
 from vpptwin.logs.flight import Stream
 from vpptwin.vehicle import Sensors
 
@@ -31,7 +30,7 @@ def clean_poses(pose: Stream, imu: Stream | None, sensors: Sensors) -> tuple[Str
     std = np.array([sensors.mocap.position_std, sensors.mocap.position_std, sensors.mocap.angle_std])
     turned = np.zeros(len(pose))
     if imu is not None and len(imu) > 1:
-        turned = np.interp(pose.time, imu.time, cumulative_trapezoid(imu["rate"], imu.time, initial=0.0))
+        turned = np.interp(pose.time, imu.time, integrate(imu["rate"], imu.time))
     value = np.stack([pose["x"], pose["z"], np.unwrap(pose["theta"] - turned)], axis=1)
     frozen = find_frozen(np.stack([pose[name] for name in ("x", "z", "theta")], axis=1), std)
     wild = np.zeros(len(pose), dtype=bool)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.estimation.series import integrate
 
 SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
@@ -82,7 +82,7 @@ def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, 
     gyro, angle = measurements.velocities[2], measurements.positions[2]
     time = force.time
     rate = np.interp(time, gyro.time, gyro.value)
-    turned = Displacement(time, cumulative_trapezoid(rate, time, initial=0.0), rate, np.zeros_like(time), DRIFT_STD)
+    turned = Displacement(time, integrate(rate, time), rate, np.zeros_like(time), DRIFT_STD)
     offset = angle.value - turned.read(angle.time)[0]
     summed = np.cumsum(np.concatenate([np.full(20, offset[0]), offset]))
     smooth = (summed[20:] - summed[:-20]) / 20.0
@@ -93,8 +93,8 @@ def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, 
         (0, body_x * np.cos(theta) - body_z * np.sin(theta)),
         (1, body_x * np.sin(theta) + body_z * np.cos(theta) - gravity),
     ):
-        speed = cumulative_trapezoid(acceleration, time, initial=0.0)
-        moved = cumulative_trapezoid(speed, time, initial=0.0)
+        speed = integrate(acceleration, time)
+        moved = integrate(speed, time)
         result[dof] = Displacement(time, moved, speed, acceleration, SLOPE_STD)
     return result
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
-from vpptwin.estimation.series import Measurements, Series
+from vpptwin.estimation.series import Measurements, Series, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec
@@ -123,7 +122,7 @@ def compare_streams(stream: Stream) -> tuple[float, float | None]:
     if "velocity" not in stream.values or len(stream) < MIN_SAMPLES:
         return 0.0, None
     time, velocity = stream.time, stream["velocity"]
-    apart = cumulative_trapezoid(velocity, time, initial=0.0) - stream["position"]
+    apart = integrate(velocity, time) - stream["position"]
     steps = [max(round(span / float(np.median(np.diff(time)))), 1) for span in SPANS]
 
     def stray(apart: np.ndarray) -> float:

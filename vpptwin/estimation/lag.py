@@ -5,9 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
-from vpptwin.estimation.series import Lag, Series
+from vpptwin.estimation.series import Lag, Series, integrate
 
 SPAN = 0.05
 """Turning is compared over steps of this length [s]: long against the noise of the angle, short against a flip."""
@@ -36,7 +35,7 @@ def estimate_lag(angle: Series, rate: Series) -> Lag | None:
     Returns:
         None if there was too little turning, or the two show different motions.
     """
-    turned = Series("turned", "rad", rate.time, cumulative_trapezoid(rate.value, rate.time, initial=0.0), rate.std)
+    turned = Series("turned", "rad", rate.time, integrate(rate.value, rate.time), rate.std)
     coarse = search_all(angle, turned)
     if coarse is None:
         return None
@@ -92,7 +91,7 @@ def find_step(angle: Series, rate: Series) -> tuple[float, float] | None:
 
     Between stretches that all have one lag and those that all have another; one of them may lie astride the step.
     """
-    turned = Series("turned", "rad", rate.time, cumulative_trapezoid(rate.value, rate.time, initial=0.0), rate.std)
+    turned = Series("turned", "rad", rate.time, integrate(rate.value, rate.time), rate.std)
     lags = np.arange(-SEARCHES[0][0] - STEP, SEARCHES[0][0] + STEP, GRID)
     known: list[tuple[float, float]] = []
     for begin in np.arange(max(angle.time[0], rate.time[0]) + STEP, min(angle.time[-1], rate.time[-1]), STRETCH):

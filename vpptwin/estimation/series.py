@@ -80,3 +80,13 @@ class Measurements:
     def duration(self) -> float:
         """Usable length of the flight [s]."""
         return self.end - self.start
+
+
+def integrate(values: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Running integral of `values` (n, ...) over `time` (n,) by trapezoids, zero at first, (n, ...).
+
+    What SciPy's `cumulative_trapezoid` gives, whose import every command that reads a log would wait for.
+    """
+    steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    parts = np.cumsum(steps * (values[1:] + values[:-1]) / 2.0, axis=0)
+    return np.concatenate((np.zeros((1, *values.shape[1:])), parts))

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import drop_rows, tell_left_out
+from vpptwin.estimation.series import integrate
 from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_LIKENESS, compare_steps
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.vehicle import Vehicle
@@ -152,7 +152,7 @@ def weigh_thrust(rotor: Stream, vehicle: Vehicle, imu: Stream | None, command: S
     if len(steps) < FEW:
         return None
     made, had = (
-        np.diff(np.interp(steps, time, cumulative_trapezoid(force, time, initial=0.0)))
+        np.diff(np.interp(steps, time, integrate(force, time)))
         for time, force in ((command.time, thrust), (imu.time, felt))
     )
     factor, likeness = compare_steps(made, had)
@@ -200,7 +200,7 @@ def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
     if is_dead(velocity) and not is_dead(position):
         return known, [f"{label}: velocity is {velocity[0]:g} throughout while the joint moves, left out"]
     stride = max(round(BEND / float(np.median(np.diff(stream.time)))), 1)
-    integral = cumulative_trapezoid(velocity, stream.time, initial=0.0)
+    integral = integrate(velocity, stream.time)
     factor, likeness = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))
     if likeness < MIN_LIKENESS or SLOWEST < factor < FASTEST:
         return stream, []
@@ -211,7 +211,7 @@ def bend_tracks(pose: Stream, imu: Stream, gravity: float) -> tuple[np.ndarray, 
     """By how much x and z leave a straight line, by the poses and by the accelerometer, (n, 2) m each."""
     moved = turn_force(imu, pose) - [0.0, gravity]
     for _ in range(2):
-        moved = cumulative_trapezoid(moved, imu.time, axis=0, initial=0.0)
+        moved = integrate(moved, imu.time)
     low, high = max(pose.time[0], imu.time[0]) + BEND, min(pose.time[-1], imu.time[-1]) - BEND
     middle = np.arange(low, high, 0.5 * BEND)
     ahead = np.searchsorted(pose.time, middle)

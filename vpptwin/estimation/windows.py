@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from vpptwin.estimation.initial import estimate_states, fit_end
 from vpptwin.estimation.measurements import Measurements, Series
@@ -136,6 +135,8 @@ def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
 
 def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
     """Tracks of the driven joints at the start of every step, from a spline through their log; edges (K, steps + 1)."""
+    from scipy.interpolate import make_interp_spline  # only rigs that are driven wait for it
+
     poses, velocities = [], []
     for series in measurements.driven.values():
         spline = make_interp_spline(series.time, series.value, k=3)

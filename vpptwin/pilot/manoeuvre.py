@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.pilot.reference import Plan, Reference
 from vpptwin.vehicle import Vehicle
 
@@ -122,7 +122,8 @@ def find_manoeuvre(library: Sequence[Manoeuvre], name: str) -> Manoeuvre:
     """
     known = {manoeuvre.name: manoeuvre for manoeuvre in library}
     if name not in known:
-        raise InputError(f"unknown manoeuvre {name!r}", f"one of {', '.join(known)}", "see `vpptwin fly --list`")
+        advice = suggest(name, known, "see `vpptwin fly --list`")
+        raise InputError(f"unknown manoeuvre {name!r}", f"one of {', '.join(known)}", advice)
     return known[name]
 
 

@@ -13,7 +13,7 @@ from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.progress import Simulations
 from vpptwin.train.snapshot import restore_snapshot
-from vpptwin.train.workers import OPTIONS, require_ray, start_workers
+from vpptwin.train.workers import OPTIONS, start_workers
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | No
         InputError: as `make_env`, and if workers are wanted and Ray is not installed.
     """
     if config.collector == "ray":
-        require_ray()
+        import ray  # noqa: F401  # refused here, before anything is made
+
         return make_env(replace(config, num_envs=1, sim_threads=1))
     env = make_env(config, fault_folder, config.lesson())
     if saved is not None:

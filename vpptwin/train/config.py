@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from textwrap import shorten
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from pydantic import TypeAdapter, ValidationError
 
 from vpptwin.errors import InputError
 from vpptwin.train.observe import SETUPS, Sight
@@ -222,31 +223,53 @@ RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads",
 """What may be given besides `resume`; the rest comes from the run that is continued."""
 
 
-def to_config(data: DictConfig | dict[str, Any]) -> TrainConfig:
-    """Typed and checked configuration from plain data, as saved in a checkpoint.
+def to_config(data: Mapping[str, Any]) -> TrainConfig:
+    """Typed and checked configuration from plain data, as saved in a checkpoint; what it lacks is as by default.
 
     Raises:
         InputError: if a key is unknown, a value has the wrong type or makes no sense.
     """
+    expected = "a configuration of this version"
     try:
-        if isinstance(data, dict) and "${" in str(data):
-            raise ValueError("${...}, which would be looked up on this machine")
-        config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(TrainConfig), data))
-        OmegaConf.structured(config)  # merging lets lists within lists of strings through
-    except (OmegaConfBaseException, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError(
-            next(iter(str(error).splitlines()), "nothing that makes sense"), "a configuration of this version", HELP
-        ) from error
-    assert isinstance(config, TrainConfig)
+        config = make_adapter().validate_json(json.dumps(complete(data, to_plain(TrainConfig()))), strict=True)
+    except ValidationError as error:
+        (first, *_) = error.errors(include_url=False)
+        found = f"{'.'.join(map(str, first['loc']))}={first['input']!r:.60}"
+        if first["type"] in ("missing", "too_long"):  # of all that is there, only ranges have a length
+            expected = "[low, high]"
+        raise InputError(f"{found}: {first['msg'][0].lower()}{first['msg'][1:]}", expected, HELP) from error
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(next(iter(str(error).splitlines()), "nothing that makes sense"), expected, HELP) from error
     check_values(config)
     return config
 
 
+@cache
+def make_adapter() -> TypeAdapter[TrainConfig]:
+    """What checks types."""
+    return TypeAdapter(TrainConfig)
+
+
+def complete(data: Mapping[str, Any], defaults: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+    """Nested plain data, what it lacks from `defaults`.
+
+    Raises:
+        ValueError: naming a key that they do not have.
+    """
+    for key in data:
+        if key not in defaults:
+            raise ValueError(f"unknown option {place}{key!s:.60}")
+    filled = dict(defaults)
+    for key, value in data.items():
+        nested = isinstance(value, Mapping) and isinstance(defaults[key], Mapping)
+        filled[key] = complete(value, defaults[key], f"{place}{key}.") if nested else value
+    return filled
+
+
 def to_plain(config: TrainConfig) -> dict[str, Any]:
     """The configuration as dicts, lists, numbers and strings."""
-    plain = OmegaConf.to_container(OmegaConf.structured(config))
-    assert isinstance(plain, dict)
-    return {str(key): value for key, value in plain.items()}
+    plain: dict[str, Any] = json.loads(json.dumps(asdict(config)))
+    return plain
 
 
 def list_numbers(data: object, name: str = "") -> Iterator[tuple[str, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,23 +13,22 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from vpptwin.actuators.blade import strengthen_rotor
 from vpptwin.errors import InputError
-from vpptwin.train.config import Lesson, TrainConfig
+from vpptwin.train.config import Lesson, TrainConfig, check_values
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
 from vpptwin.train.onboard import Onboard
 from vpptwin.train.privileged import privileged_size, see_everything
 from vpptwin.train.randomize import IDENTIFIED, Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
+from vpptwin.train.rotors import load_trained_twin, strengthen
 from vpptwin.train.starts import SOON, FailedStarts
-from vpptwin.train.tasks import Task
-from vpptwin.trust import check_trusted
-from vpptwin.twin import Twin, load_twin
+from vpptwin.train.tasks import TASKS, Task, check_task_name
+from vpptwin.twin import Twin
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
 from vpptwin.twin.sensors import read_sensors, sensor_noise
-from vpptwin.twin.spec import TwinSpec, check_effects
+from vpptwin.twin.spec import check_effects
 
 if TYPE_CHECKING:
     from vpptwin.train.watch import Watcher
@@ -367,26 +367,27 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     )  # fmt: skip
 
 
-def load_trained_twin(config: TrainConfig, twin: str | Path | None = None) -> TwinSpec:
-    """The twin of a configuration, or another, with its effects and controller.
+def make_task_env(
+    task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
+    randomize: Sequence[str] = (),
+) -> VppEnv:  # fmt: skip
+    """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
 
-    A configuration may come from somebody's checkpoint, so the code that it names runs only if it is trusted.
+    Args:
+        task: one of `vpptwin.train.tasks.TASKS`.
+        twin: `nominal`, `typical` or a twin YAML.
+        num_envs: simulations flown side by side.
+        seed: of everything random.
+        noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
+        randomize: effects drawn from their priors at every reset; `paper` and `all` stand for groups.
 
     Raises:
-        InputError: if it is not, or the twin cannot be made.
+        InputError: if there is no such task, twin or effect.
     """
-    check_trusted(config.effects, "the configuration of training")
-    spec = load_twin(twin or config.twin, config.effects)
-    return spec if config.controller is None else spec.with_controller(config.controller)
-
-
-def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:
-    """A twin whose rotors, and what is believed of them, give this thrust-to-weight ratio; itself for None."""
-    if thrust_to_weight is None:
-        return spec
-    vehicle = spec.vehicle
-    weight = (vehicle.airframe.mass + vehicle.rig.slider_mass) * vehicle.gravity
-    factor = thrust_to_weight * weight / vehicle.control.thrust_max
-    rotor = strengthen_rotor(vehicle.rotor, factor)
-    control = vehicle.control.model_copy(update={"thrust_max": vehicle.control.thrust_max * factor})
-    return spec.with_robot(rotorcraft=vehicle.model_copy(update={"rotor": rotor, "control": control}))
+    check_task_name(task)
+    config = TrainConfig(
+        copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
+        desynchronize=False,
+    )  # fmt: skip
+    check_values(config)
+    return make_env(config)

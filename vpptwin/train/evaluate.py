@@ -12,14 +12,15 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.files import write_json
-from vpptwin.train.checkpoint import build_policy, find_commit, find_versions, read_checkpoint
+from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.config import ESTIMATORS, TrainConfig
 from vpptwin.train.env import make_env
 from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
-from vpptwin.train.pilot import check_task_name, choose_task
+from vpptwin.train.pilot import choose_task
 from vpptwin.train.randomize import PAPER
-from vpptwin.train.tasks import check_task
+from vpptwin.train.stored import find_commit, find_versions
+from vpptwin.train.tasks import check_task, check_task_name
 from vpptwin.trust import trust
 
 
@@ -126,6 +127,19 @@ def summarize(errors: np.ndarray) -> dict[str, float | None]:
     if not len(errors):
         return {"median": None, "mean": None, "worst": None}
     return {"median": float(np.median(errors)), "mean": float(errors.mean()), "worst": float(errors.max())}
+
+
+def describe(result: dict[str, Any]) -> str:
+    """What `evaluate` found, in a sentence or two."""
+    count, lost = result["tracks"], round(result["tracks"] * result["fail_rate"])
+    told = [f"{count} flights of {result['task']} in twin {result['twin']}: {lost} failed"]
+    for side in ("upright", "inverted"):
+        mean = result[f"{side}_error_m"]["mean"]
+        told += [f"{1e3 * mean:.1f} mm {side}"] if mean is not None else []
+    turns, drawn = result["full_turns"], ", ".join(result["randomized"])
+    told += [f"{turns['made']} of {turns['asked']} full turns made"] if turns["asked"] else []
+    how = f"sensor noise × {result['noise']:g}; {f'drawn for each flight: {drawn}' if drawn else 'nothing drawn'}"
+    return f"{', '.join(told)}\n(mean error over the last {result['window_s']:g} s; {how})"
 
 
 def run_evaluate(checkpoint: Path | str, conditions: Conditions, json_path: Path | str | None) -> dict[str, Any]:

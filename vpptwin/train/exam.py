@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from vpptwin.train.checkpoint import BEST_NAME, write_checkpoint
+from vpptwin.train.checkpoint import write_checkpoint
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.flights import Flights, fly_tracks
 from vpptwin.train.hook import Hook
 from vpptwin.train.networks import Policy
+from vpptwin.train.stored import BEST_NAME
 
 SEED = 2_000_003
 """Of the flights, which are none of those that `vpptwin evaluate` flies by default."""

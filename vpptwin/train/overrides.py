@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from textwrap import wrap
 
@@ -14,9 +14,10 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.train.config import HELP, PRESETS, Curriculum, TrainConfig, to_config
 from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS
@@ -45,7 +46,9 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
         store.store(group="task", name=task.name, node=task)
     try:
         with initialize(version_base="1.3", config_path=None):
-            config = to_config(compose(config_name="train", overrides=given))
+            composed = OmegaConf.to_container(compose(config_name="train", overrides=given), resolve=True)
+            assert isinstance(composed, dict)
+            config = to_config({str(key): value for key, value in composed.items()})
             trust(config.effects)
             return config
     except (HydraException, OmegaConfBaseException) as error:
@@ -60,6 +63,8 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
         InputError: on what is no override, an option that does not exist (naming the closest that do), or no task.
     """
     known = list_options()
+    nested = {f.name: vars(value) for f in fields(TrainConfig) if is_dataclass(value := getattr(TrainConfig(), f.name))}
+    del nested["task"]
     try:
         parsed = OverridesParser.create().parse_overrides(list(overrides))
     except HydraException as error:
@@ -69,10 +74,13 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
         if key not in known or override.is_delete() or override.is_add() or override.is_sweep_override():
             close = difflib.get_close_matches(key, known, n=3, cutoff=0.4) or known[:4]
             raise InputError(f"unknown option {override.input_line!r}", f"one such as {', '.join(close)}", HELP)
-        if key == "task" and override.value() not in TASKS:
-            raise InputError(f"unknown task {override.value()!r}", f"one of {', '.join(TASKS)}", HELP)
-        if key == "preset" and override.value() not in PRESETS:
-            raise InputError(f"unknown preset {override.value()!r}", f"one of {', '.join(PRESETS)}", HELP)
+        choices: Collection[str] = {"task": [*TASKS], "preset": [*PRESETS]}.get(key, [])
+        if choices and override.value() not in choices:
+            advice = suggest(str(override.value()), choices, HELP)
+            raise InputError(f"unknown {key} {override.value()!r}", f"one of {', '.join(choices)}", advice)
+        if key in nested and not isinstance(override.value(), dict):
+            parts = ", ".join(f"{key}.{name}" for name in nested[key])
+            raise InputError(override.input_line or key, f"a value for each part: {parts}", HELP)
     return {override.key_or_group: override for override in parsed}
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from vpptwin.errors import InputError
 from vpptwin.pilot.manoeuvre import SHORTEST, check_duration
-from vpptwin.train.checkpoint import build_policy, read_checkpoint
+from vpptwin.train.actor import build_actor
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env import strengthen
-from vpptwin.train.networks import Policy
 from vpptwin.train.observe import accumulate_error, observe
-from vpptwin.train.tasks import TASKS, Task
+from vpptwin.train.rotors import strengthen
+from vpptwin.train.stored import open_checkpoint
+from vpptwin.train.tasks import TASKS, Task, check_task_name
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Vehicle
 
@@ -23,7 +22,7 @@ class PolicyPilot:
     """Flies one craft by a policy, which sees what it was trained on.
 
     Args:
-        policy: of a checkpoint; None for those who decide otherwise.
+        policy: from observations (N, inputs) to actions (N, 2), as an `Actor`; None for those who decide otherwise.
         trained: how it was trained.
         task: whose targets are flown, drawn from `seed`.
         vehicle: believed numbers, which scale its actions.
@@ -32,8 +31,8 @@ class PolicyPilot:
     """
 
     def __init__(
-        self, policy: Policy | None, trained: TrainConfig, task: Task, vehicle: Vehicle, duration: float | None,
-        seed: int,
+        self, policy: Callable[[np.ndarray], np.ndarray] | None, trained: TrainConfig, task: Task, vehicle: Vehicle,
+        duration: float | None, seed: int,
     ) -> None:  # fmt: skip
         self.task = task.name
         self.count, period = 1, 1.0 / vehicle.control.policy_rate
@@ -47,7 +46,6 @@ class PolicyPilot:
         target: np.ndarray = self._targets[max(tick, 0)]
         return target
 
-    @torch.no_grad()
     def command(
         self, tick: int, pose: np.ndarray, velocity: np.ndarray, memory: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +54,7 @@ class PolicyPilot:
         integral = accumulate_error(memory, (target - pose)[:, :2])
         seen = observe(pose, velocity, target, integral, self.trained.sight)
         assert self.policy is not None
-        action = self.policy(torch.from_numpy(seen)).numpy().astype(np.float64)
+        action = self.policy(seen).astype(np.float64)
         return np.clip(action, -1.0, 1.0) * self._limit, integral
 
 
@@ -96,20 +94,10 @@ def load_pilot(
         InputError: if the file is no checkpoint of this version, there is no such task, or the duration is not allowed.
     """
     check_task_name(task)
-    policy, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
+    actor, trained = build_actor(open_checkpoint(checkpoint), checkpoint)
     chosen = choose_task(trained, task)
     spec = strengthen(spec, chosen.thrust_to_weight)
-    return PolicyPilot(policy, trained, chosen, spec.vehicle, duration, seed), spec
-
-
-def check_task_name(task: str | None) -> None:
-    """Refuse a task that there is none of.
-
-    Raises:
-        InputError: naming those that there are.
-    """
-    if task is not None and task not in TASKS:
-        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", "check the name")
+    return PolicyPilot(actor, trained, chosen, spec.vehicle, duration, seed), spec
 
 
 def choose_task(trained: TrainConfig, task: str | None) -> Task:

@@ -13,7 +13,7 @@ from torchrl.trainers import LRSchedulerHook
 from torchrl.trainers.algorithms import PPOTrainer
 
 from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import FILE_NAME, SaveCheckpoint, build_policy, make_policy, read_checkpoint
+from vpptwin.train.checkpoint import SaveCheckpoint, build_policy, make_policy, read_checkpoint
 from vpptwin.train.collect import make_collector, open_env
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.exam import Exam
@@ -21,6 +21,7 @@ from vpptwin.train.loggers import make_logger
 from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
 from vpptwin.train.observe import OBSERVATION
 from vpptwin.train.progress import EpisodeStatistics, ProgressBar, Simulations
+from vpptwin.train.stored import FILE_NAME
 from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, LipschitzBound, Minibatches
 
 FAULTS = "faults"

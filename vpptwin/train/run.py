@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Collection
@@ -9,14 +10,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
+import yaml
 
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files, write_whole
-from vpptwin.train.checkpoint import FILE_NAME, read_checkpoint
+from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
 from vpptwin.train.memory import check_run, explain_exhaustion
 from vpptwin.train.ppo import FAULTS, build_training, find_device
+from vpptwin.train.stored import FILE_NAME
+
+NEXT = """next: vpptwin evaluate {0}
+      vpptwin play --live {0}
+      vpptwin fly {0} --out flight.mcap
+      vpptwin plot {0} --out curves.png"""
+"""What to do with a run that is over."""
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -42,7 +50,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     with explain_exhaustion(config):
         training = build_training(config, folder, saved)
     trim_logs(folder, saved["steps"] if saved else 0)
-    OmegaConf.save(OmegaConf.create(to_plain(config)), folder / "config.yaml")
+    write_whole(folder / "config.yaml", yaml.safe_dump(to_plain(config), sort_keys=False))
     started, begun = time.monotonic(), training.trainer.collected_frames
     try:
         with explain_exhaustion(config):
@@ -58,6 +66,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     seconds = time.monotonic() - started
     steps = training.trainer.collected_frames - begun
     print(f"{steps} steps in {seconds:.0f} s, checkpoint {folder / FILE_NAME}", file=sys.stderr)
+    print(NEXT.format(shlex.quote(str(folder))), file=sys.stderr)
     if training.simulations.faults:
         found = f"{training.simulations.faults} simulations diverged; the first are in {folder / FAULTS}"
         print(f"{found}, `python -m vpptwin.twin.health FILE` replays one", file=sys.stderr)

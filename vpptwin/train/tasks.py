@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.train.observe import wrap_angle
 from vpptwin.train.reward import RewardWeights
 from vpptwin.vehicle import Vehicle
@@ -253,3 +253,13 @@ def check_task(task: Task) -> None:
         raise InputError(f"task.again={task.again}", "a share from 0 to 1", "correct it")
     if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
         raise InputError(f"task.thrust_to_weight={task.thrust_to_weight}", "more than 1, at most 10", "correct it")
+
+
+def check_task_name(task: str | None) -> None:
+    """Refuse a task that there is none of.
+
+    Raises:
+        InputError: naming those that there are.
+    """
+    if task is not None and task not in TASKS:
+        raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", suggest(task, TASKS))

@@ -34,7 +34,6 @@ SETTINGS = {
 process, as on a busy machine Ray waits for ever for one that took longer."""
 PATIENCE = 10.0
 """Time that a cluster's head has to answer, s."""
-INSTALL = "pip install 'vpptwin[ray]'"
 CONTINUE = "see that they have the memory and files they need; `vpptwin train resume=RUN` goes on from the checkpoint"
 OPTIONS = {"auto_register_policy_transforms": False}
 """Of every collector: the policy holds no state that an environment would have to reset."""
@@ -147,18 +146,6 @@ class RayWorkers(RayCollector):
 def merge_workers(batches: TensorDictBase) -> TensorDictBase:
     """Workers' batches (workers, num_envs / workers, rollout) as one (num_envs, rollout)."""
     return batches.flatten(0, 1)
-
-
-def require_ray() -> None:
-    """Refuse to go on without Ray.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    try:
-        import ray  # noqa: F401
-    except ImportError as error:
-        raise InputError("collector=ray, and Ray is not installed", "the package ray", INSTALL) from error
 
 
 def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder: Path, begun: int) -> RayWorkers:

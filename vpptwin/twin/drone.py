@@ -11,7 +11,6 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.effects import CATALOGUE, Effect
 from vpptwin.errors import InputError
 from vpptwin.twin.losses import take_out_losses
@@ -67,6 +66,8 @@ class PlanarDrone(Robot):
     @property
     def numbers(self) -> np.ndarray:
         """The believed vehicle as a record."""
+        from vpptwin.actuators.numbers import record_vehicle  # which brings numba
+
         return record_vehicle(self.vehicle)
 
     @property

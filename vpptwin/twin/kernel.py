@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,11 +16,12 @@ from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
-from vpptwin.engine.compile import c_function
+from vpptwin.engine.compile import KEPT, c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
+from vpptwin.progress import tell_wait
 from vpptwin.twin.pipeline import Function, Pipeline, fingerprint, write_pipeline
 from vpptwin.twin.step import Rig, Row, Tape
 
@@ -31,6 +33,7 @@ CONTEXT = np.dtype(
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
+COMPILING = "compiling the step of this rig, once, some 20 s"
 CALLS = {
     "step_drone": "step_drone(carray(pointer_to(context.vehicle), (1,), VEHICLE)[0], rig, view, row, tape, k)",
     "step_rig": "step_rig(rig, view, row, tape, k)",
@@ -199,7 +202,9 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     }  # fmt: skip
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
     signature = types.void(types.voidptr, types.voidptr)
-    function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
+    known = file is not None and any(file.parent.glob(KEPT))
+    with nullcontext() if known else tell_wait(COMPILING):
+        function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
     if file is not None:
         seal_entry(file)
     return Kernel(pipeline, FUNCTION(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)

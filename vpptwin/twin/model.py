@@ -11,7 +11,7 @@ import numpy as np
 
 from vpptwin.effects import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
-from vpptwin.engine.callback import WORDS, installed
+from vpptwin.engine.callback import WORDS, left_alone
 from vpptwin.errors import InputError
 from vpptwin.twin.bounds import bound_memory, check_claims, check_size
 
@@ -48,7 +48,7 @@ def compile_model(
     """
     check_claims(path)
     try:
-        with bound_memory(), installed(None):  # MuJoCo calls it while it compiles, and one in Python would fail there
+        with bound_memory(), left_alone():  # a callback in Python would fail there
             model = specify_model(path, adapt).compile()
     except InputError:
         raise

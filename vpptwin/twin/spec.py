@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, find_effect
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file, models_dir
 from vpptwin.trust import check_trusted
@@ -166,7 +166,7 @@ def check_effects(
             raise InputError(
                 f"{source}: unknown effect {effect_id!r}",
                 f"an id such as {error.args[0]}",
-                "`vpptwin effects` lists all",
+                suggest(effect_id, (effect.id for effect in catalogue), "`vpptwin effects` lists all"),
             ) from error
         names = [p.name for p in effect.parameters]
         for name, value in values.items():
@@ -210,7 +210,8 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
         check_trusted(own, path, effect_files)
         return build_twin(str(name), file, path.parent, list_effect_files(own, effect_files))
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"no readable twin {path}", "`nominal`, `typical` or a twin YAML", "check the path") from error
+        advice = suggest(str(name), SHIPPED, "check the path")
+        raise InputError(f"no readable twin {path}", "`nominal`, `typical` or a twin YAML", advice) from error
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML ({error})", "a twin YAML", "check its syntax") from error
     except ValidationError as error:

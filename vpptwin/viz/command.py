@@ -10,18 +10,12 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
-from vpptwin.viz.curves import is_run, tell_runs
-from vpptwin.viz.panels import tell_flight
-from vpptwin.viz.playback import play_live, play_page
-from vpptwin.viz.plot import check_format, write_story
-from vpptwin.viz.serve import LOOPBACK
-from vpptwin.viz.video import check_video, write_video
 
 
 def play_log(
     logs: Sequence[Path], twin: str | None, html: Path | None, restart: float | None = 0.5,
     topic_map: Path | None = None, effects: Sequence[Path] = (), video: Path | None = None,
-    host: str = LOOPBACK,
+    host: str = "127.0.0.1",
 ) -> None:  # fmt: skip
     """Play one recording.
 
@@ -35,7 +29,11 @@ def play_log(
         video: the animation to write, .gif or .webp; None for none.
         host: address of this machine to serve on.
     """
+    from vpptwin.viz.playback import play_live, play_page  # neither of the two commands waits for the other's
+
     if video is not None:
+        from vpptwin.viz.video import check_video, write_video
+
         check_video(video)
     flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
     if video is not None:
@@ -69,7 +67,7 @@ def read_both(
 
 
 def plot(
-    sources: Sequence[Path], twin: str | None, out: Path | None, restart: float | None = 0.5,
+    sources: Sequence[Path], twin: str | None, out: Path, restart: float | None = 0.5,
     theme: str = "light", topic_map: Path | None = None, effects: Sequence[Path] = (),
 ) -> None:  # fmt: skip
     """Draw one recording, or training runs.
@@ -77,7 +75,7 @@ def plot(
     Args:
         sources: MCAP files of one recording, or folders of training runs.
         twin: `nominal` or a twin YAML to draw beside a log; None for the log alone.
-        out: .png, .svg or .html; None for a PNG named like the first source, in the current folder.
+        out: .png, .svg or .html.
         restart: seconds between the twin's restarts; None lets it run freely.
         theme: `light` or `dark`.
         topic_map: YAML that renames topics of other people's bags.
@@ -86,7 +84,10 @@ def plot(
     Raises:
         InputError: if a source is not what it should be, or the picture cannot be written.
     """
-    out = out or Path(f"{sources[0].resolve().stem}.png")
+    from vpptwin.viz.curves import is_run, tell_runs
+    from vpptwin.viz.panels import tell_flight
+    from vpptwin.viz.plot import check_format, write_story
+
     check_format(out)
     runs = [source for source in sources if is_run(source)]
     if not runs:
@@ -97,6 +98,11 @@ def plot(
     else:
         story = tell_runs(runs)
     print(write_story(story, out, theme))
+
+
+def name_picture(sources: Sequence[Path]) -> Path:
+    """What is written if nobody says: a PNG named like the first source, in the current folder."""
+    return Path(f"{sources[0].resolve().stem}.png")
 
 
 def check_craft(flight: Flight) -> None:

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from omegaconf import OmegaConf
+from yaml import YAMLError
 
 from vpptwin.errors import InputError
+from vpptwin.plain import read_yaml
 from vpptwin.viz.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from vpptwin.viz.panels import Line, Panel, Story
 
@@ -38,7 +39,7 @@ def is_run(path: Path) -> bool:
 
 
 def read_curve(run: Path, name: str) -> Curve | None:
-    """A logged scalar, averaged to at most `POINTS` points; None where it was not logged.
+    """A logged scalar, averaged to at most `POINTS` points; None where no number was.
 
     Raises:
         InputError: if its file is not what training writes.
@@ -49,7 +50,8 @@ def read_curve(run: Path, name: str) -> Curve | None:
     try:
         rows = np.loadtxt(file, delimiter=",", ndmin=2)
         parts = [part for part in np.array_split(rows, min(POINTS, len(rows))) if np.isfinite(part[:, 1]).any()]
-        return [round(float(p[:, 0].mean())) for p in parts], [float(np.nanmean(p[:, 1])) for p in parts]
+        steps = [round(float(p[:, 0].mean())) for p in parts]
+        return (steps, [float(np.nanmean(p[:, 1])) for p in parts]) if parts else None
     except (ValueError, IndexError) as error:
         raise InputError(f"{file}: {error}", "lines of step, value", "name the folder of a training run") from error
 
@@ -62,7 +64,7 @@ def tell_runs(runs: Sequence[Path]) -> Story:
     """
     curves: dict[str, list[dict[str, Curve]]] = {}
     for label, run in zip(name_runs(runs), runs):
-        logged = {name: curve for name in PANELS if (curve := read_curve(run, name)) is not None}
+        logged = {name: curve for name in PANELS if (curve := read_curve(run, name))}
         if not logged:
             found = f"{run}: no {', '.join(PANELS)} in log/scalars"
             raise InputError(found, "a run that has finished an update", "train on, with loggers=[csv]")
@@ -89,8 +91,8 @@ def read_options(run: Path) -> dict[str, object]:
     """
     file = run / "config.yaml"
     try:
-        nested = OmegaConf.to_container(OmegaConf.load(file))
-    except Exception as error:  # OmegaConf and YAML raise a dozen kinds
+        nested = read_yaml(file)
+    except (OSError, ValueError, YAMLError) as error:
         found = f"{file} cannot be read ({type(error).__name__})"
         raise InputError(found, "the configuration that training saves", "name the folder of a training run") from error
     flat: dict[str, object] = {}

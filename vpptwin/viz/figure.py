@@ -68,7 +68,7 @@ def follow_reader(svg: str) -> str:
     """An SVG that stands alone: its text is dark, or light where the reader's screen is dark."""
     style = "<style>svg { color: #1a1c1f } @media (prefers-color-scheme: dark) { svg { color: #e8eaed } }</style>"
     opening, rest = svg.split(">", 1)
-    return f"{opening}>{style}{rest}\n"
+    return f"{opening}><!-- vpptwin -->{style}{rest}\n"
 
 
 def name_axes(axes: Axes, x_label: str, y_label: str, title: str = "") -> None:

@@ -7,7 +7,6 @@ from functools import singledispatch
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
@@ -209,6 +208,8 @@ def twin_line(prediction: Prediction | None, kind: str, joint: int) -> list[Line
 
 def differentiate(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Slope of a quadratic over `SMOOTHED` around every sample (n,), per second; the times are nearly regular."""
+    from scipy.signal import savgol_filter  # which takes half a second
+
     step = float(np.median(np.diff(time)))
     window = min(max(2 * round(0.5 * SMOOTHED / step) + 1, 3), (len(time) - 1) // 2 * 2 + 1)
     regular = np.arange(time[0], time[-1] + 0.5 * step, step)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from vpptwin.errors import InputError
 from vpptwin.files import write_whole
 from vpptwin.viz.figure import INK, follow_reader, open_figure, thin, write_svg
-from vpptwin.viz.palette import VERMILION
+from vpptwin.viz.palette import BRIGHT, TWIN, VERMILION
 from vpptwin.viz.panels import Line, Panel, Story
 
 WIDTH, HEIGHT = 9.0, 1.7
@@ -24,6 +24,8 @@ TALL = 3.0
 """Of panels side by side."""
 MOST_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
+FEW = 5
+"""Points of a line; fewer are marked."""
 DPI = 150
 FORMATS = (".png", ".svg", ".html")
 PLOTLY_DASH = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
@@ -63,6 +65,8 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
     """
     check_format(out)
     kind = out.suffix.lower()
+    if theme == "dark" and kind != ".svg":
+        story = brighten(story)
     if kind == ".html":
         return write_whole(out, render_page(story, THEMES[theme]))
     ink = THEMES[theme].ink if kind == ".png" else INK
@@ -73,6 +77,15 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
         return write_whole(out, follow_reader(write_svg(figure, story.title)))
 
 
+def brighten(story: Story) -> Story:
+    """The same with the twin in a blue that is seen on dark ground."""
+    panels = [
+        replace(panel, lines=[replace(o, colour=BRIGHT) if o.colour == TWIN else o for o in panel.lines])
+        for panel in story.panels
+    ]
+    return replace(story, panels=panels)
+
+
 def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
     """All panels, over a common axis."""
     grid = figure.subplots(story.rows, story.columns, sharex=True, squeeze=False)
@@ -81,8 +94,12 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
     for axes in grid[-1]:
         axes.set_xlabel(story.across)
     if story.columns == 1:
-        for axes in grid.flat:
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9.0)
+        named: set[str] = set()
+        for axes in grid.flat:  # each name once, where it first appears
+            fresh = {label: handle for handle, label in zip(*axes.get_legend_handles_labels()) if label not in named}
+            named |= fresh.keys()
+            if fresh:
+                axes.legend(fresh.values(), fresh.keys(), loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=9.0)
     else:
         handles, labels = grid.flat[0].get_legend_handles_labels()
         fitting = max(110 // (max(map(len, labels)) + 8), 1)
@@ -102,7 +119,7 @@ def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None
         style = "steps-post" if line.steps else "default"
         axes.plot(
             time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=name,
-            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0,
+            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0, marker="o" if is_sparse(line) else "", ms=4.0,
         )  # fmt: skip
         if line.band is not None:
             axes.fill_between(line.time, *line.band, color=line.colour, alpha=0.12, linewidth=0.0)
@@ -112,6 +129,11 @@ def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("{x:g}")
+
+
+def is_sparse(line: Line) -> bool:
+    """Whether a line has so few points that they have to be marked to be seen."""
+    return int(np.count_nonzero(np.isfinite(line.values))) < FEW
 
 
 def thin_line(line: Line) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +146,7 @@ def render_png(figure: Figure, theme: Theme) -> bytes:
     """The drawn figure as PNG."""
     FigureCanvasAgg(figure)
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper)
+    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata={"Software": "vpptwin"})
     return out.getvalue()
 
 
@@ -145,9 +167,9 @@ def render_page(story: Story, theme: Theme) -> str:
                 "color": theme.ink if line.colour == INK else line.colour, "dash": PLOTLY_DASH[line.dash],
                 "shape": "hv" if line.steps else "linear",
             }  # fmt: skip
-            first = line.name not in named
+            first, mode = line.name not in named, "lines+markers" if is_sparse(line) else "lines"
             named.add(line.name)
-            about = {"name": escape(line.name), "legendgroup": line.name, "showlegend": first, "mode": "lines"}
+            about = {"name": escape(line.name), "legendgroup": line.name, "showlegend": first, "mode": mode}
             figure.add_trace(Scatter(x=time, y=values, line=look, **about), **place)
         figure.update_yaxes(title_text=escape(panel.label), type="log" if panel.log else "linear", **place)
         number = "" if i == 0 else str(i + 1)
@@ -169,4 +191,5 @@ def render_page(story: Story, theme: Theme) -> str:
     height = (190 if story.columns == 1 else 420) * rows + 120
     figure.update_layout(title=escape(story.title), shapes=shapes, height=height, hovermode="x unified", **style)
     text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
+    text = text.replace("<head>", '<head><meta name="generator" content="vpptwin">', 1)
     return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)

@@ -72,7 +72,9 @@ def write_video(
         # One palette for all frames: else colours flicker, and unchanged pixels cost again.
         colours = choose_palette(frames)
         frames = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
-        options["optimize"] = True
+        options |= {"optimize": True, "comment": b"vpptwin"}
+    else:
+        options["xmp"] = b"vpptwin"
     frames[0].save(content, format=out.suffix[1:].upper(), append_images=frames[1:], **options)
     return write_whole(out, content.getvalue())
 

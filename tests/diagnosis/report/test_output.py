@@ -13,13 +13,16 @@ import pytest
 
 from tests.diagnosis.made_up import FLIP, make_diagnosis
 from vpptwin.cli import main
-from vpptwin.diagnosis.report import command
+from vpptwin.diagnosis.report import result
+from vpptwin.diagnosis.report.command import diagnose_logs
 from vpptwin.diagnosis.report.output import stage_results
 from vpptwin.errors import InputError
 from vpptwin.files import exchange
 from vpptwin.twin.spec import load_twin
 
 RESULTS = ["prediction.mcap", "report.html", "twin.yaml", "verdict.json"]
+OURS = '\x07\0\0\0vpptwin "horizons_s" vpptwin diagnose'
+"""By which files that vpptwin wrote are known."""
 Fault = type[BaseException] | BaseException
 
 
@@ -30,9 +33,9 @@ MEMORY: dict[str, object] = {}
 @pytest.fixture(autouse=True)
 def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """Diagnoses are made up, and predicted and drawn once, so that these tests are about files."""
-    monkeypatch.setattr(command, "diagnose", lambda *arguments: make_diagnosis())
+    monkeypatch.setattr(result, "judge", lambda *arguments: make_diagnosis())
     for name in SLOW:
-        monkeypatch.setattr(command, name, partial(remember, name, getattr(command, name)))
+        monkeypatch.setattr(result, name, partial(remember, name, getattr(result, name)))
 
 
 def remember(name: str, function: Callable[..., object], *arguments: object) -> object:
@@ -97,17 +100,17 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"])
-@pytest.mark.parametrize("step", ["diagnose", "write_prediction", "write_json", "write_whole", "render_report"])
+@pytest.mark.parametrize("step", ["judge", "write_prediction", "write_json", "write_whole", "render_report"])
 def test_a_run_that_fails_leaves_the_old_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ) -> None:
     """Wherever it fails, a good verdict, report, twin and prediction stay, with nothing half-made beside them."""
-    old = {name: f"old {name}".encode() for name in RESULTS}
+    old = {name: f"old {name} {OURS}".encode() for name in RESULTS}
     for name, content in old.items():
         (tmp_path / name).write_bytes(content)
-    monkeypatch.setattr(command, step, refuse(fault))
+    monkeypatch.setattr(result, step, refuse(fault))
     with pytest.raises(type(fault)):
-        command.diagnose_logs([FLIP], "nominal", tmp_path)
+        diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == old
 
 
@@ -148,7 +151,7 @@ def test_an_exchange_that_fails_midway_is_undone(tmp_path: Path, monkeypatch: py
 
 def test_predictions_of_other_logs_do_not_stay(tmp_path: Path) -> None:
     """A folder used before for two other logs loses their predictions, and nothing that is not ours."""
-    (tmp_path / "verdict.json").write_text(json.dumps({"logs": ["a.mcap", "b.mcap"]}))
+    (tmp_path / "verdict.json").write_text(json.dumps({"logs": ["a.mcap", "b.mcap"], "horizons_s": []}))
     for name in ("prediction_a.mcap", "prediction_b.mcap", "prediction_mine.mcap", "notes.txt"):
         (tmp_path / name).write_text("something")
     assert run(tmp_path) == 0
@@ -159,7 +162,7 @@ def test_predictions_of_other_logs_do_not_stay(tmp_path: Path) -> None:
 def test_an_old_verdict_that_makes_no_sense_is_replaced(tmp_path: Path, content: str) -> None:
     """It tells nothing about old predictions; the run goes on."""
     (tmp_path / "verdict.json").write_text(content)
-    assert command.list_stale(tmp_path) == []
+    assert result.list_stale(tmp_path) == []
 
 
 def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
@@ -167,7 +170,7 @@ def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     (tmp_path / "report.html/keep").write_text("mine")
     with pytest.raises(InputError, match=r"report\.html is a folder"):
-        command.diagnose_logs([FLIP], "nominal", tmp_path)
+        diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == {"report.html/keep": b"mine"}
 
 

@@ -15,10 +15,9 @@ from tests.viz.browser import Browser
 from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.verdict import Misfit, Unexplained
-from vpptwin.diagnosis.report.command import write_results
 from vpptwin.diagnosis.report.page import tie_units
-from vpptwin.diagnosis.report.provenance import trace_origin
 from vpptwin.diagnosis.report.ranking import rank_suspects
+from vpptwin.diagnosis.report.result import collect_result
 from vpptwin.estimation.measurements import read_measurements
 
 VOID = {"meta", "link", "br", "img", "path", "use", "rect", "line", "circle"}
@@ -27,8 +26,7 @@ VOID = {"meta", "link", "br", "img", "path", "use", "rect", "line", "circle"}
 def write(diagnosis: Diagnosis, folder: Path) -> str:
     """The report of a diagnosis of the demo flight."""
     spec, flight = read_demo()
-    origin = trace_origin(["diagnose", str(FLIP), "--out", "x y"], spec.name, [FLIP])
-    write_results(folder, folder, spec, [flight], diagnosis, origin)
+    collect_result(spec, [flight], diagnosis, ["diagnose", str(FLIP)]).write(folder, Path("x y"))
     return (folder / "report.html").read_text(encoding="utf-8")
 
 

@@ -9,19 +9,21 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from vpptwin.errors import InputError
-from vpptwin.files import replace_files, without_nan, write_json
-
-STDOUT = Path("-")
-"""Stands for standard output where a file is asked for."""
+from vpptwin.files import STDOUT, check_own, replace_files, without_nan, write_json
 
 
 @contextmanager
-def stage_results(out: Path, names: Collection[str], stale: Collection[str] = ()) -> Iterator[Path]:
+def stage_results(
+    out: Path, names: Collection[str], stale: Collection[str] = (), force: bool = False
+) -> Iterator[Path]:
     """A hidden folder to write results into, as `vpptwin.files.replace_files` has it.
 
     Raises:
-        InputError: if `out` cannot be written to, or a result's name is taken by a folder.
+        InputError: if `out` cannot be written to, or a result's name is taken by a folder, or, without `force`, by a
+            file that is not ours.
     """
+    if not force:
+        check_own(out / name for name in names)
     with ExitStack() as opened:
         try:
             drafts = opened.enter_context(replace_files(out, names, stale))

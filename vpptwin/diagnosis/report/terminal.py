@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -75,3 +75,20 @@ def print_errors(console: Console, title: str, tables: Sequence[ErrorTable]) -> 
     if any(entry.noise for entry in tables):
         table.add_row(tables[0].noise_label, *[entry.noise for entry in tables], style="dim")
     console.print(table)
+
+
+def print_beside(console: Console, twins: Mapping[str, Sequence[ErrorTable]]) -> None:
+    """Print the errors of several twins side by side, a table for each quantity."""
+    for entries in zip(*twins.values()):
+        first = entries[0]
+        title = f"{first.quantity} error [{first.unit}]"
+        table = Table(title=title, title_justify="left", show_edge=False, pad_edge=False)
+        table.add_column("horizon")
+        for name in twins:
+            table.add_column(name, justify="right", overflow="fold")
+        for rows in zip(*(entry.rows for entry in entries)):
+            table.add_row(rows[0].horizon, *(row.before for row in rows))
+        if first.noise:
+            table.add_row(first.noise_label, *(entry.noise for entry in entries), style="dim")
+        console.print(table)
+        console.print()

@@ -1,0 +1,181 @@
+"""What a diagnosis gives: the verdict in ten lines, the extended twin, pictures, and the folder of files."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from json import loads
+from os import PathLike
+from pathlib import Path
+from textwrap import shorten
+
+from vpptwin.diagnosis.evidence.noise import find_noise_floor
+from vpptwin.diagnosis.judgement.diagnose import Diagnosis
+from vpptwin.diagnosis.judgement.diagnose import diagnose as judge
+from vpptwin.diagnosis.judgement.verdict import Verdict
+from vpptwin.diagnosis.report.export import name_files, write_prediction
+from vpptwin.diagnosis.report.output import stage_results
+from vpptwin.diagnosis.report.page import render_report
+from vpptwin.diagnosis.report.pictures import Pictures, draw_pictures
+from vpptwin.diagnosis.report.prediction import FlightPrediction, predict_flight
+from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
+from vpptwin.diagnosis.report.ranking import Suspect, rank_suspects
+from vpptwin.diagnosis.report.sources import Log, open_flights, open_twin
+from vpptwin.diagnosis.report.summary import Summary, summarise
+from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
+from vpptwin.estimation.measurements import read_measurements
+from vpptwin.files import write_json, write_whole
+from vpptwin.logs.flight import Flight
+from vpptwin.progress import open_bar, tell_stage
+from vpptwin.twin.spec import TwinSpec
+
+VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
+LINES, COLUMNS = 10, 160
+"""A result prints in no more than so many lines of so many characters."""
+
+
+class Picture(str):
+    """An SVG element, which a notebook shows."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """What a diagnosis found. Printed it is a summary, in a notebook the report.
+
+    Attributes:
+        verdict: causes, errors before and after, what is left, as in verdict.json.
+        twin: the twin that was diagnosed, the causes switched on as they were fitted.
+        summary: the verdict in sentences.
+    """
+
+    verdict: Verdict
+    twin: TwinSpec
+    summary: Summary
+    _spec: TwinSpec = field(repr=False)
+    _arguments: list[str]
+    _predictions: list[FlightPrediction]
+    _ranking: list[Suspect]
+    _pictures: Pictures
+    _preflight: list[str]
+
+    def __str__(self) -> str:
+        """The verdict in at most ten lines."""
+        told = self.summary
+        lines = [told.headline, *told.others, *told.certainty, told.remedy, told.error, told.unexplained]
+        lines += [f"fly next: {told.experiment}" if told.experiment else "", *self.verdict.warnings]
+        shown = [shorten(line, COLUMNS, placeholder=" …") for line in lines if line]
+        return "\n".join(shown if len(shown) <= LINES else [*shown[: LINES - 1], f"and {len(shown) - LINES + 1} more"])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """The report, in a frame of its own, so that its style stays there."""
+        page = self._render(self._trace([]))
+        return f'<iframe srcdoc="{html.escape(page)}" style="width: 100%; height: 40em; border: 0"></iframe>'
+
+    @property
+    def figures(self) -> dict[str, list[Picture]]:
+        """The report's pictures as SVG by what they show, the missing force by the cause that is accused of it."""
+        drawn = self._pictures
+        named = {f"force {effect}": drawings for effect, drawings in drawn.forces.items()}
+        named |= {"errors": drawn.errors, "flight": drawn.flight, "left over": drawn.leftover}
+        return {name: [Picture(drawing) for drawing in drawings] for name, drawings in named.items() if drawings}
+
+    @property
+    def files(self) -> list[str]:
+        """Names of what `save` writes."""
+        return [VERDICT, REPORT, TWIN, *name_files(self._logs)]
+
+    @property
+    def _logs(self) -> list[Path]:
+        return [prediction.flight.path for prediction in self._predictions]
+
+    def save(self, folder: str | PathLike[str], force: bool = False) -> None:
+        """Write verdict.json, report.html, twin.yaml and the twins' predictions, as `vpptwin diagnose --out` does.
+
+        Args:
+            folder: made if need be.
+            force: overwrite files of these names that vpptwin did not write, too.
+
+        Raises:
+            InputError: if the folder cannot be written to, or holds such a file.
+        """
+        out = Path(folder)
+        with stage_results(out, self.files, list_stale(out), force) as drafts:
+            self.write(drafts, out)
+
+    def write(self, folder: Path, out: Path) -> None:
+        """Write all files into `folder`, to lie in `out` in the end."""
+        origin = self._trace(["--out", str(out)])
+        traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
+        for prediction, name in zip(self._predictions, name_files(self._logs), strict=True):
+            write_prediction(folder / name, self._spec, prediction, {"log": str(prediction.flight.path)} | traced)
+        write_json(self.verdict.as_dict(), folder / VERDICT)
+        write_whole(folder / TWIN, compose_twin(self._spec, self.twin.effects, self.verdict, origin, out))
+        write_whole(folder / REPORT, self._render(origin))
+
+    def _trace(self, more: Sequence[str]) -> Provenance:
+        return trace_origin([*self._arguments, *more], self._spec.name, self._logs)
+
+    def _render(self, origin: Provenance) -> str:
+        given = (self.verdict, self.summary, self._ranking, self._pictures, self._preflight, origin)
+        return render_report(*given, name_meanings(self._spec))
+
+
+def diagnose(
+    logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec = "nominal",
+    topic_map: str | PathLike[str] | None = None, effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
+) -> Result:  # fmt: skip
+    """Find what a twin gets wrong: what the command `vpptwin diagnose` does, its files aside.
+
+    Args:
+        logs: flight logs, each a flight.
+        twin: `nominal`, `typical`, a twin YAML, or what `load_twin` read.
+        topic_map: YAML that renames topics of other people's bags.
+        effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
+        progress: whether a bar is shown on standard error.
+
+    Raises:
+        InputError: on bad logs or a bad twin.
+    """
+    spec, flights = open_twin(twin, effects), open_flights(logs, topic_map)
+    arguments = ["diagnose", *(str(flight.path) for flight in flights), "--twin", spec.name]
+    arguments += ["--topic-map", str(topic_map)] if topic_map is not None else []
+    arguments += [part for file in effects for part in ("--effects", str(file))]
+    with open_bar(desc="diagnose", disable=not progress) as bar:
+        diagnosis = judge(spec, flights, partial(tell_stage, bar), bar.update)
+        tell_stage(bar, "drawing")
+        return collect_result(spec, flights, diagnosis, arguments)
+
+
+def collect_result(spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, arguments: Sequence[str]) -> Result:
+    """A diagnosis with its pictures and sentences; `arguments` are those of the command that does the same."""
+    verdict = diagnosis.verdict
+    extended = spec.with_effects(extend_effects(spec, diagnosis.values))
+    twins = [spec, extended] if verdict.causes else [spec]
+    predictions = [predict_flight(twins, flight) for flight in flights]
+    noise = find_noise_floor([read_measurements(spec, flight) for flight in flights])
+    return Result(
+        verdict, extended, summarise(verdict, noise, name_meanings(spec)), spec, list(arguments), predictions,
+        rank_suspects(diagnosis.ranking, verdict), draw_pictures(diagnosis, predictions, noise),
+        [flight.describe() for flight in diagnosis.preflight],
+    )  # fmt: skip
+
+
+def name_meanings(spec: TwinSpec) -> dict[str, str]:
+    """Effect id → what it is."""
+    return {effect.id: effect.summary for effect in spec.catalogue}
+
+
+def list_stale(out: Path) -> list[str]:
+    """Predictions that an earlier diagnosis in the same folder wrote, by the logs that its verdict names."""
+    try:
+        verdict = loads((out / VERDICT).read_text(encoding="utf-8"))
+        return name_files([Path(log) for log in verdict["logs"]])
+    except (OSError, ValueError, KeyError, TypeError):
+        return []

@@ -1,0 +1,41 @@
+"""What is diagnosed and compared: logs and twins, by name or read already."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+
+from vpptwin.errors import InputError
+from vpptwin.logs.flight import Flight
+from vpptwin.logs.read import read_flight
+from vpptwin.twin.spec import TwinSpec, load_twin
+
+Log = str | PathLike[str] | Flight
+"""A flight log: its file, or what was read from it."""
+
+
+def open_twin(twin: str | PathLike[str] | TwinSpec, effects: Sequence[str | PathLike[str]] = ()) -> TwinSpec:
+    """A twin by name or file, or as it was read.
+
+    Raises:
+        InputError: as `load_twin`.
+    """
+    return twin if isinstance(twin, TwinSpec) else load_twin(str(twin), [Path(file) for file in effects])
+
+
+def open_flights(logs: Log | Sequence[Log], topic_map: str | PathLike[str] | None = None) -> list[Flight]:
+    """Logs, read where they are not yet.
+
+    Raises:
+        InputError: if there is none, one is no log, or given twice.
+    """
+    given = [logs] if isinstance(logs, (str, PathLike, Flight)) else list(logs)
+    if not given:
+        raise InputError("no logs", "at least one flight log", "name one")
+    paths = [log.path if isinstance(log, Flight) else Path(log) for log in given]
+    for i, path in enumerate(paths):
+        if path.resolve() in [other.resolve() for other in paths[:i]]:
+            expected = "every flight once, as those that judge must not be those that are fitted"
+            raise InputError(f"{path} is given twice", expected, "leave one out")
+    return [log if isinstance(log, Flight) else read_flight(Path(log), topic_map) for log in given]
