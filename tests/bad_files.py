@@ -122,7 +122,7 @@ TWINS: dict[str, tuple[str, tuple[str, ...]]] = {
     "not_yaml": ("model: [", ("not YAML", "check its syntax")),
     "not_compiling": ("model: broken.xml\n" + JOINT, ("broken.xml: MuJoCo says", "an MJCF that compiles")),
     "no_mjcf": ("model: negative.yaml\n" + JOINT, ("negative.yaml: MuJoCo says", "an MJCF that compiles")),
-    "ball_joint": ("model: ball.xml\n" + JOINT, ("a ball or free joint", "hinge and slide joints")),
+    "ball_joint": ("model: ball.xml\n" + JOINT, ("ball joint", "hinges, slides and free bodies")),
     "other_joint": ("model: rail_rig.xml\n" + JOINT, ("signals name joint 'slide'", "rail_x, rail_z, pitch")),
     "nameless": ("model: nameless.xml\n" + JOINT, ("signals name joint 'slide'", "names none")),
     "no_signals": ("model: rail_rig.xml", ("neither vehicle nor signals", "add `signals: {joints:")),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from tests.estimation.synthetic import (
     ANGLE_STD,
-    GRAVITY,
     POSITION_STD,
     Sensors,
     expect_noise,
@@ -19,10 +19,16 @@ from tests.estimation.synthetic import (
 )
 from vpptwin.estimation.initial import DRIFT_STD, HORIZON, SLOPE_STD, estimate_states
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.twin import load_twin
 
 TIMES = 0.5 + 0.0731 * np.arange(40)
 """Instants that fall between samples as often as on them [s]."""
 ENTIRE = 4.0
+RIG = load_twin().model
+WIDER = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><body>" + 4 * "<joint type='slide'/>" + "<geom size='1'/></body></worldbody></mujoco>"
+)
+"""The rig, and one with a degree of freedom more."""
 
 
 @pytest.mark.parametrize("causal", [True, False])
@@ -30,7 +36,7 @@ def test_errors_are_what_the_noise_allows(causal: bool) -> None:
     """Over 320 instants of eight noisy flights the errors are those of the regularised fit, without offset."""
     errors = []
     for seed in range(8):
-        pose, velocity = estimate_states(Sensors().measure(ENTIRE, seed), TIMES, 3, GRAVITY, causal)
+        pose, velocity = estimate_states(Sensors().measure(ENTIRE, seed), TIMES, RIG, causal)
         truth = locate(TIMES)
         errors.append((pose - truth[0], velocity - truth[1]))
     pose_error, velocity_error = (np.concatenate(part) for part in zip(*errors))
@@ -50,7 +56,7 @@ def test_errors_are_what_the_noise_allows(causal: bool) -> None:
 def test_noise_free_flights_are_estimated_exactly(causal: bool) -> None:
     """Without noise a state is found to a fraction of a millimetre and some mm/s, between samples too."""
     measured = Sensors(noise=0.0).measure(ENTIRE)
-    pose, velocity = estimate_states(measured, TIMES, 3, GRAVITY, causal)
+    pose, velocity = estimate_states(measured, TIMES, RIG, causal)
     truth = locate(TIMES)
     # Trapezoid sums of the IMU, dt²/12 of a jerk below 40 m/s³, leave next to nothing; the angle used to turn the
     # specific force lags by a few samples of a vanishing offset.
@@ -65,7 +71,7 @@ def test_works_without_imu(causal: bool) -> None:
     sensors = Sensors(imu=False)
     error = []
     for seed in range(8):
-        pose, velocity = estimate_states(sensors.measure(ENTIRE, seed), TIMES, 3, GRAVITY, causal)
+        pose, velocity = estimate_states(sensors.measure(ENTIRE, seed), TIMES, RIG, causal)
         truth = locate(TIMES)
         error.append(np.concatenate([pose - truth[0], velocity - truth[1]], axis=1))
     stds = (POSITION_STD, POSITION_STD, ANGLE_STD)
@@ -111,17 +117,17 @@ def test_causal_estimates_ignore_the_future(sensors: Sensors) -> None:
     for instant in (0.6, 0.8514, 1.2345):
         times = np.array([0.55, instant])
         other = falsify(measured, instant)
-        before, after = (estimate_states(m, times, 3, GRAVITY, causal=True) for m in (measured, other))
+        before, after = (estimate_states(m, times, RIG, causal=True) for m in (measured, other))
         np.testing.assert_array_equal(np.stack(before), np.stack(after))
-        before, after = (estimate_states(m, times, 3, GRAVITY, causal=False) for m in (measured, other))
+        before, after = (estimate_states(m, times, RIG, causal=False) for m in (measured, other))
         assert np.abs(np.stack(before) - np.stack(after))[:, 1].max() > 0.01
 
 
 def test_estimates_do_not_depend_on_each_other() -> None:
     """An instant is estimated alike, to rounding, alone and among others; unmeasured degrees of freedom stay zero."""
     measured = Sensors().measure(2.0)
-    pose, velocity = estimate_states(measured, TIMES[:10], 4, GRAVITY, causal=True)
-    alone = estimate_states(measured, TIMES[4:5], 4, GRAVITY, causal=True)
+    pose, velocity = estimate_states(measured, TIMES[:10], WIDER, causal=True)
+    alone = estimate_states(measured, TIMES[4:5], WIDER, causal=True)
     np.testing.assert_allclose(pose[4], alone[0][0], rtol=0, atol=1e-13)
     np.testing.assert_allclose(velocity[4], alone[1][0], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(pose[:, 3], 0.0)
@@ -137,7 +143,7 @@ def test_logged_velocities_sharpen_the_estimate() -> None:
     with_rate = replace(measured, velocities={0: rate})
     truth = locate(TIMES)[1][:, 0]
     without, sharper = (
-        np.sqrt(np.mean((estimate_states(m, TIMES, 3, GRAVITY, causal=True)[1][:, 0] - truth) ** 2))
+        np.sqrt(np.mean((estimate_states(m, TIMES, RIG, causal=True)[1][:, 0] - truth) ** 2))
         for m in (measured, with_rate)
     )
     assert sharper < 0.5 * without

@@ -16,6 +16,7 @@ from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 
 SPEC = load_twin()
+RIG = SPEC.model
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def measured(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
 def test_estimates_are_as_good_as_sensors_allow(recording: Recording, measured: Measurements, causal: bool) -> None:
     """On an aggressive flight errors stay near those of the fit on a smooth motion, in spite of gaps in the poses."""
     times = np.arange(measured.start + 0.2, measured.end - 0.2, 0.037)
-    pose, velocity = estimate_states(measured, times, 3, 9.81, causal)
+    pose, velocity = estimate_states(measured, times, RIG, causal)
     truth = {
         name: np.stack(
             [np.interp(times, recording.truth["time"], recording.truth[name][:, i]) for i in range(3)], axis=1

@@ -4,7 +4,8 @@ One list serves the model, the identification's unknowns, the randomization's ax
 the makers of hidden test data. This package imports nothing else of vpptwin.
 """
 
-from vpptwin.effects.base import Constants, Craft, Effect, Motion, Rotor, Site, Stage, State
+from vpptwin.effects.base import Body, Constants, Craft, Effect, Motion, Rotor, Site, Stage, State
+from vpptwin.effects.body import FreeBody, effects_for_body
 from vpptwin.effects.catalogue import (
     CATALOGUE,
     GENERIC_ACTUATOR,
@@ -16,7 +17,7 @@ from vpptwin.effects.catalogue import (
 from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
-    "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Constants", "Craft", "Effect",
-    "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_rig", "find_effect",
-    "generic_place",
+    "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Body", "Constants", "Craft", "Effect",
+    "FreeBody", "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_body",
+    "effects_for_rig", "find_effect", "generic_place",
 ]  # fmt: skip

@@ -22,7 +22,9 @@ class Stage(Enum):
     place, starting from their nominal values; parameters are (n,) arrays. Run when parameters change, never inside the
     time loop.
     THRUST: `apply(thrust, rotor, /, parameter, ...) -> thrust` of one rotor [N], every inner step.
-    FORCE: every inner step; on a joint (`target`) `apply(motion, /, parameter, ...) -> force` [N, N m], on the craft
+    FORCE: every inner step; on a joint (`target`) `apply(motion, /, parameter, ...) -> force` [N, N m], on a free body
+    `apply(body, /, parameter, ...) -> (f_x, f_y, f_z, m_x, m_y, m_z)`, forces in the world's axes [N], moments about
+    the body's own origin in its own [N m], as MuJoCo applies them; on the craft
     `apply(craft, /, parameter, ...) -> (f_x, f_z, moment)` [N, N, N m] in the world's axes, about the hinge.
     FRICTION: `apply(level, motion, /, parameter, ...) -> level` [N, N m], every inner step: the dry friction that the
     joint can muster against `motion.direction`; the engine room turns it into a force that sticks.
@@ -90,6 +92,33 @@ class Craft(NamedTuple):
     arm: float
     speed_1: float
     speed_2: float
+    time: float
+
+
+class Body(NamedTuple):
+    """A free body, as FORCE effects on it see it.
+
+    Attributes:
+        x, y, z: position [m].
+        w, i, j, k: attitude, a unit quaternion.
+        v_x, v_y, v_z: velocity, in the world's axes [m/s].
+        p, q, r: rate about its own axes [rad/s].
+        time: s since the start of the log.
+    """
+
+    x: float
+    y: float
+    z: float
+    w: float
+    i: float
+    j: float
+    k: float
+    v_x: float
+    v_y: float
+    v_z: float
+    p: float
+    q: float
+    r: float
     time: float
 
 

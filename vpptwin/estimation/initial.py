@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
-from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.estimation.series import integrate
+from vpptwin.estimation.series import Measurements, Series, integrate
+from vpptwin.twin.manifold import conjugate, difference_attitudes, find_place, multiply_attitudes, rotate
 
 SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
@@ -22,7 +24,7 @@ FREE = 1e6
 
 
 def estimate_states(
-    measurements: Measurements, times: np.ndarray, num_dofs: int, gravity: float, causal: bool
+    measurements: Measurements, times: np.ndarray, model: mujoco.MjModel, causal: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate poses and velocities at `times`.
 
@@ -32,19 +34,26 @@ def estimate_states(
     Args:
         measurements: one flight.
         times: (K,) s.
-        num_dofs: degrees of freedom of the model.
-        gravity: m/s², to turn specific force into acceleration.
+        model: whose state it is; its gravity turns specific force into acceleration.
         causal: use nothing later than each instant.
 
     Returns:
-        Pose (K, num_dofs) and velocity (K, num_dofs); zero for degrees of freedom that are not measured.
+        Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
-    pose, velocity = np.zeros((len(times), num_dofs)), np.zeros((len(times), num_dofs))
-    displacement = integrate_inertial(measurements, gravity)
+    pose, velocity = np.zeros((len(times), model.nq)), np.zeros((len(times), model.nv))
+    displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
+    turning = [first + axis for first in measurements.attitudes for axis in range(3)]
     for dof, series in measurements.positions.items():
+        if dof in turning:
+            continue
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        pose[:, dof], velocity[:, dof] = fit_local(series, rate, moved, times, causal)
+        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, causal)
+    for first, attitude in measurements.attitudes.items():
+        place, axes = find_place(model, first), range(first, first + 3)
+        gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
+        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, causal)
+        pose[:, place : place + 4], velocity[:, first : first + 3] = found
     if 2 in displacement:
         velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, causal)
     return pose, velocity
@@ -140,32 +149,90 @@ def fit_local(
     Returns:
         Positions (K,) and velocities (K,).
     """
-    horizon = HORIZON
-    if moved is None and not series.white:
-        horizon = min(HORIZON, SAMPLES * float(np.median(np.diff(series.time)))) if len(series.time) > 1 else HORIZON
+    horizon = find_horizon(series) if moved is None else HORIZON
     index, near = select_samples(series.time, times, horizon, causal)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
     if moved is not None:
         at, speed = moved.read(times)
         value -= moved.read(series.time)[0][index] - at[:, None] - speed[:, None] * t
-    columns = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=2)
-    rows, target = [np.where(near[..., None], columns, 0.0) / series.std], [np.where(near, value, 0.0) / series.std]
+    parts = [weigh_samples(t, near, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
     if rate is not None:
         first, stop = (
             np.searchsorted(rate.time, times + reach, side="right") for reach in (-horizon, 0.0 if causal else horizon)
         )
         index, near = list_samples(first, stop, len(rate.time))
         t = rate.time[index] - times[:, None]
-        columns = np.stack([np.zeros_like(t), np.ones_like(t), t], axis=2)
-        rows.append(np.where(near[..., None], columns, 0.0) / rate.std)
-        target.append(np.where(near, rate.value[index], 0.0) / rate.std)
-    prior = np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / (FREE if moved is None else moved.prior)])
-    rows.append(np.broadcast_to(prior, (len(times), 3, 3)))
-    target.append(np.zeros((len(times), 3)))
-    q, r = np.linalg.qr(np.concatenate(rows, axis=1))
-    solution = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ np.concatenate(target, axis=1)[..., None])
+        parts.append(weigh_samples(t, near, rate.std, (np.zeros_like(t), np.ones_like(t), t), rate.value[index]))
+    return solve_local(parts, FREE if moved is None else moved.prior)
+
+
+def find_horizon(series: Series) -> float:
+    """How far around an instant samples are used where nothing carries from one to the next [s]."""
+    if series.white or len(series.time) < 2:
+        return HORIZON
+    return min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
+
+
+def weigh_samples(
+    t: np.ndarray, near: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, 0 where they are not `near`."""
+    rows = np.stack(columns, axis=2)
+    return np.where(near[..., None], rows, 0.0) / std, np.where(near, value, 0.0) / std
+
+
+def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    """Value and slope at t = 0 of parabolas by least squares, (K,) each; `curvature` is its prior."""
+    count = len(parts[0][0])
+    prior = np.broadcast_to(np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / curvature]), (count, 3, 3))
+    q, r = np.linalg.qr(np.concatenate([*(rows for rows, _ in parts), prior], axis=1))
+    target = np.concatenate([*(value for _, value in parts), np.zeros((count, 3))], axis=1)
+    solution = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])
     return solution[:, 0, 0], solution[:, 1, 0]
+
+
+def fit_attitude(
+    attitude: Series, gyro: Sequence[Series], times: np.ndarray, causal: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Attitude and rate about body axes at instants `times` (K,), from the samples around each.
+
+    A gyro of three axes, where there is one, carries the attitude from sample to sample. What is left to turn from the
+    nearest one is fitted as a rotation vector, a local parabola as in `fit_local`.
+
+    Returns:
+        Unit quaternions (K, 4) and rates (K, 3) rad/s.
+    """
+    index, near = select_samples(attitude.time, times, find_horizon(attitude), causal)
+    t = attitude.time[index] - times[:, None]
+    base = index[np.arange(len(times)), np.argmin(np.where(near, np.abs(t), np.inf), axis=1)]
+    turned, at = attitude.value, np.array([1.0, 0.0, 0.0, 0.0])
+    if gyro:
+        carried = carry_attitude(gyro, np.concatenate([attitude.time, times]))
+        turned = multiply_attitudes(conjugate(carried[: len(attitude.time)]), attitude.value)
+        at = carried[len(attitude.time) :]
+    left = difference_attitudes(turned[base][:, None], turned[index])
+    place, speed = np.zeros((len(times), 3)), np.zeros((len(times), 3))
+    for axis in range(3):
+        rows = weigh_samples(t, near, attitude.std, (np.ones_like(t), t, 0.5 * t * t), left[..., axis])
+        place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)
+    pose = rotate(multiply_attitudes(at, turned[base]), place)
+    if gyro:
+        return pose, np.stack([fit_end(series, times, 0.01, causal) for series in gyro], axis=1)
+    return pose, speed - 0.5 * np.cross(place, speed)
+
+
+def carry_attitude(gyro: Sequence[Series], times: np.ndarray) -> np.ndarray:
+    """Attitudes at any times (K,) as a gyro alone has them, from its first sample on; no look ahead, (K, 4)."""
+    time, rate = gyro[0].time, np.stack([np.interp(gyro[0].time, s.time, s.value) for s in gyro], axis=1)
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
+    track = np.empty((len(time), 4))
+    track[0] = [1.0, 0.0, 0.0, 0.0]
+    turns = rotate(np.broadcast_to(track[0], (len(steps), 4)), steps)
+    for k, turn in enumerate(turns):
+        track[k + 1] = multiply_attitudes(track[k], turn)
+    last = np.maximum(np.searchsorted(time, times, side="right") - 1, 0)
+    return rotate(track[last], rate[last] * (times - time[last])[:, None])
 
 
 def fit_end(series: Series, times: np.ndarray, span: float, causal: bool) -> np.ndarray:

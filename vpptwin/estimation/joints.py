@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.series import Measurements, Series, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.manifold import difference_attitudes, follow_sign, turn_to_world
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
@@ -30,55 +31,130 @@ BELIEVED = 0.01
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
-    """Measurements of another rig: the joint states and control inputs that the twin's `signals` name."""
+    """Measurements of another rig: the joint states, poses and control inputs that the twin's `signals` name."""
     signals = spec.robot.signals
-    positions: dict[int, Series] = {}
-    velocities: dict[int, Series] = {}
-    driven: dict[int, Series] = {}
-    spans: dict[str, tuple[float, float]] = {}
-    warnings: list[str] = []
+    found = Found()
     for joint, topic in {**signals.joints, **signals.driven}.items():
-        stream, found = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
-        warnings += found
-        dof, position, velocity = read_joint(spec, flight, stream, topic, joint)
-        cleaned, found = clean_series(position, f"{topic} {joint}: position")
-        warnings += found
-        spans[f"{topic} {joint}"] = (float(position.time[0]), float(position.time[-1]))
+        stream, told = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
+        found.warnings += told
+        if "position" not in stream.values:
+            raise InputError(
+                f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+            )
+        dof = int(spec.model.joint(joint).dofadr[0])
+        found.spans[f"{topic} {joint}"] = (float(stream.time[0]), float(stream.time[-1]))
+        found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), f"{topic} {joint}")
         if joint in signals.driven:
-            driven[dof] = cleaned
-            continue
-        positions[dof] = cleaned
-        if velocity is not None:
-            velocities[dof], found = clean_series(velocity, f"{topic} {joint}: velocity")
-            warnings += found
+            found.driven[dof] = found.positions.pop(dof)
+            found.velocities.pop(dof, None)
+    for body, topic in signals.bodies.items():
+        read_body(spec, flight, body, topic, found)
     command = read_efforts(spec, flight, signals.actuators)
-    if signals.actuators:
-        spans["commands"] = (float(command.time[0]), float(command.time[-1]))
+    spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
-    measurements = Measurements(flight.path.name, positions, velocities, None, command, None, (), start, end, driven)
-    return replace(measurements, warnings=(*warnings, *tell_cut(spans), *tell_gaps(measurements)))
+    measurements = Measurements(
+        flight.path.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
+        attitudes=found.attitudes,
+    )  # fmt: skip
+    return replace(measurements, warnings=(*found.warnings, *tell_cut(spans), *tell_gaps(measurements)))
 
 
-def read_joint(
-    spec: TwinSpec, flight: Flight, stream: Stream, topic: str, joint: str
-) -> tuple[int, Series, Series | None]:
-    """Degree of freedom, position and, where logged, velocity of a joint."""
-    dof = int(spec.model.joint(joint).dofadr[0])
-    length, unit = ("rad", "rad/s") if spec.robot.rotary[dof] else ("m", "m/s")
-    if "position" not in stream.values:
-        raise InputError(
-            f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
-        )
+@dataclass
+class Found:
+    """What was read so far, as `Measurements` has it, and from when to when each stream goes [s]."""
+
+    positions: dict[int, Series] = field(default_factory=dict)
+    velocities: dict[int, Series] = field(default_factory=dict)
+    attitudes: dict[int, Series] = field(default_factory=dict)
+    driven: dict[int, Series] = field(default_factory=dict)
+    spans: dict[str, tuple[float, float]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def add(self, dof: int, tracks: tuple[Series, Series | None], label: str) -> None:
+        """Position and velocity of a degree of freedom, without their spikes."""
+        for kept, series, what in zip((self.positions, self.velocities), tracks, ("position", "velocity")):
+            if series is not None:
+                kept[dof], told = clean_series(series, f"{label}: {what}")
+                self.warnings += told
+
+
+def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:
+    """Position and, where logged, velocity of one degree of freedom, with the noise that they show."""
+    length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
     late, apart = compare_streams(stream)
     # The one that runs behind was filtered: what is still apart is its fault.
     of_position, of_velocity = (None if late > 0.0 else apart), (None if late < 0.0 or apart is None else apart)
     noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, of_position)
-    position = Series(joint, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
+    position = Series(name, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
     if "velocity" not in stream.values:
-        return dof, position, None
+        return position, None
     noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, of_velocity and of_velocity / SPANS[1])
     time = stream.time - max(late, 0.0)
-    return dof, position, Series(f"{joint} rate", unit, time, stream["velocity"], noise, white=False)
+    return position, Series(f"{name} rate", unit, time, stream["velocity"], noise, white=False)
+
+
+def read_body(spec: TwinSpec, flight: Flight, body: str, topic: str, found: Found) -> None:
+    """Position, attitude and their rates of a free body, from its pose and from an IMU on it.
+
+    Raises:
+        InputError: if the log has no such poses.
+    """
+    stream = find_spatial(flight, topic, "position", "attitude")
+    dof, attitude = int(spec.model.body(body).dofadr[0]), follow_sign(stream["attitude"])
+    found.spans[f"{topic} {body}"] = (float(stream.time[0]), float(stream.time[-1]))
+    steps = difference_attitudes(attitude[:-1], attitude[1:])
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    linear = {"position": stream["position"]}
+    if "velocity" in stream.values:  # of a body in its own axes, as Odometry has it
+        linear["velocity"] = turn_to_world(attitude, stream["velocity"])
+    angular = {"position": turned} | ({"velocity": stream["rate"]} if "rate" in stream.values else {})
+    gyro = read_gyro(spec, flight, body, found)
+    if gyro is not None:
+        rate = np.stack([np.interp(stream.time, gyro.time, column) for column in gyro["rate"].T], axis=1)
+        angular["velocity"] = rate
+    for axis in range(6):
+        columns, place = (linear, axis) if axis < 3 else (angular, axis - 3)
+        track = Stream(stream.time, {name: values[:, place] for name, values in columns.items()})
+        found.add(dof + axis, read_track(track, spec.robot.name_dof(dof + axis), axis >= 3), f"{topic} {body}")
+    for axis in range(3):
+        rate_seen = found.velocities.get(dof + 3 + axis)
+        if gyro is not None and rate_seen is not None:
+            found.velocities[dof + 3 + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis])
+    turns = [found.positions[dof + 3 + axis] for axis in range(3)]
+    std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
+    time = stream.time - float(np.mean([stream.time[0] - series.time[0] for series in turns]))
+    found.attitudes[dof + 3] = Series(f"{body} attitude", "rad", time, attitude, std, white=False)
+    for axis in range(3):  # all three or none: a spike in one is one in the attitude
+        found.positions[dof + 3 + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)
+
+
+def read_gyro(spec: TwinSpec, flight: Flight, body: str, found: Found) -> Stream | None:
+    """Rates about a body's axes of the first IMU on it, (n, 3) rad/s; None without one."""
+    model = spec.model
+    for site, topic in spec.robot.signals.sites.items():
+        if model.body(int(model.site(site).bodyid[0])).name == body:
+            stream = find_spatial(flight, topic, "rate")
+            found.spans[f"{topic} {site}"] = (float(stream.time[0]), float(stream.time[-1]))
+            turn = np.broadcast_to(model.site(site).quat, (len(stream), 4))
+            return Stream(stream.time, {"rate": turn_to_world(turn, stream["rate"])})
+    return None
+
+
+def find_spatial(flight: Flight, topic: str, *columns: str) -> Stream:
+    """The poses, or the IMU, on a topic.
+
+    Raises:
+        InputError: if there is none, or it lacks a column.
+    """
+    stream = flight.spatial.get(topic)
+    if stream is None:
+        known = ", ".join(flight.spatial) or "no topic of poses, odometry or an IMU at all"
+        raise InputError(f"{flight.path}: no topic {topic}", f"it in the log, which has {known}", "correct `signals`")
+    for column in columns:
+        if column not in stream.values:
+            had = ", ".join(stream.values)
+            raise InputError(f"{flight.path}: {topic} has {had}", f"{' and '.join(columns)}", "name another topic")
+    return stream
 
 
 def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:

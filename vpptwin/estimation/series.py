@@ -56,6 +56,8 @@ class Measurements:
         throttle: commanded share of the battery's voltage (n, 2); None where it was not logged.
         current: measured motor currents (n, 2) A; None where they were not measured.
         lag: of the motion capture's angle behind the gyro's integral; None where nothing tells.
+        attitudes: first of three degrees of freedom of a free body's rotation → its attitude, a unit quaternion
+            (n, 4). Their `positions` are the angles that it has turned about its own axes since the first sample.
         clocks: topic → the clock that stamped it.
         warnings: what was left out, filled in or is lost, one line each.
     """
@@ -73,6 +75,7 @@ class Measurements:
     throttle: Series | None = None
     current: Series | None = None
     lag: Lag | None = None
+    attitudes: dict[int, Series] = field(default_factory=dict)
     clocks: Mapping[str, Clock] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.estimation.initial import estimate_states, fit_end
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.manifold import integrate_pose
+from vpptwin.twin.manifold import find_place, integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
@@ -115,11 +115,11 @@ def cut_windows(
         if measurements.throttle is not None:
             throttle = average_held(measurements.throttle, edges[:, warm:])
             spin = estimate_spin(measurements.rotor_speed, starts, causal)
-    gravity = -float(spec.model.opt.gravity[2])
-    pose, velocity = estimate_states(measurements, starts, spec.model.nv, gravity, causal)
+    pose, velocity = estimate_states(measurements, starts, spec.model, causal)
     driven = follow_log(measurements, edges[:, warm:]) if measurements.driven else None
     if driven is not None:
-        pose[:, driven.dofs], velocity[:, driven.dofs] = driven.pose[:, 0], driven.velocity[:, 0]
+        places = [find_place(spec.model, dof) for dof in driven.dofs]
+        pose[:, places], velocity[:, driven.dofs] = driven.pose[:, 0], driven.velocity[:, 0]
     return Windows(
         flight=np.full(len(starts), flight), start=starts, steps=steps, dt=dt, warm=command[:, :warm],
         command=command[:, warm:], rotor_speed=speed, pose=pose, velocity=velocity, driven=driven, throttle=throttle,

@@ -149,9 +149,28 @@ CHANNELS: dict[str, Channel] = {
     )
 }
 
+SPATIAL: dict[str, dict[str, str]] = {
+    "geometry_msgs/msg/PoseStamped": {"position": "pose.position", "attitude": "pose.orientation"},
+    "geometry_msgs/msg/TransformStamped": {"position": "transform.translation", "attitude": "transform.rotation"},
+    "nav_msgs/msg/Odometry": {
+        "position": "pose.pose.position",
+        "attitude": "pose.pose.orientation",
+        "velocity": "twist.twist.linear",
+        "rate": "twist.twist.angular",
+    },
+    "sensor_msgs/msg/Imu": {"rate": "angular_velocity", "acceleration": "linear_acceleration"},
+}
+"""Message type -> column -> the vector, or quaternion, that it is: of a body's pose (velocities in its own axes, as
+ROS has them), or in the axes of an IMU [m, m/s, rad/s, m/s²]."""
+
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TOPICS = ("/joint_states", "/actuator_command")
 JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "control input, N or N m"}
+
+
+def is_spatial(message_type: str) -> bool:
+    """Whether messages of a type are poses, odometry, or those of an IMU."""
+    return shorten_type(message_type) in map(shorten_type, SPATIAL)
 
 
 def is_joint_state(message_type: str) -> bool:

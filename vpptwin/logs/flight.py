@@ -44,6 +44,8 @@ class Flight:
         start_ns: first header stamp of the log [ns since the epoch of its clock].
         streams: canonical topic -> stream, for the topics of SPEC 3.
         joints: JointState topic -> joint or actuator name -> stream of position, velocity, effort as far as recorded.
+        spatial: topic of poses, odometry or an IMU -> stream of vectors (n, 3) and attitudes (n, 4), as
+            `vpptwin.logs.channels.SPATIAL` names them.
         warnings: what was mended or looks odd, one line each.
         sources: canonical topic -> the topic it was recorded as, where a topic map renamed it.
         clocks: topic -> the clock that stamped it, where log times tell of it.
@@ -56,11 +58,13 @@ class Flight:
     warnings: tuple[str, ...] = ()
     sources: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, Clock] = field(default_factory=dict)
+    spatial: Mapping[str, Stream] = field(default_factory=dict)
 
     @property
     def duration(self) -> float:
         """Time of the last sample [s]."""
-        every = [*self.streams.values(), *(stream for names in self.joints.values() for stream in names.values())]
+        joints = (stream for names in self.joints.values() for stream in names.values())
+        every = [*self.streams.values(), *joints, *self.spatial.values()]
         return max((float(stream.time[-1]) for stream in every if len(stream)), default=0.0)
 
     def require(self, *topics: str) -> None:
@@ -69,7 +73,7 @@ class Flight:
         Raises:
             InputError: naming the missing topics and those that the log holds.
         """
-        present = {**self.streams, **self.joints}
+        present = {**self.streams, **self.joints, **self.spatial}
         missing = [topic for topic in topics if topic not in present]
         if missing:
             names = [f"{t} (mapped to {self.sources[t]})" if t in self.sources else t for t in missing]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from vpptwin.errors import InputError, escape_text
-from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, is_joint_state
+from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, is_joint_state, is_spatial
 from vpptwin.logs.check import check_gyro
 from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
 from vpptwin.logs.container import RawChannel
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, open_recording
-from vpptwin.logs.samples import Samples, read_joints, read_samples
+from vpptwin.logs.samples import Samples, read_joints, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import TopicMap, load_topic_map
@@ -36,13 +36,15 @@ def read_flight(path: PathLike | Sequence[PathLike], topic_map: PathLike | None 
     sources = {route.topic for route in topics.routes.values()}
 
     def is_wanted(channel: RawChannel) -> bool:
-        return channel.topic in sources or channel.topic in topics.joints or is_joint_state(channel.message_type)
+        named = channel.topic in sources or channel.topic in topics.joints
+        return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
     recording = open_recording(path, is_wanted)
     warnings: list[str] = []
     samples = _read_table_topics(recording, topics, warnings)
     joints = _read_joint_topics(recording, topics, warnings)
-    return _assemble_flight(recording, topics, samples, joints, warnings)
+    spatial = _read_spatial_topics(recording, topics, warnings)
+    return _assemble_flight(recording, topics, samples, joints, spatial, warnings)
 
 
 def _read_table_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
@@ -79,6 +81,18 @@ def _read_joint_topics(recording: Recording, topics: TopicMap, warnings: list[st
     return joints
 
 
+def _read_spatial_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
+    """Topic -> samples in order of time, of poses, odometry and IMUs that are none of SPEC 3."""
+    taken = {route.topic for route in topics.routes.values()}
+    spatial = {}
+    for topic, message_type in recording.list_topics().items():
+        if topic not in taken and is_spatial(message_type):
+            found = read_spatial(recording, topic)
+            if len(found.stamp) and found.fields:
+                spatial[topic] = _order_samples(recording, found, warnings)
+    return spatial
+
+
 def _order_samples(recording: Recording, samples: Samples, warnings: list[str]) -> Samples:
     check_steps(samples, str(recording.path))
     order, found = order_stamps(samples.stamp, str(recording.path), samples.label)
@@ -87,10 +101,11 @@ def _order_samples(recording: Recording, samples: Samples, warnings: list[str]) 
 
 
 def _assemble_flight(
-    recording: Recording, topics: TopicMap, samples: dict[str, Samples], joints: JointSamples, warnings: list[str]
-) -> Flight:
+    recording: Recording, topics: TopicMap, samples: dict[str, Samples], joints: JointSamples,
+    spatial: dict[str, Samples], warnings: list[str],
+) -> Flight:  # fmt: skip
     path = str(recording.path)
-    every = [*samples.values(), *(item for names in joints.values() for item in names.values())]
+    every = [*samples.values(), *(item for names in joints.values() for item in names.values()), *spatial.values()]
     if not every:
         raise _refuse_foreign(recording)
     check_clocks({item.label: (int(item.stamp[0]), int(item.stamp[-1])) for item in every}, path)
@@ -109,7 +124,8 @@ def _assemble_flight(
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
     _add_new(warnings, _list_gaps(streams, built))
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
-    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks)
+    placed = {topic: build_joint_stream(item, start, path) for topic, item in spatial.items()}
+    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed)
 
 
 def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, Stream]]) -> list[str]:

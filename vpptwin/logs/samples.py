@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.errors import InputError, escape_text
-from vpptwin.logs.channels import JOINT_COLUMNS, Column
+from vpptwin.logs.channels import JOINT_COLUMNS, SPATIAL, Column
 from vpptwin.logs.convert import list_fields
+from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
 from vpptwin.logs.topic_map import LOG_TIME, NANOSECONDS, Route, Stamp
 
@@ -93,6 +94,32 @@ def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
         return values.astype(np.int64) * factor
     whole = np.floor(values)  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
     return whole.astype(np.int64) * factor + np.rint((values - whole) * factor).astype(np.int64)
+
+
+def read_spatial(recording: Recording, topic: str) -> Samples:
+    """Read a topic of poses, odometry or an IMU: vectors (n, 3), attitudes w, x, y, z (n, 4), as `SPATIAL` names them.
+
+    Raises:
+        InputError: if messages do not decode.
+    """
+    kinds = {shorten_type(kind): columns for kind, columns in SPATIAL.items()}
+    columns = kinds[shorten_type(recording.check_type(topic))]
+    parts = {name: [f"{path}.{c}" for c in ("wxyz" if name == "attitude" else "xyz")] for name, path in columns.items()}
+    stamp_paths = _list_stamp_fields(Stamp())
+    batches = recording.decode(topic, [*stamp_paths, *(path for paths in parts.values() for path in paths)])
+    if not batches:
+        return Samples(topic, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
+    order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
+
+    def join(path: str) -> np.ndarray:
+        return np.concatenate([batch.values[path] for batch in batches])[order]
+
+    log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
+    stamp = _read_stamps(f"{recording.path}: {topic}", Stamp(), {path: join(path) for path in stamp_paths}, log_time)
+    fields = {name: np.stack([join(path) for path in paths], axis=1).astype(float) for name, paths in parts.items()}
+    # ROS marks what an IMU or an odometry does not tell by NaN, or by zeros throughout.
+    told = {name: values for name, values in fields.items() if values.any() and not np.isnan(values).all()}
+    return Samples(topic, stamp, log_time, told)
 
 
 @dataclass

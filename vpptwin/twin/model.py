@@ -14,6 +14,7 @@ from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, left_alone
 from vpptwin.errors import InputError
 from vpptwin.twin.bounds import bound_memory, check_claims, check_size
+from vpptwin.twin.manifold import BALL, FREE
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -75,6 +76,9 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
     """
     spec = mujoco.MjSpec.from_file(str(path))
     adapt(spec, path)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            joint.parent.simple = 0  # whose centre of mass effects may move
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
 
@@ -164,6 +168,30 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
         typical = HINGE_ACCELERATION if rotary else SLIDE_ACCELERATION
         described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * typical))
     return described
+
+
+def find_free(model: mujoco.MjModel) -> list[int]:
+    """Indices of the free joints."""
+    return [int(i) for i in np.flatnonzero(model.jnt_type == FREE)]
+
+
+def free_bodies(model: mujoco.MjModel) -> list[int]:
+    """Indices of the bodies that these free."""
+    return [int(model.jnt_bodyid[i]) for i in find_free(model)]
+
+
+def tell_rotary(model: mujoco.MjModel) -> np.ndarray:
+    """Which degrees of freedom are angles, (nv,) bool."""
+    rotary = np.array([model.jnt_type[joint] in (HINGE, BALL) for joint in model.dof_jntid])
+    for joint in find_free(model):
+        rotary[model.jnt_dofadr[joint] + 3 : model.jnt_dofadr[joint] + 6] = True
+    return rotary
+
+
+def typical_forces(model: mujoco.MjModel) -> np.ndarray:
+    """Typical force or torque on every degree of freedom, (nv,) N, N m, as `describe_joints` has it."""
+    typical = np.where(tell_rotary(model), HINGE_ACCELERATION, SLIDE_ACCELERATION)
+    return np.asarray(np.diag(inertia_at_rest(model)) * typical)
 
 
 def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:

@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Effect, Stage
-from vpptwin.effects.base import Motion
+from vpptwin.effects.base import Body, Motion
 from vpptwin.twin import step
+from vpptwin.twin.manifold import FREE
 
 STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION, Stage.SLIP)
 
@@ -62,7 +63,7 @@ class Pipeline:
             transform: applied to every function, told whether to be inlined: numba's `njit`, or `keep_plain`.
             file: where the text is said to come from.
         """
-        namespace: dict[str, Any] = {"__name__": __name__, "Motion": Motion}
+        namespace: dict[str, Any] = {"__name__": __name__, "Motion": Motion, "Body": Body}
         namespace |= {name: transform(function) for name, function in self.functions.items()}
         exec(compile(self.source, file, "exec"), namespace)
         chain = {name: transform(namespace[name], inline=True) for name in CHAIN}
@@ -171,11 +172,25 @@ class ChainWriter:
     def push_joints(self, joints: Mapping[str, int]) -> list[str]:
         """Forces on every joint add up."""
         lines = ["def push_joints(on, p, s, view, load, lever, force):", "    dt = view.timestep"]
+        lines += self.push_bodies()
         for joint, i in joints.items():
             for effect in self.of(Stage.FORCE, joint) if joint else ():
                 lines += [self.when(effect), self.call(effect, "more", self.moves(i, "0.0"))]
                 lines += [f"        force[{int(self.model.jnt_dofadr[i])}] += more"]
         return [*lines, "    return None"]
+
+    def push_bodies(self) -> list[str]:
+        """Forces and moments on every free body add up."""
+        lines = []
+        for joint in np.flatnonzero(self.model.jnt_type == FREE):
+            name = self.model.body(int(self.model.jnt_bodyid[joint])).name
+            q, dof = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
+            state = [f"view.qpos[{q + i}]" for i in range(7)] + [f"view.qvel[{dof + i}]" for i in range(6)]
+            for effect in self.of(Stage.FORCE, name) if name else ():
+                more = [f"more_{i}" for i in range(6)]
+                lines += [self.when(effect), self.call(effect, ", ".join(more), f"Body({', '.join(state)}, view.time)")]
+                lines += [f"        force[{dof + i}] += {each}" for i, each in enumerate(more)]
+        return lines
 
     def muster_friction(self, joints: Mapping[str, int]) -> list[str]:
         """Levels of every joint that rubs, and the force that takes their place where one slips by a law of its own."""

@@ -15,33 +15,20 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
-from vpptwin.effects import Effect, Site, effects_for_rig, generic_place
+from vpptwin.effects import Effect, FreeBody, Site, effects_for_body, effects_for_rig, generic_place
 from vpptwin.errors import InputError
-from vpptwin.twin.model import compile_model, describe_joints
+from vpptwin.twin.manifold import FREE
+from vpptwin.twin.model import compile_model, describe_joints, find_free, tell_rotary, typical_forces
+from vpptwin.twin.signals import NO_SIGNALS, Signals, check_signals
 from vpptwin.vehicle import Vehicle
 
 GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
+WAYS = ("x", "y", "z", "roll", "pitch", "yaw")
+"""What a free body's degrees of freedom are called: along the world's axes, about its own."""
 GUST_TIME = 0.2
 """Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""
-
-
-class Signals(BaseModel):
-    """Topics that carry a rig's joints and control inputs, by MJCF name.
-
-    Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
-    question.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-    joints: dict[str, str]
-    actuators: dict[str, str] = {}
-    driven: dict[str, str] = {}
-
-
-NO_SIGNALS = Signals(joints={})
 
 
 @dataclass(frozen=True)
@@ -175,20 +162,14 @@ class Robot:
     @cached_property
     def rotary(self) -> np.ndarray:
         """Which degrees of freedom are angles, (nv,) bool."""
-        rotary = np.zeros(self.model.nv, dtype=bool)
-        for name, is_rotary, _ in describe_joints(self.model):
-            rotary[self.model.joint(name).dofadr[0]] = is_rotary
-        return rotary
+        return tell_rotary(self.model)
 
     @cached_property
     def disturbance(self) -> Disturbance:
         """What pushes it besides its effects: an assumption."""
         if self.loads is not None:
             return Disturbance(GUST * self.loads.force, GUST_TIME, most=1.0 / GUST)
-        std = np.zeros(self.model.nv)
-        for name, _, typical in describe_joints(self.model):
-            std[self.model.joint(name).dofadr[0]] = GUST * typical
-        return Disturbance(std, GUST_TIME, most=1.0 / GUST)
+        return Disturbance(GUST * typical_forces(self.model), GUST_TIME, most=1.0 / GUST)
 
     def scale(self, loads: Loads) -> Robot:
         """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""
@@ -217,14 +198,37 @@ class Robot:
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
         if loads is None:
-            return effects_for_rig([generic_place(*joint) for joint in joints], {name: 1.0 for name in names if name})
+            effects = effects_for_rig([generic_place(*joint) for joint in joints], {n: 1.0 for n in names if n})
+            return (*effects, *(effect for body in self.list_free() for effect in effects_for_body(body)))
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return effects_for_rig(places, controls, 1.0)
+        effects = effects_for_rig(places, controls, 1.0)
+        return (*effects, *(effect for body in self.list_free(loads) for effect in effects_for_body(body)))
+
+    def list_free(self, loads: Loads | None = None) -> list[FreeBody]:
+        """The bodies that nothing holds, with what is typical of them."""
+        model, found = self.model, []
+        force = typical_forces(model) if loads is None else loads.force
+        for joint in np.flatnonzero(model.jnt_type == FREE):
+            body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
+            name = model.body(body).name
+            speed = 1.0 if loads is None else float(loads.speed[dof : dof + 3].max())
+            size = float(np.sqrt(model.body_inertia[body].max() / model.body_mass[body]))
+            push, turn = (float(force[part].max()) for part in (slice(dof, dof + 3), slice(dof + 3, dof + 6)))
+            mass, inertia = float(model.body_mass[body]), tuple(map(float, model.body_inertia[body]))
+            found.append(FreeBody(name, mass, inertia, size, push, turn, speed))
+        return found
+
+    def name_dof(self, dof: int) -> str:
+        """What a degree of freedom is called: its joint's name, or which way a body goes or turns."""
+        model, joint = self.model, int(self.model.dof_jntid[dof])
+        if model.jnt_type[joint] != FREE:
+            return str(model.joint(joint).name)
+        return f"{model.body(int(model.jnt_bodyid[joint])).name} {WAYS[dof - int(model.jnt_dofadr[joint])]}"
 
     def nominal(self, key: str) -> float:
         """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""
@@ -234,6 +238,7 @@ class Robot:
         """Indices of the place in the model where an effect acts."""
         model = self.model
         joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
+        joints |= {model.body(int(model.jnt_bodyid[i])).name: int(model.jnt_dofadr[i]) for i in find_free(model)}
         actuators = {model.actuator(i).name: i for i in range(model.nu)}
         bodies = {model.body(i).name: i for i in range(model.nbody)}
         return Site(
@@ -257,39 +262,3 @@ class Robot:
         shares = np.zeros(model.nu)
         shares[acting or slice(None)] = 1.0 / max(len(acting) or model.nu, 1)
         return shares, f"command of {names[acting[0]]}" if len(acting) == 1 else "mean command"
-
-
-def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that signals name joints and actuators of the MJCF, and every joint, none of them a ball or free one.
-
-    A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
-    """
-    if model.nq != model.njnt:
-        raise InputError(f"{name}: a ball or free joint", "an MJCF with hinge and slide joints only", "replace it")
-    joints = [model.joint(i).name for i in range(model.njnt)]
-    actuators = [model.actuator(i).name for i in range(model.nu)]
-    if signals is None or not signals.joints:
-        raise InputError(
-            f"{name}: {'neither vehicle nor signals' if signals is None else 'signals without joints'}",
-            "signals that map joints and actuators to topics, as the rig is not ours",
-            f"add `signals: {{joints: {{{joints[0] if joints else 'joint'}: /joint_states}}}}`",
-        )
-    both = sorted(set(signals.joints) & set(signals.driven))
-    if both:
-        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
-    kinds = (("joint", signals.joints, joints), ("joint", signals.driven, joints),
-             ("actuator", signals.actuators, actuators))  # fmt: skip
-    for kind, given, known in kinds:
-        for key in given:
-            if key not in known:
-                listed = ", ".join(filter(None, known))
-                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
-                raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
-    told = {**signals.joints, **signals.driven}
-    lost = [f"joint {joint!r}" if joint else "a joint without a name" for joint in joints if joint not in told]
-    if lost:
-        raise InputError(
-            f"{name}: signals leave out {' and '.join(lost)}",
-            "every joint of the MJCF under `joints` (simulated) or `driven` (follows its log)",
-            "name what was logged there, and remove the rest from the MJCF: bodies without joints are fixed",
-        )

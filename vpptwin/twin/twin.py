@@ -14,7 +14,7 @@ from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
 from vpptwin.twin.kernel import CONTEXT, compile_kernel, delay_depth, warm_up
-from vpptwin.twin.manifold import integrate_pose
+from vpptwin.twin.manifold import find_place, integrate_pose
 from vpptwin.twin.model import hold_joints
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
@@ -256,8 +256,9 @@ class Twin:
 
     def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
         """Put driven joints at the start of their tracks; where their qpos is to be after each step, (N, steps, nv)."""
-        track = self.pose_for_engine(driven.pose, driven.velocity)
-        state.qpos[:, driven.dofs], state.qvel[:, driven.dofs] = track[:, 0], driven.velocity[:, 0]
+        track = driven.pose + 0.5 * self.dt * driven.velocity
+        places = [find_place(self.spec.model, dof) for dof in driven.dofs]
+        state.qpos[:, places], state.qvel[:, driven.dofs] = track[:, 0], driven.velocity[:, 0]
         lead = np.zeros((self.num_sims, steps, self.spec.model.nv))
         lead[:, :-1, driven.dofs] = track[:, 1:steps]
         lead[:, -1, driven.dofs] = track[:, -1] + self.dt * driven.velocity[:, -1]

@@ -12,6 +12,7 @@ import numpy as np
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
+from vpptwin.twin.manifold import find_place, follow_sign
 from vpptwin.twin.robot import Robot
 from vpptwin.vehicle import Vehicle
 
@@ -66,13 +67,13 @@ Positions = dict[int, tuple[np.ndarray, np.ndarray]]
 
 @singledispatch
 def find_positions(robot: Robot, flight: Flight) -> Positions:
-    """Joint positions that the log holds.
+    """Joint positions and poses of bodies that the log holds.
 
     Returns:
-        qpos index -> time (n,) [s], position (n,) [m or rad].
+        qpos index -> time (n,) [s], position (n,) [m or rad], or number of a quaternion.
 
     Raises:
-        InputError: if the log holds no position of our craft, or of any of the joints that the twin's signals name.
+        InputError: if the log holds no position of our craft, or of any joint or body that the twin's signals name.
     """
     model, topics = robot.model, robot.signals.joints
     found: Positions = {}
@@ -80,12 +81,18 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
         stream = flight.joints.get(topic, {}).get(joint)
         if stream is not None and "position" in stream.values:
             found[model.joint(joint).qposadr[0]] = (stream.time, stream["position"])
+    for body, topic in robot.signals.bodies.items():
+        stream = flight.spatial.get(topic)
+        if stream is not None and "attitude" in stream.values:
+            place = find_place(model, int(model.body(body).dofadr[0]))
+            values = np.concatenate([stream["position"], follow_sign(stream["attitude"])], axis=1)
+            found |= {place + i: (stream.time, column) for i, column in enumerate(values.T)}
     if not found:
-        named = " or ".join(f"{joint} on {topic}" for joint, topic in topics.items())
-        present = ", ".join([*flight.streams, *flight.joints]) or "none"
+        named = " or ".join(f"{part} on {topic}" for part, topic in {**topics, **robot.signals.bodies}.items())
+        present = ", ".join([*flight.streams, *flight.joints, *flight.spatial]) or "none"
         advice = "correct `signals` of the twin or use a topic map"
         wanted = f"the position of {named or 'a joint'}"
-        raise InputError(f"{flight.path}: no joint position to draw, topics {present}", wanted, advice)
+        raise InputError(f"{flight.path}: no position to draw, topics {present}", wanted, advice)
     return found
 
 

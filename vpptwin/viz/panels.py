@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import singledispatch
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.drone import PlanarDrone
+from vpptwin.twin.manifold import find_place
 from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Rotor
@@ -132,11 +134,39 @@ def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> l
             if column in stream.values:
                 lines = [measured(stream.time, stream[column]), *twin_line(prediction, kind, int(place))]
                 panels.append(Panel(f"{joint} {column} [{unit}]", lines))
+    for body, topic in robot.signals.bodies.items():
+        if (stream := flight.spatial.get(topic)) is not None and "attitude" in stream.values:
+            panels += tell_body(robot.model, body, stream, prediction)
     for actuator, topic in robot.signals.actuators.items():
         stream = flight.joints.get(topic, {}).get(actuator)
         if stream is not None and "effort" in stream.values:
             panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream["effort"])]))
     return panels
+
+
+def tell_body(model: mujoco.MjModel, body: str, stream: Stream, prediction: Prediction | None) -> list[Panel]:
+    """Position and attitude of a free body, as roll, pitch and yaw."""
+    place, panels = find_place(model, int(model.body(body).dofadr[0])), []
+    for axis, name in enumerate("xyz"):
+        lines = [measured(stream.time, stream["position"][:, axis]), *twin_line(prediction, "qpos", place + axis)]
+        panels.append(Panel(f"{body} {name} [m]", lines))
+    told = prediction
+    if prediction is not None:  # whose quaternion gives way to angles
+        qpos = prediction.qpos.copy()
+        qpos[:, place + 3 : place + 6] = tell_angles(qpos[:, place + 3 : place + 7])
+        told = replace(prediction, qpos=qpos)
+    angles = tell_angles(stream["attitude"])
+    for axis, name in enumerate(("roll", "pitch", "yaw")):
+        lines = [measured(stream.time, angles[:, axis]), *twin_line(told, "qpos", place + 3 + axis)]
+        panels.append(Panel(f"{body} {name} [rad]", lines))
+    return panels
+
+
+def tell_angles(attitude: np.ndarray) -> np.ndarray:
+    """Roll, pitch and yaw of attitudes (n, 4), (n, 3) rad."""
+    from scipy.spatial.transform import Rotation  # as `savgol_filter` below
+
+    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_euler("ZYX")[:, ::-1])
 
 
 @tell_robot.register(PlanarDrone)

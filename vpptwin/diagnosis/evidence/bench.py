@@ -17,6 +17,7 @@ from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, fly_windows
+from vpptwin.twin.manifold import find_place
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -252,9 +253,8 @@ class Bench:
             for i in np.unique(self.windows.flight):
                 rows = np.flatnonzero(self.windows.flight == i)
                 right = correct_measurements(self.flights[i], sensors)
-                nv = self.spec.model.nv
                 start = self.windows.start[rows]
-                pose[rows], velocity[rows] = estimate_states(right, start, nv, self._gravity, self.causal)
+                pose[rows], velocity[rows] = estimate_states(right, start, self.spec.model, self.causal)
             self._starts[key] = replace(self.windows, pose=pose, velocity=velocity)
         return self._starts[key]
 
@@ -269,7 +269,8 @@ class Bench:
             assert motion.rotor_speed is not None
             return predict_motor(channel, self.windows, motion.rotor_speed, constants, self.spec.vehicle.motor)
         pose, velocity, start = motion.pose, motion.velocity, self.windows.start
-        return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants)
+        place = find_place(self.spec.model, channel.axis)
+        return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants, place)
 
     def sensors(self, values: Mapping[Key, float]) -> Constants:
         """Constants of the sensors and the battery of a twin with parameters set, (1,)."""

@@ -9,6 +9,7 @@ import numpy as np
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin.manifold import difference_attitudes, rotate
 from vpptwin.twin.sensors import Constants, age_of_pose, body_force, measure_coordinate, measure_rate
 
 BIN = 0.01
@@ -38,6 +39,8 @@ class Channel:
         offset: time of each sample after the window's start, (K, B, S) s.
         weight: 1/samples in the bin, 0 beyond them, (K, B, S).
         sensor_std: noise of one sample.
+        turn: first of the three degrees of freedom of a body's rotation; -1 for a coordinate.
+        measured: the attitude of each sample then, (K, B, S, 4): compared is the rotation from it, whose mean is 0.
     """
 
     name: str
@@ -50,18 +53,23 @@ class Channel:
     offset: np.ndarray
     weight: np.ndarray
     sensor_std: float
+    turn: int = -1
+    measured: np.ndarray | None = None
 
     def take(self, ids: np.ndarray) -> Channel:
         """The channel in some of the windows."""
         value, std, offset, weight = (array[ids] for array in (self.value, self.std, self.offset, self.weight))
-        return replace(self, value=value, std=std, offset=offset, weight=weight)
+        measured = None if self.measured is None else self.measured[ids]
+        return replace(self, value=value, std=std, offset=offset, weight=weight, measured=measured)
 
 
 def bin_channel(
     windows: Windows, series: Series, value: np.ndarray, kind: str, axis: int, delayed: bool, lead: float, name: str,
-    floor: float = 0.0, bin_length: float = BIN,
+    floor: float = 0.0, bin_length: float = BIN, attitude: np.ndarray | None = None, turn: int = -1,
 ) -> Channel:  # fmt: skip
     """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start.
+
+    Of a rotation the `attitude` at the samples is kept, (n, 4), and `turn` as `Channel` has it.
 
     No rigid-body twin is believed below the roughness `floor`, which is added to the sensors' noise. Noise that is not
     white is that of a mean over `BIN`.
@@ -86,7 +94,9 @@ def bin_channel(
     noise = np.hypot(series.std / averaging, floor if series.white else 0.0)
     std = np.where(number > 0, noise, MISSING * series.std)
     offset = np.where(inside, series.time[index] - windows.start[:, None, None], 0.5 * length)
-    return Channel(name, series.unit, kind, axis, delayed, mean, std, offset, weight, series.std)
+    measured = None if attitude is None else attitude[index]
+    found = Channel(name, series.unit, kind, axis, delayed, mean, std, offset, weight, series.std, turn, measured)
+    return found if attitude is None else replace(found, value=np.zeros_like(mean))
 
 
 def observe_windows(
@@ -98,7 +108,9 @@ def observe_windows(
     for dof, series in sorted(measurements.positions.items()):
         delayed = dof in measurements.delayed
         told = "position", dof, delayed, lead, series.name, 0.0, bin_length
-        channels.append(bin_channel(windows, series, series.value, *told))
+        turn = next((first for first in measurements.attitudes if first <= dof < first + 3), -1)
+        attitude = measurements.attitudes[turn].value if turn >= 0 else None
+        channels.append(bin_channel(windows, series, series.value, *told, attitude, turn))
     for dof, series in sorted(measurements.velocities.items()):
         told = "velocity", dof, False, 0.0, series.name, criteria.velocity_floor, bin_length
         channels.append(bin_channel(windows, series, series.value, *told))
@@ -125,39 +137,44 @@ def join_channels(parts: list[list[Channel]]) -> list[Channel]:
         value, std = np.concatenate([c.value for c in same]), np.concatenate([c.std for c in same])
         offset = np.concatenate([pad_samples(c.offset, samples) for c in same])
         weight = np.concatenate([pad_samples(c.weight, samples) for c in same])
-        joined.append(replace(same[0], value=value, std=std, offset=offset, weight=weight))
+        attitudes = [pad_samples(c.measured, samples) for c in same if c.measured is not None]
+        measured = np.concatenate(attitudes) if attitudes else None
+        joined.append(replace(same[0], value=value, std=std, offset=offset, weight=weight, measured=measured))
     return joined
 
 
 def pad_samples(array: np.ndarray, samples: int) -> np.ndarray:
-    """Fill the last axis up to `samples` with zeros."""
-    return np.pad(array, ((0, 0), (0, 0), (0, samples - array.shape[2])))
+    """Fill the third axis, (K, B, S, ...), up to `samples` with zeros."""
+    beyond = array.ndim - 3
+    return np.pad(array, ((0, 0), (0, 0), (0, samples - array.shape[2]), *beyond * ((0, 0),)))
 
 
 def predict_channel(
     channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, start: np.ndarray,
-    sensors: Constants,
+    sensors: Constants, place: int | None = None,
 ) -> np.ndarray:  # fmt: skip
     """The channel as a simulation shows it.
 
     Args:
         channel: K windows.
-        pose: (K, steps + 1, nv) m, rad.
+        pose: (K, steps + 1, nq) m, rad.
         velocity: (K, steps + 1, nv) m/s, rad/s.
         dt: time between them, s.
         gravity: m/s².
         start: when the windows start, (K,) s since the start of the log.
         sensors: constants of the sensors, which broadcast over (K, B, S).
+        place: where in a pose its coordinate, or quaternion, lies; None for its `axis`, on rigs without quaternions.
 
     Returns:
         Mean over each bin, (K, B).
     """
+    place = channel.axis if place is None else place
     if channel.kind == "specific force":
         track, shift = body_force(pose, velocity, dt, gravity)[..., channel.axis], -0.5 * dt
     elif channel.kind == "velocity":
         track, shift = velocity[..., channel.axis], 0.0
     else:
-        track, shift = pose[..., channel.axis], 0.0
+        track, shift = pose[..., place], 0.0
     offset = channel.offset + shift
     if channel.delayed:
         offset = offset - age_of_pose(sensors, start[:, None, None] + channel.offset)
@@ -165,6 +182,13 @@ def predict_channel(
     whole = position.astype(np.intp)
     part = position - whole
     rows = np.arange(len(track))[:, None, None]
+    if channel.measured is not None:
+        turned = rotate(
+            pose[..., place : place + 4][rows, whole],
+            (part * dt)[..., None] * velocity[..., channel.turn : channel.turn + 3][rows, whole],
+        )
+        left = difference_attitudes(channel.measured, turned)[..., channel.axis - channel.turn]
+        return np.asarray((left * channel.weight).sum(axis=2))
     sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
     if channel.kind == "velocity":  # on the drone its gyro's; sensors of other rigs have no errors
         sampled = measure_rate(sensors, sampled)

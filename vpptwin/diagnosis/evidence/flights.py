@@ -10,7 +10,7 @@ import numpy as np
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
-from vpptwin.diagnosis.evidence.forces import measure_growth
+from vpptwin.diagnosis.evidence.forces import measure_growth, measure_turning
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
@@ -84,9 +84,13 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
 
 
 def find_steady(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
-    """Length of windows [s], in steps of 0.1 s, in which errors of the start grow by exp(`GROWN`) at most."""
+    """Length of windows [s], in steps of 0.1 s, in which errors of the start grow by exp(`GROWN`) at most.
+
+    And in which a free body does not lose its way altogether.
+    """
     rate = measure_growth(spec, measurements)
-    steady = np.floor(GROWN / (rate * SEGMENT) + 1e-6) * SEGMENT if rate > 0.0 else np.inf
+    longest = min(GROWN / rate if rate > 0.0 else np.inf, measure_turning(spec, measurements))
+    steady = np.floor(longest / SEGMENT + 1e-6) * SEGMENT
     return float(round(np.clip(steady, LEAST_WINDOW, spec.robot.window), 6))
 
 

@@ -12,6 +12,7 @@ from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import average_held
+from vpptwin.twin.manifold import chart, find_place, list_attitudes
 from vpptwin.twin.model import inertia_at_rest
 from vpptwin.twin.robot import Loads
 from vpptwin.twin.spec import TwinSpec
@@ -61,15 +62,15 @@ def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements]) -> Forc
 
 def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int) -> tuple[np.ndarray, ...]:
     """The rows of `Forces` of one log, at most so many."""
-    model, gravity = spec.model, -float(spec.model.opt.gravity[2])
+    model = spec.model
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
-    around = [estimate_states(log, times + side, model.nv, gravity, False) for side in (-REACH, 0.0, REACH)]
+    around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
     for dof, series in log.driven.items():
         track = [np.interp(times + side, series.time, series.value) for side in (-REACH, 0.0, REACH)]
         speed = (track[2] - track[0]) / (2.0 * REACH), (track[1] - track[0]) / REACH, (track[2] - track[1]) / REACH
         for (pose, velocity), place, rate in zip(around, track, (speed[1], speed[0], speed[2])):
-            pose[:, dof], velocity[:, dof] = place, rate
+            pose[:, find_place(model, dof)], velocity[:, dof] = place, rate
     pose, velocity = around[1]
     acceleration = (around[2][1] - around[0][1]) / (2.0 * REACH)
     edges = times[:, None] + np.array([-REACH, REACH])
@@ -99,17 +100,30 @@ def invert(
 
 def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
     """Rate at which small errors of a state grow in the twin's MJCF, typical along the logs [1/s]; 0 for none."""
-    model, gravity, rates = spec.model, -float(spec.model.opt.gravity[2]), []
+    model, rates = spec.model, list[float]()
     data, moved = mujoco.MjData(model), np.zeros((2 * model.nv, 2 * model.nv))
     for log in measurements:
         times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
         times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
         control = average_held(log.command, times[:, None] + np.array([-REACH, REACH]))[:, 0]
-        for pose, velocity, inputs in zip(*estimate_states(log, times, model.nv, gravity, False), control, strict=True):
+        for pose, velocity, inputs in zip(*estimate_states(log, times, model, False), control, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
             mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
             rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)
     return float(max(np.percentile(rates, USUAL), 0.0)) if rates else 0.0
+
+
+def measure_turning(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
+    """Time in which what usually turns a free body turns it by half a radian from rest [s]; infinite without one.
+
+    Forces turn with the body: a twin that is wrong by as much knows nothing of its motion beyond.
+    """
+    turning = [dof + i for _, dof in list_attitudes(spec.model) for i in range(3)]
+    if not turning:
+        return float("inf")
+    forces = measure_forces(spec, measurements)
+    faster = np.abs(forces.inertial[:, turning]) / np.diag(inertia_at_rest(spec.model))[turning]
+    return float(np.sqrt(1.0 / max(np.percentile(faster, USUAL, axis=0).max(), 1e-9)))
 
 
 def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec:
@@ -135,7 +149,7 @@ def measure_loads(spec: TwinSpec, forces: Forces) -> Loads:
     carried = np.diag(inertia_at_rest(model)).copy()
     weight = forces.missing + forces.actuator - forces.inertial
     loads = np.max([np.abs(part) for part in (forces.inertial, forces.actuator, weight)], axis=0)
-    low, high = np.percentile(forces.pose, [2.0, 98.0], axis=0)
+    low, high = np.percentile(chart(model, forces.pose), [2.0, 98.0], axis=0)
     reach = np.where(rotary, 1.0, 0.3)
     return Loads(
         force=np.maximum(np.percentile(loads, USUAL, axis=0), SLIGHT * 10.0 * carried),

@@ -91,7 +91,7 @@ def weigh_causes(
         dof = int(np.argmax(size[cause]))
         if size[cause][dof] > NONE:
             acting = [cause, *(other for other in causes if other != cause and size[other][dof] > NONE)]
-            joint = spec.model.joint(int(spec.model.dof_jntid[dof])).name
+            joint = spec.robot.name_dof(dof)
             share, std = fit_share(shares, acting, dof, criteria)
             asked = 0.0 if "dof_armature" in law.writes else ask(shares, cause, dof)
             found.append(Seen(cause, joint, share, std, asked))

@@ -186,11 +186,11 @@ class HeldOut:
         rotary, windows, horizons = self.long.spec.robot.rotary, self.long.windows, np.array(HORIZONS_S)
         off = np.zeros((2, len(rotary)))
         if self.long.guessed and self.long.flights:
-            gravity = -float(self.long.spec.model.opt.gravity[2])
+            model = self.long.spec.model
             for i in np.unique(windows.flight):
                 rows = windows.flight == i
-                seen = estimate_states(self.long.flights[i], windows.start[rows], len(rotary), gravity, False)
-                moved = difference_poses(self.long.spec.model, seen[0], windows.pose[rows])
+                seen = estimate_states(self.long.flights[i], windows.start[rows], model, False)
+                moved = difference_poses(model, seen[0], windows.pose[rows])
                 off += ((moved**2).sum(axis=0), ((seen[1] - windows.velocity[rows]) ** 2).sum(axis=0))
             off /= len(windows)
         found: dict[str, np.ndarray] = {}

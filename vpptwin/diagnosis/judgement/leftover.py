@@ -16,6 +16,7 @@ from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, middles_of_segments, tune_gust
 from vpptwin.diagnosis.search.search import Search
+from vpptwin.twin.manifold import chart
 
 LESS = 0.2
 """Share by which a swing is believed less than a state."""
@@ -138,7 +139,7 @@ def judge_weather(
     found = follows or strange or worst.strength > criteria.gale
     if not found or (extended and kept < criteria.matters):
         return Leftover(Unexplained(False, kept, None, [], sigma), None)
-    joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[worst.dof])).name
+    joint = bench.spec.robot.name_dof(worst.dof)
     channel = bench.channels[int(np.argmax(levels))].name if strange else joint
     names = [each.label.split(" [")[0] for each in worst.followed if each.sigma > criteria.followed][:3]
     label, unit = worst.followed[0].label, "N m" if bench.spec.robot.rotary[worst.dof] else "N"
@@ -218,7 +219,7 @@ def judge_structure(part: Part, before: Part, values: Mapping[Key, float], left:
     dof = int(np.argmax(shares))
     if shares[dof] < (criteria.noticed if structured else criteria.material):
         return Leftover(Unexplained(False, left, None, [], sigma, float(shares[dof])), None)
-    joint = bench.spec.model.joint(int(bench.spec.model.dof_jntid[dof])).name
+    joint = bench.spec.robot.name_dof(dof)
     depends = found.depends_on if found.share >= criteria.depends else []
     return Leftover(
         Unexplained(True, max(left, found.share * found.kept), joint, depends, sigma, float(shares[dof])), found.plot
@@ -246,7 +247,6 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     """Quantities that the missing force follows on stretches of flight other than those it was learnt from."""
     bench = part.bench
     missing, old = (missing_wrench(bench, p.response, p.residual) for p in (part, before))
-    model = bench.spec.model
     dof = int(np.argmax((missing**2).sum(axis=(0, 1)) / np.maximum(gust_std(bench), 1e-30) ** 2))
     force = missing[:, :, dof].ravel()
     fold = np.repeat(blocks_of(bench.windows, bench.criteria.block) % FOLDS, bench.segments)
@@ -255,7 +255,7 @@ def find_dependence(part: Part, before: Part, values: Mapping[Key, float]) -> De
     found = [(predicted_share(q, force, fold), label, q) for label, q in (*quantities, swing)]
     # What moves periodically makes everything swing: that must tell clearly more than what moves.
     found.sort(key=lambda item: -item[0] * (1.0 - LESS * (item[2] is swing[1])))
-    joint = model.joint(int(model.dof_jntid[dof])).name
+    joint = bench.spec.robot.name_dof(dof)
     unit = "N m" if bench.spec.robot.rotary[dof] else "N"
     share, label, quantity = found[0]
     kept = float(np.clip((missing**2).sum() / max((old**2).sum(), 1e-30), 0.0, 1.0))
@@ -279,10 +279,10 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
         pieces = np.array_split(track, bench.segments, axis=1)
         named.append((label, np.stack([piece.mean(axis=1) for piece in pieces], axis=1) + missed))
 
-    rotary = bench.spec.robot.rotary
+    rotary, placed = bench.spec.robot.rotary, chart(model, pose[0, :, 1:])
     for dof in range(model.nv):
-        joint, unit = model.joint(int(model.dof_jntid[dof])).name, "rad" if rotary[dof] else "m"
-        add(f"{joint} position [{unit}]", pose[0, :, 1:, dof], part.missed_on_average("position", dof))
+        joint, unit = bench.spec.robot.name_dof(dof), "rad" if rotary[dof] else "m"
+        add(f"{joint} position [{unit}]", placed[..., dof], part.missed_on_average("position", dof))
         add(f"{joint} velocity [{unit}/s]", velocity[0, :, 1:, dof], part.missed_on_average("velocity", dof))
     for i in range(model.nu):
         command = windows.command[:, :, i]
@@ -290,7 +290,7 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
         add(f"speed of command of {model.actuator(i).name} [1/s]", np.abs(np.gradient(command, windows.dt, axis=1)))
     for i in range(model.nv):
         for j in range(i):
-            first, second = (model.joint(int(model.dof_jntid[d])).name for d in (j, i))
+            first, second = (bench.spec.robot.name_dof(d) for d in (j, i))
             add(f"{first} velocity times {second} velocity", velocity[0, :, 1:, i] * velocity[0, :, 1:, j])
     add("time [s]", windows.start[:, None] + windows.dt * np.arange(windows.steps))
     return named

@@ -11,6 +11,7 @@ from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.likelihood import Response, gust_std, whiten_with
 from vpptwin.effects import Effect
+from vpptwin.twin.manifold import FREE, chart
 
 
 @dataclass(frozen=True)
@@ -47,19 +48,19 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     model = bench.spec.model
     found = [(held_out.response(v), held_out.residual(v)) for v in ({}, values)]
     before, after = (missing_wrench(bench, response, response.restore(missed)) for response, missed in found)
-    joints = {model.joint(i).name: int(model.joint(i).dofadr[0]) for i in range(model.njnt)}
+    joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt) if model.jnt_type[i] != FREE}
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
-    joint = model.joint(int(model.dof_jntid[dof]))
+    joint = bench.spec.robot.name_dof(dof)
     rotary = bool(bench.spec.robot.rotary[dof])
-    quantity, x_label = quantity_of_segments(bench, effect, dof, joint.name, rotary)
+    quantity, x_label = quantity_of_segments(bench, effect, dof, joint, rotary)
     kind, unit = ("torque", "N m") if rotary else ("force", "N")
     return WrenchPlot(
         quantity,
         before[:, :, dof].ravel(),
         after[:, :, dof].ravel(),
         x_label,
-        f"missing {kind} on {joint.name} [{unit}]",
+        f"missing {kind} on {joint} [{unit}]",
     )
 
 
@@ -72,7 +73,8 @@ def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rot
     follows = effect.follows if windows.command.shape[2] or effect.follows == "velocity" else "position"
     if follows in ("velocity", "position"):
         motion = bench.simulate([Variation()])
-        track = (motion.velocity if follows == "velocity" else motion.pose)[0, :, 1:, dof]
+        placed = chart(bench.spec.model, motion.pose[0, :, 1:])
+        track = motion.velocity[0, :, 1:, dof] if follows == "velocity" else placed[..., dof]
         unit = "rad" if rotary else "m"
         label = f"{joint} {follows} [{unit}{'/s' if follows == 'velocity' else ''}]"
     else:
