@@ -272,7 +272,7 @@ def test_bad_models_of_other_rigs_are_refused(write: Writer, joint: str, rest: s
             id="unknown actuator",
         ),
         pytest.param("{joints: {}}", "signals without joints.*joints: {slide", id="no joints"),
-        pytest.param("{}", "signals.joints", id="nothing"),
+        pytest.param("{}", "signals without joints", id="nothing"),
         pytest.param("{joints: [slide]}", "signals.joints", id="a list"),
     ],
 )

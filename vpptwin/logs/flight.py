@@ -73,7 +73,7 @@ class Flight:
         Raises:
             InputError: naming the missing topics and those that the log holds.
         """
-        present = {**self.streams, **self.joints, **self.spatial}
+        present = {**self.streams, **self.joints}
         missing = [topic for topic in topics if topic not in present]
         if missing:
             names = [f"{t} (mapped to {self.sources[t]})" if t in self.sources else t for t in missing]

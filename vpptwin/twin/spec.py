@@ -166,7 +166,7 @@ def check_effects(
             raise InputError(
                 f"{source}: unknown effect {effect_id!r}",
                 f"an id such as {error.args[0]}",
-                suggest(effect_id, (effect.id for effect in catalogue), "`vpptwin effects` lists all"),
+                f"{suggest(effect_id, (e.id for e in catalogue), '')} `vpptwin effects` lists all",
             ) from error
         names = [p.name for p in effect.parameters]
         for name, value in values.items():
