@@ -8,9 +8,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 from tests.quadrotor import GRAVITY, MASS, STEP, fly, simulate, write_log, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
+from vpptwin.diagnosis.report.prediction import predict_flight
+from vpptwin.diagnosis.report.twin_file import name_twin
 from vpptwin.errors import InputError
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import read_measurements
@@ -141,6 +144,21 @@ def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) ->
     show = prepare_show(flight, None, spec)
     turns = difference_attitudes(show.log.qpos[0, 3:7], show.log.qpos[:, 3:7])
     assert 0.2 < np.abs(turns).max() < 3.0
+
+
+def test_predictions_and_the_extended_twin_know_the_body(spec: TwinSpec, tmp_path: Path) -> None:
+    """Angles of a prediction stay near those measured where it was restarted; its YAML has the signals it came with."""
+    prediction = predict_flight([spec], fly({}, 4.0, 7))
+    tracks = {track.name: track for track in prediction.tracks if track.kind == "position"}
+    assert set(tracks) == {f"quad {way}" for way in ("x", "y", "z", "roll", "pitch", "yaw")}
+    for name, track in tracks.items():
+        known = np.isfinite(track.residual[0])
+        assert known.mean() > 0.8
+        assert np.sqrt(np.mean(track.residual[0][known] ** 2)) < (0.02 if name[-1] in "xyz" else 0.08)
+    content = name_twin(spec, tmp_path)
+    assert content["signals"] == spec.robot.signals.model_dump(exclude_defaults=True)
+    (tmp_path / "again.yaml").write_text(yaml.safe_dump(content))
+    assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
 
 
 def test_a_weak_motor_is_named(spec: TwinSpec) -> None:

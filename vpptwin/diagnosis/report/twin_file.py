@@ -13,6 +13,7 @@ from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.effects import SIGMAS_90, find_effect
 from vpptwin.resources import models_dir
+from vpptwin.twin.signals import NO_SIGNALS
 from vpptwin.twin.spec import EffectValues, TwinSpec
 
 
@@ -53,8 +54,8 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
         content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
     if spec.controller != "map":
         content["controller"] = spec.controller
-    if spec.robot.signals.joints:
-        content["signals"] = spec.robot.signals.model_dump()
+    if spec.robot.signals != NO_SIGNALS:
+        content["signals"] = spec.robot.signals.model_dump(exclude_defaults=True)
     return content
 
 
