@@ -151,6 +151,12 @@ def describe_plot(parser: argparse.ArgumentParser) -> None:
     add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
 
 
+def describe_convert(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin convert`."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="a log of any kind, FILE+FILE for several of one flight")
+    parser.add_argument("out", type=Path, metavar="OUT", help="MCAP file to write")
+
+
 def describe_layouts(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin layouts`."""
     parser.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
@@ -251,6 +257,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentP
     "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),
     "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
     "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
+    "convert": ("write a log of any kind as MCAP", commands.run_convert, describe_convert),
     "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts, describe_layouts),
     "fly": ("fly a manoeuvre or a policy in a twin and write its log", commands.run_fly, describe_fly),
     "identify": (

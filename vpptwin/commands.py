@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,6 +77,17 @@ def run_plot(options: argparse.Namespace) -> None:
 
     restart = None if options.free else options.restart
     plot(options.source, options.twin, options.out, restart, options.theme, options.topic_map, options.effects)
+
+
+def run_convert(options: argparse.Namespace) -> None:
+    """`vpptwin convert`."""
+    from vpptwin.logs.transcribe import list_kept, transcribe
+
+    recording = transcribe(options.log, options.out)
+    for note in (note for file in recording.files for note in file.notes):
+        print(note, file=sys.stderr)
+    kept = list_kept(recording)
+    print(f"{options.out}: {sum(channel.count for channel in kept)} messages on {len(kept)} topics")
 
 
 def run_layouts(options: argparse.Namespace) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpptwin.errors import InputError, escape_text
+from vpptwin.fields import NANOSECONDS, Stamp
 from vpptwin.logs.channels import JOINT_COLUMNS, Column
-from vpptwin.logs.convert import list_fields
+from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.recording import Recording
-from vpptwin.logs.topic_map import LOG_TIME, NANOSECONDS, Route, Stamp
+from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
 
 MOST_NS = 2.0**62
 
@@ -50,15 +51,46 @@ def read_samples(recording: Recording, route: Route) -> Samples:
     except InputError as error:
         raise InputError(f"{recording.path}: {error.found}", error.expected, error.action) from None
     paths = [path for column in columns for path in list_fields(column.source)]
+    return replace(_read_fields(recording, route, paths, route.channel.topic), columns=columns)
+
+
+def _read_fields(recording: Recording, route: Route | JointRoute, paths: list[str], label: str) -> Samples:
+    """These fields of all messages of a route's topic, in record order."""
     stamp_paths = _list_stamp_fields(route.stamp)
     batches = recording.decode(route.topic, [*stamp_paths, *paths])
     if not batches:
-        return Samples(route.channel.topic, np.zeros(0, np.int64), np.zeros(0, np.int64), {}, columns)
+        return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
     order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
     fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
     log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
     stamp = _read_stamps(f"{recording.path}: {route.topic}", route.stamp, fields, log_time)
-    return Samples(route.channel.topic, stamp, log_time, fields, columns)
+    return Samples(label, stamp, log_time, fields)
+
+
+def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
+    """Read a joint or actuator out of fields; rows in which one of them holds no number are no samples of it.
+
+    Raises:
+        InputError: if the log lacks the topic or a field, or a field is none of numbers.
+    """
+    if recording.find_topic(route.topic) is None:
+        lacking = f"{recording.path} lacks topic {route.topic}, which {route.name} is mapped to"
+        listed = ", ".join(recording.list_topics())
+        raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
+    label = f"{route.canonical} {escape_text(route.name)}"
+    paths = [path for source in route.sources.values() for path in list_fields(source)]
+    found = _read_fields(recording, route, paths, label)
+    values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
+    for column, data in values.items():
+        if data.ndim != 1:
+            path = route.sources[column].paths[0]
+            raise InputError(f"{recording.path}: {route.topic} {path} is a list", "a number", f"name {path}[0], say")
+        if route.sources[column].axis is not None:
+            values[column] = np.unwrap(data)
+    empty = np.any([np.isnan(data) for data in values.values()], axis=0)
+    if empty.any():
+        warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
+    return replace(found, fields=values).take(np.flatnonzero(~empty))
 
 
 def _list_stamp_fields(stamp: Stamp) -> list[str]:

@@ -11,14 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vpptwin.effects import Effect, Site, effects_for_rig, generic_place
 from vpptwin.errors import InputError
+from vpptwin.fields import SignalEntry, dump_entry
 from vpptwin.twin.model import compile_model, describe_joints
 from vpptwin.vehicle import Vehicle
 
@@ -28,17 +29,47 @@ GUST_TIME = 0.2
 """Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""
 
 
+SIGNAL_TOPICS = {"joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command"}
+"""Where joints and actuators are read that a twin makes of fields of other topics."""
+
+
 class Signals(BaseModel):
     """Topics that carry a rig's joints and control inputs, by MJCF name.
 
     Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
-    question.
+    question. Instead of a JointState topic a YAML may name fields of any topic, which come to lie in `entries`:
+    topic that they are read as → name → where they are.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     joints: dict[str, str]
     actuators: dict[str, str] = {}
     driven: dict[str, str] = {}
+    entries: dict[str, dict[str, SignalEntry]] = Field(default_factory=dict, exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def split_entries(cls, given: Any) -> Any:  # noqa: ANN401
+        """Part the names of topics from the entries of fields."""
+        if not isinstance(given, dict):
+            return given
+        split: dict[str, Any] = dict(given)
+        entries: dict[str, dict[str, Any]] = {}
+        for group, topic in SIGNAL_TOPICS.items():
+            signals = given.get(group)
+            if isinstance(signals, dict):
+                fields = {name: entry for name, entry in signals.items() if isinstance(entry, dict)}
+                entries.setdefault(topic, {}).update(fields)
+                split[group] = {**signals, **dict.fromkeys(fields, topic)}
+        return {**split, "entries": {topic: names for topic, names in entries.items() if names}}
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """What a twin YAML says."""
+        content = self.model_dump()
+        for group, topic in SIGNAL_TOPICS.items():
+            entries = self.entries.get(topic, {})
+            content[group] = {n: dump_entry(entries[n]) if n in entries else t for n, t in content[group].items()}
+        return content
 
 
 NO_SIGNALS = Signals(joints={})

@@ -23,7 +23,7 @@ from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.files import write_json, write_whole
 from vpptwin.logs.flight import Flight
-from vpptwin.logs.read import read_flight
+from vpptwin.logs.read import read_flights
 from vpptwin.progress import open_bar, tell_stage
 from vpptwin.twin.spec import TwinSpec, load_twin
 
@@ -51,7 +51,7 @@ def diagnose_logs(
     arguments += ["--topic-map", str(topic_map)] if topic_map is not None else []
     arguments += [part for file in effects for part in ("--effects", str(file))]
     spec = load_twin(twin, effects)
-    flights = [read_flight(log, topic_map) for log in logs]
+    flights = read_flights(logs, topic_map, spec.robot.signals.entries)
     if json is not None:
         check_target(json)
     files = [VERDICT, REPORT, TWIN, *name_files(logs)]

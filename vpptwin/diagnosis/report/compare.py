@@ -15,7 +15,7 @@ from vpptwin.diagnosis.report.error_table import tabulate_errors
 from vpptwin.diagnosis.report.output import STDOUT, check_target, give_json
 from vpptwin.diagnosis.report.terminal import print_errors
 from vpptwin.estimation.measurements import read_measurements
-from vpptwin.logs.read import read_flight
+from vpptwin.logs.read import read_flights
 from vpptwin.progress import open_bar
 from vpptwin.terminal import open_console
 from vpptwin.twin.spec import load_twin
@@ -30,7 +30,7 @@ def compare_logs(
         InputError: on bad logs, a bad twin, or a file that cannot be written.
     """
     spec = load_twin(twin, effects)
-    flights = [read_flight(log, topic_map) for log in logs]
+    flights = read_flights(logs, topic_map, spec.robot.signals.entries)
     if json is not None:
         check_target(json)
     measurements = [read_measurements(spec, flight) for flight in flights]

@@ -54,7 +54,7 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
     if spec.controller != "map":
         content["controller"] = spec.controller
     if spec.robot.signals.joints:
-        content["signals"] = spec.robot.signals.model_dump()
+        content["signals"] = spec.robot.signals.as_dict()
     return content
 
 
