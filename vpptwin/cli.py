@@ -157,6 +157,14 @@ def describe_convert(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="MCAP file to write")
 
 
+def describe_inspect(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin inspect`."""
+    add = parser.add_argument
+    add("logs", type=Path, nargs="+", metavar="LOG", help="logs of any kind, FILE+FILE for several of one flight")
+    add("--model", metavar="XML", help="MJCF; guess which signal is which of its joints and actuators")
+    add("--out", type=Path, help="twin YAML to write with the guesses (default MODEL_twin.yaml)")
+
+
 def describe_layouts(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin layouts`."""
     parser.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
@@ -258,6 +266,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentP
     "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
     "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
     "convert": ("write a log of any kind as MCAP", commands.run_convert, describe_convert),
+    "inspect": ("show what is in a log, and guess what it means", commands.run_inspect, describe_inspect),
     "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts, describe_layouts),
     "fly": ("fly a manoeuvre or a policy in a twin and write its log", commands.run_fly, describe_fly),
     "identify": (

@@ -90,6 +90,13 @@ def run_convert(options: argparse.Namespace) -> None:
     print(f"{options.out}: {sum(channel.count for channel in kept)} messages on {len(kept)} topics")
 
 
+def run_inspect(options: argparse.Namespace) -> None:
+    """`vpptwin inspect`."""
+    from vpptwin.estimation.inspect import inspect_logs
+
+    inspect_logs(options.logs, options.model, options.out)
+
+
 def run_layouts(options: argparse.Namespace) -> None:
     """`vpptwin layouts`."""
     from vpptwin.viz.layouts import write_layouts

@@ -51,19 +51,23 @@ def read_samples(recording: Recording, route: Route) -> Samples:
     except InputError as error:
         raise InputError(f"{recording.path}: {error.found}", error.expected, error.action) from None
     paths = [path for column in columns for path in list_fields(column.source)]
-    return replace(_read_fields(recording, route, paths, route.channel.topic), columns=columns)
+    return replace(read_fields(recording, route.topic, route.stamp, paths, route.channel.topic), columns=columns)
 
 
-def _read_fields(recording: Recording, route: Route | JointRoute, paths: list[str], label: str) -> Samples:
-    """These fields of all messages of a route's topic, in record order."""
-    stamp_paths = _list_stamp_fields(route.stamp)
-    batches = recording.decode(route.topic, [*stamp_paths, *paths])
+def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str], label: str) -> Samples:
+    """These fields of all messages of a topic, in record order.
+
+    Raises:
+        InputError: if messages do not decode, or stamps are no times.
+    """
+    stamp_paths = _list_stamp_fields(clock)
+    batches = recording.decode(topic, [*stamp_paths, *paths])
     if not batches:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
     order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
     fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
     log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
-    stamp = _read_stamps(f"{recording.path}: {route.topic}", route.stamp, fields, log_time)
+    stamp = _read_stamps(f"{recording.path}: {topic}", clock, fields, log_time)
     return Samples(label, stamp, log_time, fields)
 
 
@@ -79,7 +83,7 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
         raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
-    found = _read_fields(recording, route, paths, label)
+    found = read_fields(recording, route.topic, route.stamp, paths, label)
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     for column, data in values.items():
         if data.ndim != 1:
