@@ -47,8 +47,11 @@ def read_flight(
     warnings: list[str] = [note for file in recording.files for note in file.notes]
     samples = _read_table_topics(recording, topics, warnings)
     joints = _read_joint_topics(recording, topics, warnings)
-    for route in topics.named:
-        found = read_named(recording, route, warnings)
+    named = [(route, read_named(recording, route, warnings)) for route in topics.named]
+    for channel in (channel for file in recording.files for channel in file.channels):
+        channel.blocks.clear()  # of gigabytes, before the rest is sorted
+    while named:
+        route, found = named.pop(0)
         if len(found.stamp):
             joints.setdefault(route.canonical, {})[route.name] = _order_samples(recording, found, warnings)
     return _assemble_flight(recording, topics, samples, joints, warnings)

@@ -36,6 +36,8 @@ class Samples:
 
     def take(self, rows: np.ndarray) -> Samples:
         """Samples of these rows, in this order."""
+        if len(rows) == len(self.stamp) and (rows == np.arange(len(rows))).all():
+            return self
         fields = {path: values[rows] for path, values in self.fields.items()}
         return Samples(self.label, self.stamp[rows], self.log_time[rows], fields, self.columns)
 
@@ -64,11 +66,16 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
     batches = recording.decode(topic, [*stamp_paths, *paths])
     if not batches:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
-    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
-    log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
+    number = np.concatenate([batch.number for batch in batches])
+    order = slice(None) if (number[1:] > number[:-1]).all() else np.argsort(number, kind="stable")
+    del number  # logs of gigabytes leave no room for what is not needed any more
+    log_time = np.concatenate([batch.log_time for batch in batches])[order].view(np.int64)
+    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in stamp_paths}
     stamp = _read_stamps(f"{recording.path}: {topic}", clock, fields, log_time)
-    return Samples(label, stamp, log_time, fields)
+    wanted = {
+        path: np.concatenate([batch.values.pop(path) for batch in batches])[order] for path in dict.fromkeys(paths)
+    }
+    return Samples(label, stamp, log_time, wanted)
 
 
 def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
@@ -119,6 +126,8 @@ def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_ti
 
 def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
     """Values (n,) in units of `factor` ns as whole ns."""
+    if values.dtype.kind != "f" and max(abs(int(values.min())), abs(int(values.max()))) < MOST_NS / factor:
+        return values.astype(np.int64) * factor
     wrong = ~(np.abs(values.astype(float)) < MOST_NS / factor)
     if wrong.any():
         found = (
