@@ -161,7 +161,7 @@ def describe_inspect(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin inspect`."""
     add = parser.add_argument
     add("logs", type=Path, nargs="+", metavar="LOG", help="logs of any kind, FILE+FILE for several of one flight")
-    add("--model", metavar="XML", help="MJCF; guess which signal is which of its joints and actuators")
+    add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
     add("--out", type=Path, help="twin YAML to write with the guesses (default MODEL_twin.yaml)")
 
 
@@ -232,6 +232,9 @@ def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
     parser.add_argument("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
+    parser.add_argument(
+        "--model", metavar="NAME", help="instead, an MJCF or menagerie name, if the log leaves no doubt"
+    )
     add_effects(parser)
     add_topic_map(parser)
 

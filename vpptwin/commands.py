@@ -39,14 +39,25 @@ def run_diagnose(options: argparse.Namespace) -> None:
         if log.resolve() in [other.resolve() for other in options.logs[:i]]:
             expected = "every flight once, as those that judge must not be those that are fitted"
             raise InputError(f"{log} is given twice", expected, "leave one out")
-    diagnose_logs(options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
+    diagnose_logs(options.logs, choose_twin(options), options.out, options.topic_map, options.json, options.effects)
 
 
 def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
     from vpptwin.diagnosis.report.compare import compare_logs
 
-    compare_logs(options.logs, options.twin, options.json, options.topic_map, options.effects)
+    compare_logs(options.logs, choose_twin(options), options.json, options.topic_map, options.effects)
+
+
+def choose_twin(options: argparse.Namespace) -> str:
+    """The twin that is named, or one made for a model."""
+    if options.model is None:
+        return str(options.twin)
+    if options.twin != "nominal":
+        raise InputError(f"--twin {options.twin} and --model {options.model}", "one of them", "leave one out")
+    from vpptwin.estimation.named import make_twin
+
+    return str(make_twin(options.logs, options.model))
 
 
 def run_play(options: argparse.Namespace) -> None:

@@ -16,11 +16,11 @@ from rich.table import Table as RichTable
 from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import tell_body
 from vpptwin.estimation.guess import Guess, guess_signals
+from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
 from vpptwin.logs.recording import find_files, list_flights
 from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.topic_map import slash
-from vpptwin.resources import find_model_file
 from vpptwin.terminal import open_console
 from vpptwin.twin.model import compile_model
 
@@ -30,7 +30,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
 
     Args:
         logs: each a flight, or a folder of them.
-        model: an MJCF's path.
+        model: as of `find_model`.
         out: twin YAML to write; None for one called as the model, in the current folder.
 
     Returns:
@@ -49,7 +49,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
         print_signals(str(flight), signals, [note for file in recording.files for note in file.notes])
     if model is None:
         return []
-    path = find_model_file(model, Path())
+    path = find_model(model)
     compiled = compile_model(path)
     guesses = guess_signals(compiled, first)
     bodies = [
