@@ -69,10 +69,10 @@ LOGS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
         ("time runs backwards", "message 901 of 1200", "2.990 s before an earlier one"),
     ),
     "no_such_file": (lambda path: None, ("no file", "check the path")),
-    "empty_folder": (lambda path: path.mkdir(), ("holds nothing", "a rosbag2 folder with .mcap files")),
+    "empty_folder": (lambda path: path.mkdir(), ("holds nothing", "logs, or a rosbag2 folder")),
     "folder_of_videos": (
         lambda path: (path.mkdir(), (path / "flight.mp4").write_bytes(b"x")),
-        ("holds flight.mp4", "a rosbag2 folder with .mcap files"),
+        ("holds flight.mp4", "logs, or a rosbag2 folder"),
     ),
 }
 """Damaged logs that no command takes: how to make each, and what the line must say."""

@@ -180,6 +180,20 @@ def describe_plot(parser: argparse.ArgumentParser) -> None:
     add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
 
 
+def describe_convert(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin convert`."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="a log of any kind, FILE+FILE for several of one flight")
+    parser.add_argument("out", type=Path, metavar="OUT", help="MCAP file to write")
+
+
+def describe_inspect(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin inspect`."""
+    add = parser.add_argument
+    add("logs", type=Path, nargs="+", metavar="LOG", help="logs of any kind, FILE+FILE for several of one flight")
+    add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
+    add("--out", type=Path, help="twin YAML to write with the guesses (default MODEL_twin.yaml)")
+
+
 def describe_layouts(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin layouts`."""
     parser.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
@@ -246,6 +260,9 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
 def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
     parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
+    parser.add_argument(
+        "--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the log leaves no doubt"
+    )
     add_effects(parser)
     add_topic_map(parser)
 
@@ -280,6 +297,8 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentP
     "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),
     "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
     "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
+    "convert": ("write a log of any kind as MCAP", commands.run_convert, describe_convert),
+    "inspect": ("show what is in a log, and guess what it means", commands.run_inspect, describe_inspect),
     "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts, describe_layouts),
     "fly": ("fly a manoeuvre or a policy in a twin and write its log", commands.run_fly, describe_fly),
     "identify": (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,15 +42,27 @@ def run_diagnose(options: argparse.Namespace) -> None:
     """`vpptwin diagnose`."""
     from vpptwin.diagnosis.report.command import diagnose_logs
 
-    given = (options.logs, options.twin, options.out, options.topic_map, options.json, options.effects)
-    diagnose_logs(*given, options.force)
+    given = (options.logs, choose_twin(options, [options.twin])[0], options.out, options.topic_map, options.json)
+    diagnose_logs(*given, options.effects, options.force)
 
 
 def run_compare(options: argparse.Namespace) -> None:
     """`vpptwin compare`."""
     from vpptwin.diagnosis.report.compare import compare_logs
 
-    compare_logs(options.logs, options.twin or ["nominal"], options.json, options.topic_map, options.effects)
+    twins = choose_twin(options, options.twin or ["nominal"])
+    compare_logs(options.logs, twins, options.json, options.topic_map, options.effects)
+
+
+def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[str]:
+    """The twins that are named, or one made for a model."""
+    if options.model is None:
+        return twins
+    if list(twins) != ["nominal"]:
+        raise InputError(f"--twin {twins[0]} and --model {options.model}", "one of them", "leave one out")
+    from vpptwin.estimation.named import make_twin
+
+    return [str(make_twin(options.logs, options.model))]
 
 
 def run_play(options: argparse.Namespace) -> None:
@@ -83,6 +96,24 @@ def run_plot(options: argparse.Namespace) -> None:
     if not options.force:
         check_own([out])
     plot(options.source, options.twin, out, restart, options.theme, options.topic_map, options.effects)
+
+
+def run_convert(options: argparse.Namespace) -> None:
+    """`vpptwin convert`."""
+    from vpptwin.logs.transcribe import list_kept, transcribe
+
+    recording = transcribe(options.log, options.out)
+    for note in (note for file in recording.files for note in file.notes):
+        print(note, file=sys.stderr)
+    kept = list_kept(recording)
+    print(f"{options.out}: {sum(channel.count for channel in kept)} messages on {len(kept)} topics")
+
+
+def run_inspect(options: argparse.Namespace) -> None:
+    """`vpptwin inspect`."""
+    from vpptwin.estimation.inspect import inspect_logs
+
+    inspect_logs(options.logs, options.model, options.out)
 
 
 def run_layouts(options: argparse.Namespace) -> None:

@@ -16,7 +16,8 @@ from vpptwin.logs import Stream, read_flight, write_flight
 from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import decode_channel
 from vpptwin.logs.messages import compose_definition
-from vpptwin.logs.recording import find_files
+from vpptwin.logs.read import read_flights
+from vpptwin.logs.recording import list_flights
 
 MS = 10**6  # ns
 DEMO = Path(__file__).resolve().parents[2] / "demo" / "flights"
@@ -38,15 +39,21 @@ def test_split_files_are_read_as_one(tmp_path: Path, order: int) -> None:
     assert flight.warnings == ()
 
 
-@pytest.mark.parametrize(
-    "metadata", [None, "rosbag2_bagfile_information: {relative_file_paths: [bag_1.mcap]}", "junk: ["]
-)
-def test_folders_are_read(tmp_path: Path, metadata: str | None) -> None:
+@pytest.mark.parametrize("metadata", ["rosbag2_bagfile_information: {relative_file_paths: [bag_1.mcap]}", "junk: ["])
+def test_folders_are_read(tmp_path: Path, metadata: str) -> None:
     """A rosbag2 folder holds the files that its metadata lists, or else all of its .mcap files."""
     split_bag(tmp_path)
-    if metadata:
-        (tmp_path / "metadata.yaml").write_text(metadata)
-    assert len(read_flight(tmp_path).streams["/mocap/pose"]) == (20 if metadata and "bag_1" in metadata else 50)
+    (tmp_path / "metadata.yaml").write_text(metadata)
+    assert len(read_flight(tmp_path).streams["/mocap/pose"]) == (20 if "bag_1" in metadata else 50)
+
+
+def test_a_folder_of_flights_is_a_folder_of_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without metadata.yaml every file is a flight, which a line says; where one is wanted, the line asks for one."""
+    split_bag(tmp_path)
+    assert [len(flight.streams["/mocap/pose"]) for flight in read_flights([tmp_path])] == [30, 20]
+    assert f"{tmp_path} is a folder of 2 flights" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"holds 2 flights; expected one flight here; give one, such as .*bag_0"):
+        read_flight(tmp_path)
 
 
 def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
@@ -210,7 +217,7 @@ def test_bags_of_ros_itself_are_told_apart(shared_data: Path, name: str, part: s
 def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
     """The definition parser and the bulk decoder handle what ROS 2's own tests record."""
     seen = {}
-    for path in find_files(shared_data / "rosbag2"):
+    for path in list_flights(shared_data / "rosbag2"):
         for channel in read_container(path, lambda channel: channel.encoding == "cdr").channels:
             if channel.topic == "topic1":
                 (batch,) = decode_channel(channel, ["float64_value", "uint8_value"])

@@ -22,7 +22,7 @@ from vpptwin.identification.bench import find_levels, read_bench
 from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
 from vpptwin.identification.report import render_page
 from vpptwin.identification.thrust_map import ThrustMap, inflow
-from vpptwin.logs.read import read_flight
+from vpptwin.logs.read import read_flights
 from vpptwin.progress import open_bar, tell_stage
 from vpptwin.terminal import open_console
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -154,7 +154,7 @@ def identify_flights(
     check_out(out)
     spec = load_twin(twin, effects)
     chosen = parse_parameters(spec, parameters)
-    flights = [read_flight(log, topic_map) for log in logs]
+    flights = read_flights(logs, topic_map, spec.robot.signals.entries)
     with open_bar(desc="identify") as bar:
         found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
     origin = trace_origin(sys.argv[1:], spec.name, logs)

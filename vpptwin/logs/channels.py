@@ -14,19 +14,21 @@ AXES = {f"{sign}{name}": (name, -1.0 if sign else 1.0) for name in "xyz" for sig
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column lies in a message: column = scale * field + offset.
+    """Where a column lies in a message: column = scale * polynomial(field) + offset.
 
     Attributes:
         paths: one field, or one field per component.
         scale: one factor, or one per component.
         offset: added after scaling, in the unit of the column.
         axis: for a quaternion, the axis whose rotation angle is read, one of AXES; otherwise None.
+        polynomial: coefficients, that of the constant first; none for the field itself.
     """
 
     paths: tuple[str, ...]
     scale: tuple[float, ...] = (1.0,)
     offset: float = 0.0
     axis: str | None = None
+    polynomial: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

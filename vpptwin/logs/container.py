@@ -55,12 +55,13 @@ class RawChannel:
 
 @dataclass(frozen=True)
 class RawFile:
-    """A file taken apart. profile: of its header; log_time: of its first and last message [ns]."""
+    """A file taken apart. profile: of its header; log_time: of its first and last message [ns]; notes: warnings."""
 
     path: Path
     profile: str
     channels: list[RawChannel]
     log_time: tuple[int, int]
+    notes: list[str] = field(default_factory=list)
 
 
 class _DamageError(Exception):

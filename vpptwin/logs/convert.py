@@ -34,6 +34,8 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
         values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
     else:
         values = read_angle(np.stack([fields[path] for path in list_fields(source)], axis=-1), source.axis)
+    if source.polynomial:
+        values = np.polynomial.polynomial.polyval(values, source.polynomial)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
     values = values * scale
     return values + source.offset if source.offset else values

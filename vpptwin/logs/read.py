@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, is_joint_state, is_spatial
@@ -10,21 +12,25 @@ from vpptwin.logs.check import check_gyro
 from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
 from vpptwin.logs.container import RawChannel
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.recording import PathLike, Recording, open_recording
-from vpptwin.logs.samples import Samples, read_joints, read_samples, read_spatial
+from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
+from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream
+from vpptwin.logs.tables import Wish
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
-from vpptwin.logs.topic_map import TopicMap, load_topic_map
+from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
 
 JointSamples = dict[str, dict[str, Samples]]
 
 
-def read_flight(path: PathLike | Sequence[PathLike], topic_map: PathLike | None = None) -> Flight:
+def read_flight(
+    path: PathLike | Sequence[PathLike], topic_map: PathLike | None = None, signals: SignalEntries | None = None
+) -> Flight:
     """Read a flight log.
 
     Args:
-        path: an .mcap file, a rosbag2 folder, or a list of the split files of one recording.
+        path: a log in any format of docs/logs.md, a rosbag2 folder, or a list of the files of one recording.
         topic_map: YAML file for logs with other topics, types or units (docs/logs.md).
+        signals: where a twin says that joints and actuators lie, `Signals.entries`.
 
     Returns:
         All topics of SPEC 3 that have messages, and all joints of all JointState topics.
@@ -32,27 +38,52 @@ def read_flight(path: PathLike | Sequence[PathLike], topic_map: PathLike | None 
     Raises:
         InputError: if the log is damaged, is no ROS 2 log, or holds values that cannot be right.
     """
-    topics = load_topic_map(topic_map)
-    sources = {route.topic for route in topics.routes.values()}
+    topics = load_topic_map(topic_map, signals)
+    sources = {slash(route.topic) for route in topics.list_routes()}
 
     def is_wanted(channel: RawChannel) -> bool:
-        named = channel.topic in sources or channel.topic in topics.joints
+        named = slash(channel.topic) in sources or channel.topic in topics.joints
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
-    recording = open_recording(path, is_wanted)
-    warnings: list[str] = []
+    recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps()))
+    warnings: list[str] = [note for file in recording.files for note in file.notes]
     samples = _read_table_topics(recording, topics, warnings)
     joints = _read_joint_topics(recording, topics, warnings)
     spatial = _read_spatial_topics(recording, topics, warnings)
+    for route in topics.named:
+        found = read_named(recording, route, warnings)
+        if len(found.stamp):
+            joints.setdefault(route.canonical, {})[route.name] = _order_samples(recording, found, warnings)
     return _assemble_flight(recording, topics, samples, joints, spatial, warnings)
+
+
+def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
+    """Logs, a folder or a data set given as the flights in it, which a line on standard error says."""
+    found: list[Path] = []
+    for path in paths:
+        within = list_flights(path)
+        if len(within) > 1:
+            print(f"{path} is a folder of {len(within)} flights", file=sys.stderr)
+        found += within
+    return found
+
+
+def read_flights(
+    paths: Sequence[PathLike], topic_map: PathLike | None = None, signals: SignalEntries | None = None
+) -> list[Flight]:
+    """Read logs, one a flight; a folder or a data set stands for the flights in it, which a line on stderr says.
+
+    Raises:
+        InputError: see `read_flight`.
+    """
+    return [read_flight(log, topic_map, signals) for log in expand_logs(paths)]
 
 
 def _read_table_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
     """Canonical topic -> samples in order of time, for those that have messages."""
-    present = recording.list_topics()
     samples = {}
     for canonical, route in topics.routes.items():
-        if route.topic in present:
+        if recording.find_topic(route.topic) is not None:
             found = read_samples(recording, route)
             if len(found.stamp):
                 samples[canonical] = _order_samples(recording, found, warnings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,24 +12,38 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
 from vpptwin.errors import InputError, check_name
+from vpptwin.fields import Stamp
+from vpptwin.logs.bags import read_bag
+from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
 from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
+from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
+from vpptwin.logs.tables import Table, Wish, find_field, name_topic, pack_tables
+from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.plain import read_yaml
 
 PathLike = str | os.PathLike[str]
-_EXPECTED = "a flight log in MCAP (ros2 profile, CDR messages)"
+TableReader = Callable[[Path, Stamp | None, list[str]], Iterator[Table]]
+_EXPECTED = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
 _SIGNATURES = {
     b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
-    b"#ROSBAG": ("a ROS 1 bag", "convert it with `rosbags-convert`, or record with ROS 2"),
-    b"SQLite format 3": ("a rosbag2 SQLite file", "convert it with `ros2 bag convert` to storage mcap"),
     b"\x28\xb5\x2f\xfd": ("zstd-compressed as a whole", "decompress it with `zstd -d`"),
-    b"\x1f\x8b": ("gzip-compressed", "decompress it with `gunzip`"),
     b"PK\x03\x04": ("a ZIP archive", "unpack it and give the .mcap file inside"),
     b"\x7fELF": ("a program", "give a log"),
     b"\x89HDF": ("an HDF5 file", "convert it to MCAP"),
-    b"ULog": ("a PX4 ULog", "convert it to MCAP"),
 }
+_TABLES: dict[str, TableReader] = {
+    "csv": read_csv, "parquet": read_parquet, "lerobot": read_lerobot, "ulog": read_ulog,
+    "dataflash": read_dataflash, "usd": read_usd,
+}  # fmt: skip
+"""Logs of other kinds: what reads them as named columns over time."""
+_BEGINNINGS = {
+    b"PAR1": "parquet", b"ULog": "ulog", b"\xa3\x95": "dataflash",
+    b"#ROSBAG": "bag", b"SQLite format 3": "bag", b"\x1f\x8b": "csv",
+}  # fmt: skip
+_ENDINGS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
+_LOGS = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ENDINGS)
 
 
 @dataclass(frozen=True)
@@ -38,6 +52,11 @@ class Recording:
 
     path: Path
     files: tuple[RawFile, ...]
+
+    def find_topic(self, topic: str) -> str | None:
+        """A topic's name in the log, of which people leave out the slash; None if it lacks it."""
+        present = self.list_topics()
+        return next((name for name in (topic, f"/{topic}", topic.removeprefix("/")) if name in present), None)
 
     def list_topics(self) -> dict[str, str]:
         """Topic -> message type, of all channels."""
@@ -60,7 +79,8 @@ class Recording:
 
     def _find_channels(self, topic: str) -> list[tuple[int, RawChannel]]:
         """Channels of a topic, each with the position of its file."""
-        return [(i, c) for i, file in enumerate(self.files) for c in file.channels if c.topic == topic]
+        name = self.find_topic(topic)
+        return [(i, c) for i, file in enumerate(self.files) for c in file.channels if c.topic == name]
 
     def decode(self, topic: str, paths: Sequence[str], texts: Sequence[str] = ()) -> list[Batch]:
         """Decode fields of all messages of a topic.
@@ -79,9 +99,11 @@ class Recording:
         batches = []
         for index, channel in self._find_channels(topic):
             refuse_encoding(self.path, [channel])
+            names = {path: find_field(channel, path) for path in paths}
             try:
-                for batch in decode_channel(channel, paths, texts):
-                    batches.append(Batch(batch.number + (index << 40), batch.log_time, batch.values, batch.texts))
+                for batch in decode_channel(channel, list(names.values()), texts):
+                    values = {path: batch.values[name] for path, name in names.items()}
+                    batches.append(Batch(batch.number + (index << 40), batch.log_time, values, batch.texts))
             except DecodeError as error:
                 raise InputError(
                     f"{self.path}: {topic} ({channel.message_type}) has {error}",
@@ -91,14 +113,14 @@ class Recording:
         return batches
 
 
-def open_recording(path: PathLike | Sequence[PathLike], wanted: Callable[[RawChannel], bool]) -> Recording:
-    """Read the raw messages of a recording (file, rosbag2 folder or list of files) on the channels `wanted`.
+def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
+    """Read the raw messages of a recording (file, rosbag2 folder or list of files) as far as wanted.
 
     Raises:
-        InputError: if there is no such file, or it is no MCAP file with ROS 2 messages.
+        InputError: if there is no such file, it is no log of a kind that is read, or damaged.
     """
     paths = find_files(path)
-    files = [_read_file(file, wanted) for file in paths]
+    files = [_read_file(file, wish) for file in paths]
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
@@ -126,30 +148,63 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
 
 
 def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
-    """Files of a recording that is a file, a rosbag2 folder, or a list of files.
+    """Files of one recording that is a file, a rosbag2 folder, or a list of files.
 
     Raises:
-        InputError: if there are none.
+        InputError: if there are none, or a folder holds several flights.
     """
     if not isinstance(path, str | os.PathLike):
         if not path:
-            raise InputError("no log given", _EXPECTED, "name at least one .mcap file")
+            raise InputError("no log given", _EXPECTED, "name at least one file")
         return [file for item in path for file in find_files(item)]
     given = Path(path)
+    if is_episode(given):
+        return [given]
     if not given.exists():
+        if "+" in str(given):
+            return find_files(str(given).split("+"))
         raise InputError(f"no file {given}", _EXPECTED, "check the path")
     if not given.is_dir():
         return [given]
+    if not (given / "metadata.yaml").exists():
+        within = list_flights(given)
+        if len(within) > 1:
+            action = f"give one, such as {within[0]}"
+            raise InputError(f"folder {given} holds {len(within)} flights", "one flight here", action)
+        return find_files(within[0])
     listed = _read_metadata(given)
-    found = [given / name for name in listed] if listed else sorted(given.glob("*.mcap"))
+    if not listed:
+        raise InputError(f"{given} with a metadata.yaml that names none of its files", "a rosbag2 folder", "remove it")
+    for name in listed:
+        if not (given / name).exists():
+            absent = f"{given}/metadata.yaml names {name}, which is missing"
+            raise InputError(absent, "all files of the recording", "copy it")
+    return [given / name for name in listed]
+
+
+def list_flights(path: PathLike) -> list[Path]:
+    """The flights that a path stands for: a file or a rosbag2 folder is one, in other folders every log is one.
+
+    Raises:
+        InputError: if a folder holds no log.
+    """
+    given = Path(path)
+    if not given.is_dir() or (given / "metadata.yaml").exists():
+        return [given]
+    if is_lerobot(given):
+        return list_episodes(given)
+    found = sorted(item for item in given.iterdir() if item.is_file() and item.name.lower().endswith(_LOGS))
+    found += sorted(item for item in given.iterdir() if item.is_dir() and (item / "metadata.yaml").exists())
     if not found:
         held = ", ".join(sorted(item.name for item in given.iterdir())[:5]) or "nothing"
-        raise InputError(f"folder {given} holds {held}", "a rosbag2 folder with .mcap files", "give an .mcap file")
-    for file in found:
-        if not file.exists():
-            absent = f"{given}/metadata.yaml names {file.name}, which is missing"
-            raise InputError(absent, "all files of the recording", "copy it")
+        raise InputError(f"folder {given} holds {held}", "logs, or a rosbag2 folder", "give a log")
     return found
+
+
+def is_episode(path: Path) -> bool:
+    """Whether a path is FOLDER#EPISODE of a LeRobot data set."""
+    folder, mark, number = str(path).rpartition("#")
+    return bool(mark) and number.isdigit() and not path.exists() and is_lerobot(Path(folder))
 
 
 def _read_metadata(folder: Path) -> list[str]:
@@ -157,26 +212,46 @@ def _read_metadata(folder: Path) -> list[str]:
         content = read_yaml(folder / "metadata.yaml")
         return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
-        return []  # the folder speaks for itself
+        return sorted(file.name for file in folder.iterdir() if file.suffix in (".mcap", ".db3"))
 
 
-def _read_file(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
+def _read_file(path: Path, wish: Wish) -> RawFile:
     check_name(str(path))
     try:
-        with path.open("rb") as file:
+        with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
             start = file.read(64)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})", _EXPECTED, "check its permissions") from None
     if not start:
         advice = "check that the recorder was stopped properly, and record again"
         raise InputError(f"{path} is empty (0 bytes)", _EXPECTED, advice)
+    kind = find_kind(path, start)
+    if kind == "bag":
+        return read_bag(path, wish)
+    if kind is not None:
+        notes: list[str] = []
+        stamp = wish.stamps.get("/episode" if kind == "lerobot" else name_topic(path))
+        return pack_tables(path, _TABLES[kind](path, stamp, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
-    raw = read_container(path, wanted)
+    raw = read_container(path, wish.channel)
     if raw.profile not in ("ros2", ""):
         found = f"{path} has the MCAP profile '{raw.profile}'"
         raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")
     return raw
+
+
+def find_kind(path: Path, start: bytes) -> str | None:
+    """Which kind of log a file is that begins so, None for MCAP and for what is none."""
+    if is_episode(path):
+        return "lerobot"
+    for beginning, kind in _BEGINNINGS.items():
+        if start.startswith(beginning):
+            return kind
+    if start[:1] == b"\xbc" and start[2:3] == b"\0":
+        return "usd"
+    text = path.name.lower().endswith(_ENDINGS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))
+    return "csv" if text else None
 
 
 def _refuse_foreign(path: Path, start: bytes) -> InputError:

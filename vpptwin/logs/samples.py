@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vpptwin.errors import InputError, escape_text
+from vpptwin.fields import NANOSECONDS, Stamp
 from vpptwin.logs.channels import JOINT_COLUMNS, SPATIAL, Column
-from vpptwin.logs.convert import list_fields
+from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
-from vpptwin.logs.topic_map import LOG_TIME, NANOSECONDS, Route, Stamp
+from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
 
 MOST_NS = 2.0**62
 
@@ -36,6 +37,8 @@ class Samples:
 
     def take(self, rows: np.ndarray) -> Samples:
         """Samples of these rows, in this order."""
+        if len(rows) == len(self.stamp) and (rows == np.arange(len(rows))).all():
+            return self
         fields = {path: values[rows] for path, values in self.fields.items()}
         return Samples(self.label, self.stamp[rows], self.log_time[rows], fields, self.columns)
 
@@ -51,15 +54,55 @@ def read_samples(recording: Recording, route: Route) -> Samples:
     except InputError as error:
         raise InputError(f"{recording.path}: {error.found}", error.expected, error.action) from None
     paths = [path for column in columns for path in list_fields(column.source)]
-    stamp_paths = _list_stamp_fields(route.stamp)
-    batches = recording.decode(route.topic, [*stamp_paths, *paths])
+    return replace(read_fields(recording, route.topic, route.stamp, paths, route.channel.topic), columns=columns)
+
+
+def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str], label: str) -> Samples:
+    """These fields of all messages of a topic, in record order.
+
+    Raises:
+        InputError: if messages do not decode, or stamps are no times.
+    """
+    stamp_paths = _list_stamp_fields(clock)
+    batches = recording.decode(topic, [*stamp_paths, *paths])
     if not batches:
-        return Samples(route.channel.topic, np.zeros(0, np.int64), np.zeros(0, np.int64), {}, columns)
-    order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
-    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in (*stamp_paths, *paths)}
-    log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
-    stamp = _read_stamps(f"{recording.path}: {route.topic}", route.stamp, fields, log_time)
-    return Samples(route.channel.topic, stamp, log_time, fields, columns)
+        return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
+    number = np.concatenate([batch.number for batch in batches])
+    order = slice(None) if (number[1:] > number[:-1]).all() else np.argsort(number, kind="stable")
+    del number  # logs of gigabytes leave no room for what is not needed any more
+    log_time = np.concatenate([batch.log_time for batch in batches])[order].view(np.int64)
+    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in stamp_paths}
+    stamp = _read_stamps(f"{recording.path}: {topic}", clock, fields, log_time)
+    wanted = {
+        path: np.concatenate([batch.values.pop(path) for batch in batches])[order] for path in dict.fromkeys(paths)
+    }
+    return Samples(label, stamp, log_time, wanted)
+
+
+def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
+    """Read a joint or actuator out of fields; rows in which one of them holds no number are no samples of it.
+
+    Raises:
+        InputError: if the log lacks the topic or a field, or a field is none of numbers.
+    """
+    if recording.find_topic(route.topic) is None:
+        lacking = f"{recording.path} lacks topic {route.topic}, which {route.name} is mapped to"
+        listed = ", ".join(recording.list_topics())
+        raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
+    label = f"{route.canonical} {escape_text(route.name)}"
+    paths = [path for source in route.sources.values() for path in list_fields(source)]
+    found = read_fields(recording, route.topic, route.stamp, paths, label)
+    values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
+    for column, data in values.items():
+        if data.ndim != 1:
+            path = route.sources[column].paths[0]
+            raise InputError(f"{recording.path}: {route.topic} {path} is a list", "a number", f"name {path}[0], say")
+        if route.sources[column].axis is not None:
+            values[column] = np.unwrap(data)
+    empty = np.any([np.isnan(data) for data in values.values()], axis=0)
+    if empty.any():
+        warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
+    return replace(found, fields=values).take(np.flatnonzero(~empty))
 
 
 def _list_stamp_fields(stamp: Stamp) -> list[str]:
@@ -84,6 +127,8 @@ def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_ti
 
 def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
     """Values (n,) in units of `factor` ns as whole ns."""
+    if values.dtype.kind != "f" and max(abs(int(values.min())), abs(int(values.max()))) < MOST_NS / factor:
+        return values.astype(np.int64) * factor
     wrong = ~(np.abs(values.astype(float)) < MOST_NS / factor)
     if wrong.any():
         found = (

@@ -3,59 +3,26 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from vpptwin.errors import InputError
-from vpptwin.logs.channels import AXES, CHANNELS, JOINT_TOPICS, Channel, Column, Source
+from vpptwin.fields import FieldEntry, SignalEntry, Stamp, TopicEntry, text_as
+from vpptwin.logs.channels import AXES, CHANNELS, JOINT_COLUMNS, JOINT_TOPICS, Channel, Column, Source
 from vpptwin.logs.messages import shorten_type
 from vpptwin.plain import read_yaml
 
 LOG_TIME = "log_time"
-NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _EXAMPLE = "/imu/data: {topic: /mavros/imu, fields: {rate: {path: angular_velocity.y, scale: -1.0}}}"
+_EXAMPLE_JOINT = "/joint_states: {names: {elbow: {topic: /state, position: {path: 'q[2]', unit: deg}}}}"
 
 
-@dataclass(frozen=True)
-class Stamp:
-    """Where a message's time lies: a field of type Time, a number in `unit`, or the log time."""
-
-    path: str = "header.stamp"
-    unit: str | None = None
-
-
-def _text_as(key: str) -> BeforeValidator:
-    """A text alone stands for an entry with this key only."""
-    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
-
-
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _FieldEntry(_Entry):
-    path: str | list[str]
-    scale: float | list[float] = 1.0
-    offset: float = 0.0
-    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-
-
-class _StampEntry(_Entry):
-    path: str
-    unit: Literal["s", "ms", "us", "ns"] | None = None
-
-
-class _TopicEntry(_Entry):
-    topic: str
-    fields: dict[str, Annotated[_FieldEntry, _text_as("path")]] = Field(default_factory=dict)
-    stamp: Annotated[_StampEntry, _text_as("path")] = _StampEntry(path="header.stamp")
-
-
-_Document = TypeAdapter(dict[str, Annotated[_TopicEntry, _text_as("topic")]])
+_Document = TypeAdapter(dict[str, Annotated[TopicEntry, text_as("topic")]])
 
 
 @dataclass(frozen=True)
@@ -100,45 +67,117 @@ class Route:
 
 
 @dataclass(frozen=True)
+class JointRoute:
+    """How one joint or actuator is recorded in a log, in fields of any topic.
+
+    Attributes:
+        canonical: JointState topic that it is read as.
+        name: of the joint or actuator.
+        topic: in the log.
+        sources: position, velocity, effort -> where it lies.
+        stamp: where the time lies.
+    """
+
+    canonical: str
+    name: str
+    topic: str
+    sources: dict[str, Source]
+    stamp: Stamp
+
+
+SignalEntries = Mapping[str, Mapping[str, SignalEntry]]
+
+
+@dataclass(frozen=True)
 class TopicMap:
-    """routes: canonical topic -> route, for all of SPEC 3. joints: JointState topic in the log -> canonical name."""
+    """What is where.
+
+    Attributes:
+        routes: canonical topic -> route, for all of SPEC 3.
+        joints: JointState topic in the log -> canonical name.
+        named: joints and actuators out of fields.
+    """
 
     routes: dict[str, Route]
     joints: dict[str, str]
+    named: tuple[JointRoute, ...] = ()
+
+    def list_routes(self) -> list[Route | JointRoute]:
+        """All routes."""
+        return [*self.routes.values(), *self.named]
+
+    def list_fields(self) -> dict[str, set[str]]:
+        """Topic in the log -> the fields of it that are read, for topics of other types than ours."""
+        wanted: dict[str, set[str]] = {}
+        for route in self.list_routes():
+            if route.sources:
+                paths = [path for source in route.sources.values() for path in source.paths]
+                wanted.setdefault(slash(route.topic), set()).update(paths, [route.stamp.path])
+        return wanted
+
+    def list_stamps(self) -> dict[str, Stamp]:
+        """Topic in the log -> where its time lies, where that is said."""
+        named = {slash(route.topic): route.stamp for route in self.list_routes()}
+        return {topic: stamp for topic, stamp in named.items() if stamp.unit is not None}
 
 
-def load_topic_map(path: str | os.PathLike[str] | None) -> TopicMap:
+def slash(topic: str) -> str:
+    """The topic with the slash that people leave out."""
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries | None = None) -> TopicMap:
     """Read a topic map; topics that it leaves out keep their names.
 
     Args:
         path: YAML file, or None for the names of SPEC 3.
+        signals: JointState topic -> name -> the fields that a twin names for it.
 
     Raises:
         InputError: naming the key that is wrong.
     """
     routes = {topic: Route(channel, topic, {}, Stamp()) for topic, channel in CHANNELS.items()}
     joints: dict[str, str] = {}
+    named = {(topic, name): ("", entry) for topic, names in (signals or {}).items() for name, entry in names.items()}
     for canonical, entry in _read_document(Path(path)).items() if path is not None else ():
         where = f"{path}: {canonical}"
         if canonical in JOINT_TOPICS:
             if entry.fields:
                 expected = "only a topic, as JointState names its joints itself"
                 raise InputError(f"{where}.fields", expected, "remove the fields")
-            joints[entry.topic] = canonical
+            if bool(entry.names) == bool(entry.topic):
+                raise InputError(where, "a topic, or names of joints with their fields", f"write {_EXAMPLE_JOINT}")
+            if entry.topic:
+                joints[entry.topic] = canonical
+            named |= {(canonical, name): (f"{where}.names.{name}: ", item) for name, item in entry.names.items()}
         elif canonical in CHANNELS:
+            if not entry.topic or entry.names:
+                raise InputError(where, f"an entry like {_EXAMPLE}", "name the topic in the log")
             channel = CHANNELS[canonical]
             given = entry.fields.items()
             sources = {name: _build_source(f"{where}.fields.{name}", channel, name, item) for name, item in given}
-            stamp = Stamp(entry.stamp.path, entry.stamp.unit)
+            stamp = entry.stamp
             routes[canonical] = Route(channel, entry.topic, sources, stamp, str(path))
         else:
             raise InputError(f"{where}", f"one of {', '.join((*CHANNELS, *JOINT_TOPICS))} as key", "correct the key")
-    named = {route.topic for route in routes.values() if route.origin}
-    routes = {topic: route for topic, route in routes.items() if route.origin or route.topic not in named}
-    return TopicMap(routes, joints)
+    taken = {route.topic for route in routes.values() if route.origin}
+    routes = {topic: route for topic, route in routes.items() if route.origin or route.topic not in taken}
+    return TopicMap(routes, joints, tuple(_build_joint(*key, *item) for key, item in named.items()))
 
 
-def _read_document(path: Path) -> dict[str, _TopicEntry]:
+def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> JointRoute:
+    given = {column: getattr(entry, column) for column in JOINT_COLUMNS if getattr(entry, column) is not None}
+    if not given:
+        raise InputError(f"{where}{name} on {entry.topic} without fields", " or ".join(JOINT_COLUMNS), "name one")
+    sources = {}
+    for column, item in given.items():
+        if not isinstance(item.path, str) or len(item.factors) > 1:
+            raise InputError(f"{where}{name}.{column}: several fields or factors", "one", "name one field")
+        sources[column] = Source((item.path,), item.factors, item.offset, item.axis, tuple(item.polynomial))
+    return JointRoute(canonical, name, slash(entry.topic), sources, entry.stamp)
+
+
+def _read_document(path: Path) -> dict[str, TopicEntry]:
     try:
         content = read_yaml(path)
     except FileNotFoundError:
@@ -157,13 +196,13 @@ def _read_document(path: Path) -> dict[str, _TopicEntry]:
         raise InputError(f"{path}: {key}: {first['msg']}", f"an entry like {_EXAMPLE}", "correct this key") from None
 
 
-def _build_source(where: str, channel: Channel, name: str, entry: _FieldEntry) -> Source:
+def _build_source(where: str, channel: Channel, name: str, entry: FieldEntry) -> Source:
     columns = {column.name: column for column in channel.columns}
     if name not in columns:
         raise InputError(f"{where}", f"one of the columns {', '.join(columns)}", "correct the key")
     column = columns[name]
     paths = (entry.path,) if isinstance(entry.path, str) else tuple(entry.path)
-    scale = (entry.scale,) if isinstance(entry.scale, float) else tuple(entry.scale)
+    scale = entry.factors
     if len(paths) not in (1, column.width):
         raise InputError(f"{where}.path: {len(paths)} fields", f"1 or {column.width}", "name one field per component")
     if len(scale) not in (1, column.width):
@@ -175,4 +214,4 @@ def _build_source(where: str, channel: Channel, name: str, entry: _FieldEntry) -
     if axis is not None and column.source.axis is None:
         action = f"remove it; axes {', '.join(AXES)} are for theta"
         raise InputError(f"{where}.axis", f"no axis, as {name} is no angle", action)
-    return Source(paths, scale, entry.offset, axis)
+    return Source(paths, scale, entry.offset, axis, tuple(entry.polynomial))

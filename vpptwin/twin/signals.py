@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vpptwin.errors import InputError
+from vpptwin.fields import SignalEntry, dump_entry
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.model import find_free, free_bodies
+
+SIGNAL_TOPICS = {"joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command"}
+"""Where joints and actuators are read that a twin makes of fields of other topics."""
 
 
 class Signals(BaseModel):
     """Topics that carry a rig's joints, free bodies, IMUs and control inputs, by MJCF name.
 
     Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
-    question. Bodies are those that fly or float; sites those where an IMU sits on one.
+    question. Bodies are those that fly or float; sites those where an IMU sits on one. Instead of a JointState topic a
+    YAML may name fields of any topic, which come to lie in `entries`: topic that they are read as → name → where they
+    are.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -24,6 +32,32 @@ class Signals(BaseModel):
     sites: dict[str, str] = {}
     actuators: dict[str, str] = {}
     driven: dict[str, str] = {}
+    entries: dict[str, dict[str, SignalEntry]] = Field(default_factory=dict, exclude=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def split_entries(cls, given: Any) -> Any:  # noqa: ANN401
+        """Part the names of topics from the entries of fields."""
+        if not isinstance(given, dict):
+            return given
+        split: dict[str, Any] = dict(given)
+        entries: dict[str, dict[str, Any]] = {}
+        for group, topic in SIGNAL_TOPICS.items():
+            signals = given.get(group)
+            if isinstance(signals, dict):
+                fields = {name: entry for name, entry in signals.items() if isinstance(entry, dict)}
+                entries.setdefault(topic, {}).update(fields)
+                split[group] = {**signals, **dict.fromkeys(fields, topic)}
+        return {**split, "entries": {topic: names for topic, names in entries.items() if names}}
+
+    def as_dict(self) -> dict[str, dict[str, Any]]:
+        """What a twin YAML says."""
+        content = self.model_dump(exclude_defaults=True)
+        for group, topic in SIGNAL_TOPICS.items():
+            entries = self.entries.get(topic, {})
+            if group in content:
+                content[group] = {n: dump_entry(entries[n]) if n in entries else t for n, t in content[group].items()}
+        return content
 
 
 NO_SIGNALS = Signals()

@@ -57,7 +57,7 @@ def read_both(
     if restart is not None and not restart > 0.0:
         raise InputError(f"--restart {restart:g}", "seconds above 0", "use --free for a twin that is never restarted")
     spec = load_twin(twin or "nominal", effects)
-    flight = read_flight(list(logs), topic_map)
+    flight = read_flight(list(logs), topic_map, spec.robot.signals.entries)
     if twin is None:
         check_craft(flight)
     prediction = None if twin is None else replay(spec, flight, restart)

@@ -8,8 +8,10 @@ from pathlib import Path
 from vpptwin.diagnosis.report.export import name_files
 from vpptwin.diagnosis.report.output import check_target, give_json, stage_results
 from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, diagnose, list_stale
+from vpptwin.diagnosis.report.sources import list_logs
 from vpptwin.diagnosis.report.terminal import print_summary
 from vpptwin.files import STDOUT
+from vpptwin.logs.flight import Flight
 
 
 def diagnose_logs(
@@ -32,9 +34,10 @@ def diagnose_logs(
     """
     if json is not None:
         check_target(json)
-    files = [VERDICT, REPORT, TWIN, *name_files(logs)]
+    flown = list_logs(logs)
+    files = [VERDICT, REPORT, TWIN, *name_files([Path(log) for log in flown if not isinstance(log, Flight)])]
     with stage_results(out, files, list_stale(out), force) as folder:
-        result = diagnose(logs, twin, topic_map, effects)
+        result = diagnose(flown, twin, topic_map, effects)
         result.write(folder, out)
     if json is not None:
         give_json(result.verdict.as_dict(), json)

@@ -15,7 +15,7 @@ from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.diagnosis.report.output import check_target, give_json
-from vpptwin.diagnosis.report.sources import Log, open_flights, open_twin
+from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.diagnosis.report.summary import SHOWN_HORIZON
 from vpptwin.diagnosis.report.terminal import print_beside, print_errors
 from vpptwin.errors import InputError
@@ -102,8 +102,12 @@ def compare(
     given = [twins] if isinstance(twins, (str, PathLike, TwinSpec)) else list(twins)
     if not given:
         raise InputError("no twins", "at least one", "name one")
-    specs, flights = [open_twin(twin, effects) for twin in given], open_flights(logs, topic_map)
-    return Comparison([str(flight.path) for flight in flights], [score_twin(spec, flights, progress) for spec in specs])
+    specs, listed = [open_twin(twin, effects) for twin in given], list_logs(logs)
+    scored = []
+    for spec in specs:
+        flights = open_flights(listed, topic_map, spec.robot.signals.entries)
+        scored.append(score_twin(spec, flights, progress))
+    return Comparison([str(flight.path) for flight in flights], scored)
 
 
 def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Scored:

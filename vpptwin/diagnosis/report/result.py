@@ -143,7 +143,8 @@ def diagnose(
     Raises:
         InputError: on bad logs or a bad twin.
     """
-    spec, flights = open_twin(twin, effects), open_flights(logs, topic_map)
+    spec = open_twin(twin, effects)
+    flights = open_flights(logs, topic_map, spec.robot.signals.entries)
     arguments = ["diagnose", *(str(flight.path) for flight in flights), "--twin", spec.name]
     arguments += ["--topic-map", str(topic_map)] if topic_map is not None else []
     arguments += [part for file in effects for part in ("--effects", str(file))]

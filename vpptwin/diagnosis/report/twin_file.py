@@ -55,7 +55,7 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
     if spec.controller != "map":
         content["controller"] = spec.controller
     if spec.robot.signals != NO_SIGNALS:
-        content["signals"] = spec.robot.signals.model_dump(exclude_defaults=True)
+        content["signals"] = spec.robot.signals.as_dict()
     return content
 
 

@@ -1,0 +1,230 @@
+"""`vpptwin inspect`: what it says of real logs, scored; what contradicts physics is told, never taken."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from vpptwin.cli import main
+from vpptwin.estimation.free_body import tell_body
+from vpptwin.estimation.guess import Guess, guess_signals
+from vpptwin.estimation.inspect import ask
+from vpptwin.logs.survey import survey
+from vpptwin.twin import load_twin
+
+ROOT = Path(__file__).resolve().parents[2]
+SO_ARM = {
+    "Rotation": (-2.2, 2.2), "Pitch": (-3.14158, 0.2), "Elbow": (0.0, 3.14158), "Wrist_Pitch": (-2.0, 1.8),
+    "Wrist_Roll": (-3.14158, 3.14158), "Jaw": (-0.2, 2.0),
+}  # fmt: skip
+"""Joints of the menagerie's trs_so_arm100 and their ranges [rad]."""
+
+
+def write_model(path: Path, joints: dict[str, tuple[float, float] | None], kind: str, slide: bool = False) -> Path:
+    """A chain of hinges or slides, each with an actuator of its name."""
+    body = "".join(
+        f"<body pos='0 0 0.1'><inertial pos='0 0 0' mass='0.1' diaginertia='1e-4 1e-4 1e-4'/><joint name='{name}' "
+        f"type='{'slide' if slide else 'hinge'}' axis='0 1 0'" + (f" range='{r[0]} {r[1]}'/>" if r else "/>")
+        for name, r in joints.items()
+    )
+    drive = "".join(f"<{kind} name='{name}' joint='{name}'/>" for name in joints)
+    text = (
+        f"<compiler angle='radian'/><worldbody>{body}{'</body>' * len(joints)}</worldbody><actuator>{drive}</actuator>"
+    )
+    path.write_text(f"<mujoco>{text}</mujoco>")
+    return path
+
+
+def score(guesses: list[Guess], truth: Callable[[Guess, str], str]) -> tuple[int, int, int]:
+    """Right, asked and wrong fields; `truth` gives the field of a joint's or actuator's quantity."""
+    count = [0, 0, 0]
+    for guess in guesses:
+        for quantity in ("position", "velocity") if guess.group == "joints" else ("effort",):
+            found = guess.fields.get(quantity)
+            if not guess.sure or found is None:
+                count[1] += 1
+            else:
+                good = (found.name or found.field) == truth(guess, quantity)
+                count[0 if good else 2] += 1
+    return count[0], count[1], count[2]
+
+
+def know_so101(guess: Guess, quantity: str) -> str:
+    """positions[k] and velocities[k] of joint k, positions[k] of control for servo k."""
+    place = list(SO_ARM).index(guess.target)
+    return f"{'velocities' if quantity == 'velocity' else 'positions'}[{place}]"
+
+
+def know_double(guess: Guess, quantity: str) -> str:
+    """Column 1 of the shoulder, 2 of the elbow."""
+    stem = {"position": "pos_meas", "velocity": "vel_meas", "effort": "tau_con"}[quantity]
+    return f"{stem}{1 if guess.target.startswith('shoulder') else 2}"
+
+
+SCORES = {
+    "so101": ("*/control.csv", None, know_so101),
+    "double_pendulum": ("*.csv", "double_pendulum/double_pendulum.xml", know_double),
+    "simple_pendulum": ("*.csv", "simple_pendulum/pendulum.xml",
+                        lambda guess, quantity: "torque" if quantity == "effort" else quantity),
+    "antx": ("*.mcap", "antx/antx.xml", lambda guess, quantity: guess.target),
+}  # fmt: skip
+
+
+def read_table() -> dict[str, tuple[int, ...]]:
+    """Log → right, asked, wrong, as docs/logs.md says."""
+    text = (ROOT / "docs/logs.md").read_text()
+    rows = re.findall(r"^\| (\w+) \| \d+ \| (\d+) \| (\d+) \| (\d+) \|", text, flags=re.MULTILINE)
+    return {name: tuple(map(int, numbers)) for name, *numbers in rows}
+
+
+@pytest.mark.parametrize("name", SCORES)
+def test_guesses_of_real_rigs_are_never_wrong(shared_data: Path, tmp_path: Path, name: str) -> None:
+    """Right or asked, as often as the table in docs/logs.md says."""
+    pattern, model, truth = SCORES[name]
+    path = ROOT / "examples" / model if model else write_model(tmp_path / "arm.xml", dict(SO_ARM), "position")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    total = np.zeros(3, dtype=int)
+    for log in sorted((shared_data / name).glob(pattern)):
+        joined = f"{log}+{log.with_name('state_motor.csv')}" if name == "so101" else log
+        total += score(guess_signals(compiled, survey(joined)[1]), truth)
+    assert total[2] == 0
+    assert tuple(total) == read_table()[name]
+
+
+TRUE_OF_BODIES = (
+    r"attitude: /\S+ (att_stateestimate_)?qx, y, z, w is a quaternion", r"position: /\S+ px, y, z, velocity vx, vy, vz",
+    r"position: /\S+ (est_)?stateestimate[_.]x, y, z, velocity (est_)?stateestimate[_.]vx",
+    r"angles: /\S+ roll, pitch, yaw in rad; ", r"accelerometer: /\S+ imu_acc_x, .* in g$",
+    r"gyro: /\S+ imu_gyro_x, y, z in rad/s",
+    r"angles: /\S+ att_stateestimate_roll, pitch, yaw in deg, pitch with the other sign",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "pattern"), [("nanobench", "*.csv.gz"), ("crazypad", "*/E9_log*")])
+def test_guesses_of_flying_bodies_are_never_wrong(shared_data: Path, name: str, pattern: str) -> None:
+    """Attitude, position, angles, gyro and accelerometer of a Crazyflie, with their units and signs."""
+    total = [0, 0, 0]
+    for log in sorted((shared_data / name).glob(pattern)):
+        for line, sure in tell_body("cf2", survey(log)[1]):
+            good = any(re.match(rf"cf2 {known}", line) for known in TRUE_OF_BODIES)
+            total[(0 if good else 2) if sure else 1] += 1
+    assert total[2] == 0
+    assert tuple(total) == read_table()[name]
+
+
+def write_log(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    """A CSV."""
+    rows = np.column_stack(list(columns.values()))
+    path.write_text("\n".join([",".join(columns), *(",".join(f"{v:.6f}" for v in row) for row in rows)]) + "\n")
+    return path
+
+
+TIME = np.arange(0.0, 20.0, 0.01)
+SWING, RATE = 0.8 * np.sin(2.0 * TIME), 1.6 * np.cos(2.0 * TIME)
+DELAYED = np.interp(TIME - 0.08, TIME, SWING)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sure", "parts"),
+    [
+        ({"arm_pos": SWING, "arm_vel": RATE}, True, ["arm_vel is 1.00 of the slope of arm_pos (r 1.00)"]),
+        ({"arm_pos": SWING, "arm_vel [deg/s]": np.rad2deg(RATE)}, True, ["arm_vel is in deg/s", "is 1.00 of"]),
+        ({"arm_pos [deg]": np.rad2deg(SWING), "arm_vel": RATE}, True, ["arm_pos is in deg", "is 1.00 of the slope"]),
+        ({"arm_pos": SWING, "arm_vel": np.rad2deg(RATE)}, False, ["left out: arm_vel is 57.29 of the slope"]),
+        ({"arm_pos": SWING, "arm_vel": SWING}, False, ["left out: arm_vel is"]),
+        ({"arm_pos": np.rad2deg(SWING)}, False, ["lie outside -1.5 to 1.5: in deg?"]),
+        ({"arm_pos": SWING + 2.0, "arm_vel": RATE}, False, ["another sign or zero?"]),
+        ({"arm_pos": SWING, "arm_pos_2": SWING}, False, ["or /log arm_pos_2"]),
+        ({"arm_pos_error": SWING}, False, ["may be made of another signal"]),
+        ({"angle": SWING}, False, ["no velocity tests it"]),
+        ({"arm_pos": np.zeros_like(SWING)}, False, ["constant"]),
+        ({"arm_temperature": SWING}, False, ["no position in the log looks like it"]),
+    ],
+)
+def test_joints_are_tested_against_physics(
+    tmp_path: Path, columns: dict[str, np.ndarray], sure: bool, parts: list[str]
+) -> None:
+    """What agrees is said with numbers, and what contradicts leaves a doubt."""
+    model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-1.5, 1.5)}, "motor")))
+    signals = survey(write_log(tmp_path / "log.csv", {"time": TIME, **columns}))[1]
+    guess = guess_signals(model, signals)[0]
+    assert guess.sure == sure, (guess.reasons, guess.doubts)
+    for part in parts:
+        assert part in "; ".join([*guess.reasons, *guess.doubts])
+
+
+@pytest.mark.parametrize(
+    ("asked", "sure", "part"),
+    [(SWING, True, "follows arm_target_pos by 80 ms"), (-SWING, False, "r "),
+     (np.interp(TIME + 0.1, TIME, DELAYED), True, "by 100 ms"),
+     (np.interp(TIME - 0.2, TIME, SWING), False, "by -120 ms")],
+)  # fmt: skip
+def test_targets_lead_positions(tmp_path: Path, asked: np.ndarray, sure: bool, part: str) -> None:
+    """A target that comes after what it should move is none."""
+    model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-1.5, 1.5)}, "position")))
+    log = write_log(tmp_path / "log.csv", {"time": TIME, "arm_pos": DELAYED, "arm_target_pos": asked})
+    servo = guess_signals(model, survey(log)[1])[1]
+    assert servo.sure == sure, (servo.reasons, servo.doubts)
+    assert part in "; ".join([*servo.reasons, *servo.doubts])
+
+
+def test_a_short_name_is_no_part_of_another(tmp_path: Path) -> None:
+    """Joint q is not found in torque, nor wrist in wrist_roll where that is a joint too."""
+    limits = {"q": None, "wrist": None, "wrist_roll": None}
+    model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", limits, "motor")))
+    columns = {"time": TIME, "wrist_roll_pos": SWING, "wrist_pos": RATE, "squeezed_position": SWING}
+    guesses = guess_signals(model, survey(write_log(tmp_path / "l.csv", columns))[1])
+    found = {guess.target: guess.fields.get("position") for guess in guesses if guess.group == "joints"}
+    assert {name: signal and signal.field for name, signal in found.items()} == {
+        "q": None, "wrist": "wrist_pos", "wrist_roll": "wrist_roll_pos",
+    }  # fmt: skip
+
+
+def test_the_order_is_asked_once(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who says yes has no more to look at; who says no keeps the doubts."""
+    model = load_twin(ROOT / "examples/double_pendulum/both.yaml").model
+    for answer, sure in (("n", 0), ("y", 2)):
+        guesses = guess_signals(model, survey(shared_data / "double_pendulum/design_A_02.csv")[1])
+        questions: list[str] = []
+        monkeypatch.setattr("builtins.input", lambda text, a=answer, q=questions: q.append(text) or a)
+        assert sum(guess.sure for guess in ask(guesses)) == sure
+        assert questions == ["Is this the order of the columns: pos_meas1 = shoulder, pos_meas2 = elbow? [y/n] "]
+
+
+def test_the_twin_that_is_written_works(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A CSV and an MJCF become a twin that `compare` takes, within 3 s; every doubt stands in it."""
+    monkeypatch.setenv("COLUMNS", "200")
+    log, out = shared_data / "double_pendulum/design_A_02.csv", tmp_path / "twin.yaml"
+    model = ROOT / "examples/double_pendulum/double_pendulum.xml"
+    begin = time.process_time()
+    assert main(["inspect", str(log), "--model", str(model), "--out", str(out)]) == 0
+    assert time.process_time() - begin < 3.0
+    shown = capsys.readouterr().out
+    assert re.search(r"/design_A_02 tau_fric1 +│ float64 │ +500 Hz │ 0 +│ +│ constant", shown)
+    assert "DOUBT: only the order says that pos_meas1 is shoulder" in out.read_text()
+    spec = load_twin(out)
+    assert spec.robot.signals.entries["/joint_states"]["elbow"].position.path == "pos_meas2"
+    assert main(["compare", str(log), "--twin", str(out)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [(["--out", "twin.yaml"], "without --model"), (["--model", "none.xml"], "none.xml"), ([], "no file")],
+)
+def test_bad_inspections_are_refused(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], part: str
+) -> None:
+    """In one line, with exit code 2."""
+    log = shared_data / "simple_pendulum/ilqr.csv" if arguments else tmp_path / "missing.csv"
+    assert main(["inspect", str(log), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert part in error
+    assert error.count("\n") == 1

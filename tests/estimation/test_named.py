@@ -1,0 +1,89 @@
+"""Models by name, and `--model` in place of a twin YAML."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco_menagerie
+import pytest
+
+from vpptwin.cli import main
+from vpptwin.errors import InputError
+from vpptwin.estimation.models import find_model
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_log_without_doubt_needs_no_twin(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mapping is printed first, and the twin kept; what it would replace by another is refused."""
+    monkeypatch.chdir(tmp_path)
+    log, model = shared_data / "antx/rail_velocity_doublets_1.mcap", ROOT / "examples/antx/antx.xml"
+    assert main(["compare", str(log), "--model", str(model)]) == 0
+    shown = capsys.readouterr().out
+    assert shown.index("slide (joint)") < shown.index("prediction error of twin antx_twin.yaml")
+    assert main(["compare", str(log), "--twin", "antx_twin.yaml"]) == 0
+    Path("antx_twin.yaml").write_text("mine")
+    assert main(["compare", str(log), "--model", str(model)]) == 2
+    assert "antx_twin.yaml is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("extra", "part"),
+    [([], "doubts about"), (["--twin", "typical"], "--twin typical and --model")],
+)
+def test_doubts_are_refused(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    extra: list[str], part: str,
+) -> None:  # fmt: skip
+    """In one line that says what to run, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    log, model = shared_data / "double_pendulum/design_A_02.csv", ROOT / "examples/double_pendulum/double_pendulum.xml"
+    assert main(["compare", str(log), "--model", str(model), *extra]) == 2
+    assert part in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "robot", "entry"),
+    [("trs_so_arm100", "trs_so_arm100", "so_arm100"), ("ur10e", "universal_robots_ur10e", "ur10e")],
+)
+def test_names_of_the_menagerie(monkeypatch: pytest.MonkeyPatch, name: str, robot: str, entry: str) -> None:
+    """A robot's whole name or that of its model; the package downloads the files, so here they stand in."""
+    monkeypatch.setattr(mujoco_menagerie.Robot, "xml", lambda self, entry=None: Path(self.name) / f"{entry}.xml")
+    assert find_model(name) == Path(robot) / f"{entry}.xml"
+
+
+@pytest.mark.parametrize(
+    ("name", "part"), [("scene", "'scene' is no of"), ("ur10", "universal_robots_ur10e"), ("x.xml", "no file")]
+)
+def test_unknown_models_are_refused(name: str, part: str) -> None:
+    """With what comes near."""
+    with pytest.raises(InputError) as caught:
+        find_model(name)
+    assert part in str(caught.value)
+
+
+def test_no_network_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the download says is passed on."""
+
+    def fail(self: object, entry: str | None = None) -> Path:
+        raise mujoco_menagerie.DownloadError("no route")
+
+    monkeypatch.setattr(mujoco_menagerie.Robot, "xml", fail)
+    with pytest.raises(InputError, match=r"cannot be had \(no route\); expected a download, once"):
+        find_model("ur10e")
+
+
+def test_robot_descriptions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the library's own names; without it a line says how to get it."""
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    with pytest.raises(InputError, match="pip install robot_descriptions"):
+        find_model("ur10e_mj_description")
+    monkeypatch.setitem(sys.modules, "robot_descriptions", SimpleNamespace(__path__=[]))
+    found = SimpleNamespace(MJCF_PATH="/cache/ur10e.xml")
+    monkeypatch.setitem(sys.modules, "robot_descriptions.ur10e_mj_description", found)
+    assert find_model("ur10e_mj_description") == Path("/cache/ur10e.xml")

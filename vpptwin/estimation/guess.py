@@ -1,0 +1,306 @@
+"""Which signal of a log is which joint and actuator of a model: by name, order and kind, tested against physics."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from vpptwin.fields import UNITS
+from vpptwin.logs.survey import Signal
+
+WORDS = {
+    "acceleration": "acc accel acceleration ax ay az",
+    "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate gyro vx vy vz wx wy wz",
+    "effort": "tau torque torques effort efforts force moment thrust current",
+    "position": "pos position positions q qpos angle angles theta state",
+}
+"""Quantity → words in names that tell it, the first that matches."""
+COMMANDED = {
+    "control", "controller", "cmd", "command", "commands", "target", "setpoint", "sp", "des", "desired", "ref",
+    "reference", "goal", "action", "con", "ctrl",
+}  # fmt: skip
+DERIVED = {"filt", "filtered", "smooth", "fric", "friction", "comp", "err", "error", "ff", "diff", "est"}
+SLOPE = 0.8
+"""Correlation of a velocity with the slope of its position below which they are strangers."""
+CLOSE = 0.6, 1.6
+"""What a velocity may be of the slope: those of `docs/logs.md`."""
+STILL = 1e-9
+FAR = {"rad": 2.0 * np.pi, "m": 5.0}
+"""Travel without a said unit that may be in a smaller one."""
+
+
+@dataclass
+class Guess:
+    """What one joint or actuator may be in the log.
+
+    Attributes:
+        target: its name; `group` is joints or actuators.
+        fields: position, velocity or effort → the signal.
+        units: likewise, where it is not SI.
+        sure: whether there is no doubt.
+        reasons: what speaks for it, with numbers.
+        doubts: what speaks against it, or what else it may be.
+    """
+
+    target: str
+    group: str
+    fields: dict[str, Signal] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    sure: bool = False
+    reasons: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+
+def split_words(text: str) -> list[str]:
+    """Small words of a name; digits part from letters."""
+    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+    return re.findall(r"[a-z]+|\d+", parted.lower())
+
+
+def tell_quantity(signal: Signal) -> str:
+    """position, velocity, effort, acceleration, or "" where the name tells nothing."""
+    if signal.name:
+        return signal.field
+    words = set(split_words(signal.label))
+    return next((kind for kind, known in WORDS.items() if words & set(known.split())), "")
+
+
+def is_commanded(signal: Signal) -> bool:
+    """Whether a signal's name says that it was asked for, not measured."""
+    return bool(COMMANDED & {*split_words(signal.label), *split_words(signal.topic)})
+
+
+def is_derived(signal: Signal) -> bool:
+    """Whether it was made of another signal."""
+    return bool(DERIVED & set(split_words(signal.label)))
+
+
+def part_index(signal: Signal) -> tuple[str, int | None]:
+    """Topic and name without the index in it, and the index."""
+    match = re.fullmatch(r"(.*?)[_\[]?(\d+)\]?", signal.label)
+    stem, index = (match.group(1), int(match.group(2))) if match else (signal.label, None)
+    return f"{signal.topic} {stem}", index
+
+
+def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess]:
+    """The likeliest signals of every hinge, slide and actuator.
+
+    Nothing is sure that rests on the order of columns alone, that has a rival, or that physics contradicts.
+    """
+    plain = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    joints = [model.joint(i) for i in range(model.njnt) if model.jnt_type[i] in plain]
+    names = [joint.name for joint in joints]
+    measured = [signal for signal in signals if not is_commanded(signal)]
+    guesses = [Guess(name, "joints") for name in names]
+    for quantity in ("position", "velocity"):
+        pool = [signal for signal in measured if tell_quantity(signal) == quantity]
+        assign(guesses, names, pool, quantity)
+    for guess, joint in zip(guesses, joints):
+        check_joint(guess, model, int(joint.id))
+    motors = [model.actuator(i).name for i in range(model.nu)]
+    commands = [Guess(name, "actuators") for name in motors]
+    for servo in (True, False):
+        chosen = [guess for i, guess in enumerate(commands) if is_servo(model, i) == servo]
+        pool = [s for s in signals if is_control(s, servo)]
+        assign(chosen, [guess.target for guess in chosen], pool, "effort")
+    for i, guess in enumerate(commands):
+        driven = model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] == 0 else ""
+        moved = next((g.fields.get("position") for g in guesses if g.target == driven), None)
+        check_actuator(guess, model, i, moved)
+    return [*guesses, *commands]
+
+
+def is_control(signal: Signal, servo: bool) -> bool:
+    """Whether a signal may be what a servo is asked for, or what a motor is driven by."""
+    if signal.name:
+        return signal.field == ("position" if servo and is_commanded(signal) else "effort")
+    return is_commanded(signal) and tell_quantity(signal) == "position" if servo else tell_quantity(signal) == "effort"
+
+
+def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's control input is a position."""
+    return bool(
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[actuator, 1]
+    )
+
+
+def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:
+    """Give each of them its signal of a pool: by name, as the only one, or by order."""
+    for guess in guesses:
+        settle(guess, quantity, [s for s in pool if names_it(s, guess.target, names)], "its name")
+    open_guesses = [guess for guess in guesses if quantity not in guess.fields]
+    if len(open_guesses) < len(guesses) or not guesses:
+        return
+    groups: dict[str, dict[int, Signal]] = {}
+    for signal in pool:
+        stem, index = part_index(signal)
+        groups.setdefault(stem, {})[-1 if index is None or len(guesses) == 1 else index] = signal
+    fitting = [[group[k] for k in sorted(group)] for group in groups.values() if len(group) == len(guesses)]
+    fitting = [group for group in fitting if not any(signal.is_constant for signal in group)] or fitting
+    for i, guess in enumerate(guesses):
+        basis = "the only one there is" if len(guesses) == 1 else f"order: number {i + 1} of {len(guesses)}"
+        settle(guess, quantity, [group[i] for group in fitting], basis)
+        if len(guesses) > 1 and quantity in guess.fields and quantity != "velocity":
+            guess.doubts.append(f"only the order says that {guess.fields[quantity].label} is {guess.target}")
+
+
+def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
+    """Whether a signal is called by a name, word by word, and by no longer one that holds it."""
+    if signal.name:
+        return signal.name == name
+
+    def holds(words: Sequence[str], part: Sequence[str]) -> bool:
+        return bool(part) and any(words[i : i + len(part)] == part for i in range(len(words) - len(part) + 1))
+
+    called, own = split_words(signal.label), split_words(name)
+    longer = [split_words(other) for other in others if other != name]
+    return holds(called, own) and not any(holds(other, own) and holds(called, other) for other in longer)
+
+
+def settle(guess: Guess, quantity: str, own: Sequence[Signal], basis: str) -> None:
+    """Take the likeliest signal, and note its rivals: commands before measurements of effort, raw ones first."""
+    if not own:
+        return
+    ranked = sorted(own, key=lambda s: (is_derived(s), s.is_constant, quantity == "effort" and not is_commanded(s)))
+    best = ranked[0]
+    guess.fields[quantity] = best
+    guess.reasons.append(f"{best.label}: {basis}")
+    rivals = [s for s in ranked[1:] if is_derived(s) == is_derived(best)]
+    if rivals:
+        guess.doubts.append(f"or {', '.join(s.title for s in rivals[:4])}")
+    if is_derived(best):
+        guess.doubts.append(f"{best.label} may be made of another signal")
+    if best.is_constant:
+        guess.doubts.append(f"{best.label} is constant")
+
+
+def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
+    """Hold a joint's signals against each other, its kind and its range."""
+    position, velocity = guess.fields.get("position"), guess.fields.get("velocity")
+    if position is None:
+        guess.fields.pop("velocity", None)
+        guess.doubts.append("no position in the log looks like it")
+        return
+    length = "rad" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE) else "m"
+    guess.units |= check_unit(guess, "position", position, length)
+    scale = UNITS[guess.units.get("position", length)][1]
+    if velocity is not None:
+        guess.units |= check_unit(guess, "velocity", velocity, f"{length}/s")
+        of_rate = UNITS[guess.units.get("velocity", f"{length}/s")][1]
+        correlation, share = compare_slope(position, velocity)
+        share *= of_rate / scale
+        told = f"{velocity.label} is {share:.2f} of the slope of {position.label} (r {correlation:.2f})"
+        if not np.isfinite(correlation):
+            guess.doubts.append("too little motion to test the velocity")
+        elif correlation < SLOPE or not CLOSE[0] < share < CLOSE[1]:
+            guess.doubts.append(f"left out: {told}")
+            guess.fields.pop("velocity")
+            guess.units.pop("velocity", None)
+        else:
+            guess.reasons.append(told)
+    check_range(guess, "position", scale, model.jnt_range[joint] if model.jnt_limited[joint] else None, length)
+    travel = float(np.ptp(position.finite)) if len(position.finite) else 0.0
+    if not (model.jnt_limited[joint] or position.name or position.unit) and travel > FAR[length]:
+        guess.doubts.append(
+            f"{position.label} travels {travel:.3g}: {length}, or {'deg' if length == 'rad' else 'mm'}?"
+        )
+    if "velocity" not in guess.fields and not position.name and "its name" not in " ".join(guess.reasons):
+        guess.doubts.append("no velocity tests it")
+    guess.sure = not guess.doubts
+
+
+def check_unit(guess: Guess, quantity: str, signal: Signal, expected: str) -> dict[str, str]:
+    """The unit that the log says, if it is one of that kind and not SI."""
+    if not signal.unit or signal.unit == expected:
+        return {}
+    if signal.unit in UNITS and UNITS[signal.unit][0] == expected:
+        guess.reasons.append(f"{signal.label} is in {signal.unit}")
+        return {quantity: signal.unit}
+    guess.doubts.append(f"{signal.label} is in {signal.unit}, where {expected} was expected")
+    return {}
+
+
+def check_range(guess: Guess, quantity: str, scale: float, limits: np.ndarray | None, length: str = "") -> None:
+    """Hold values against the limits of a joint or actuator; say which unit would fit."""
+    signal = guess.fields.get(quantity)
+    if signal is None or limits is None or not len(signal.finite):
+        return
+    margin = 0.05 * float(limits[1] - limits[0])
+    values = signal.finite * scale
+
+    def lie_outside(factor: float) -> float:
+        scaled = values * factor
+        return float(np.mean((scaled < limits[0] - margin) | (scaled > limits[1] + margin)))
+
+    outside = lie_outside(1.0)
+    if outside <= 0.01:
+        return
+    told = f"{outside:.0%} of {signal.label} lie outside {limits[0]:.3g} to {limits[1]:.3g}"
+    smaller, size = ("deg", np.pi / 180.0) if length == "rad" else ("mm", 1e-3)
+    fits = length and np.ptp(values) > FAR[length] and lie_outside(size) <= 0.01
+    guess.doubts.append(f"{told}: {f'in {smaller}' if fits else 'another sign or zero'}?")
+
+
+def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Signal | None) -> None:
+    """Hold a command against its range and, where it is a target, against what follows it."""
+    command = guess.fields.get("effort")
+    if command is None:
+        guess.doubts.append("no command in the log looks like it")
+        return
+    limits = model.actuator_ctrlrange[actuator] if model.actuator_ctrllimited[actuator] else None
+    check_range(guess, "effort", 1.0, limits)
+    if not is_servo(model, actuator):
+        if not command.name and not is_commanded(command):
+            guess.doubts.append(f"{command.label} may be measured, not commanded")
+    elif moved is not None:
+        correlation, lag = compare_lag(command, moved)
+        told = f"{moved.label} follows {command.label} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
+        if not np.isfinite(correlation):
+            guess.doubts.append("too little motion to see the joint follow")
+        elif correlation < SLOPE or lag < 0.0:
+            guess.doubts.append(told)
+        else:
+            guess.reasons.append(told)
+    guess.sure = not guess.doubts
+
+
+def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarray]:
+    """Period [s] and both signals (n,) over the time that they share, finite and at a constant rate."""
+    good = [(s.time[np.isfinite(s.values)], s.values[np.isfinite(s.values)]) for s in (first, second)]
+    start, end = max(time[0] for time, _ in good), min(time[-1] for time, _ in good)
+    period = max(1.0 / min(s.rate for s in (first, second)), (end - start) / 50_000.0)
+    grid = np.arange(start, end, period)
+    if len(grid) < 20:
+        return period, np.zeros(0), np.zeros(0)
+    return period, *(np.interp(grid, time, values) for time, values in good)
+
+
+def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:
+    """Correlation of a velocity with the slope of a position over 0.1 s, and its share of that; NaN if it is still."""
+    period, place, rate = resample(position, velocity)
+    width = max(round(0.1 / period), 1)
+    if len(place) < 4 * width:
+        return np.nan, np.nan
+    moved = place[width:] - place[:-width]
+    summed = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * period)])
+    turned = summed[width:] - summed[:-width]
+    if moved.std() < STILL or turned.std() < STILL:
+        return np.nan, np.nan
+    return float(np.corrcoef(moved, turned)[0, 1]), float(turned @ moved / (moved @ moved))
+
+
+def compare_lag(target: Signal, position: Signal) -> tuple[float, float]:
+    """Correlation of a position with its target at the lag at which it is greatest, and that lag [s]; NaN if still."""
+    period, asked, found = resample(target, position)
+    if len(asked) < 20 or asked.std() < STILL or found.std() < STILL:
+        return np.nan, np.nan
+    most = min(round(0.5 / period), len(asked) // 4)
+    lags = list(range(-most, most + 1))
+    values = [np.corrcoef(asked[max(-k, 0) : len(asked) - max(k, 0)], found[max(k, 0) : len(found) - max(-k, 0)])[0, 1]
+              for k in lags]  # fmt: skip
+    best = int(np.argmax(values))
+    return float(values[best]), lags[best] * period

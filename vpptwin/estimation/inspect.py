@@ -1,0 +1,158 @@
+"""`vpptwin inspect`: a log as a table, and a twin YAML with what its signals may be."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yaml
+from rich.table import Table as RichTable
+
+from vpptwin.errors import InputError
+from vpptwin.estimation.free_body import tell_body
+from vpptwin.estimation.guess import Guess, guess_signals
+from vpptwin.estimation.models import find_model
+from vpptwin.files import write_whole
+from vpptwin.logs.recording import find_files, list_flights
+from vpptwin.logs.survey import Signal, survey
+from vpptwin.logs.topic_map import slash
+from vpptwin.terminal import open_console
+from vpptwin.twin.model import compile_model
+
+
+def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> list[Guess]:
+    """Show what is in logs and, with a model, which of the first one's signals is what; write a twin that says so.
+
+    Args:
+        logs: each a flight, or a folder of them.
+        model: as of `find_model`.
+        out: twin YAML to write; None for one called as the model, in the current folder.
+
+    Returns:
+        What was guessed, [] without a model.
+
+    Raises:
+        InputError: if a log or the model cannot be read, or the twin not be written.
+    """
+    if model is None and out is not None:
+        raise InputError(f"--out {out} without --model", "a model to write a twin of", "name it, or leave --out out")
+    flights = [flight for log in logs for flight in list_flights(log)]
+    first: list[Signal] = []
+    for flight in flights:
+        recording, signals = survey(flight)
+        first = first or signals
+        print_signals(str(flight), signals, [note for file in recording.files for note in file.notes])
+    if model is None:
+        return []
+    path = find_model(model)
+    compiled = compile_model(path)
+    guesses = guess_signals(compiled, first)
+    bodies = [
+        line
+        for joint in range(compiled.njnt)
+        if compiled.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        for line in tell_body(compiled.body(int(compiled.jnt_bodyid[joint])).name or "the free body", first)
+    ]
+    guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
+    print_guesses(guesses, bodies)
+    target = out or Path(f"{path.stem}_twin.yaml")
+    if target.resolve() in [path.resolve(), *(file.resolve() for flight in flights for file in find_files(flight))]:
+        raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
+    write_whole(target, compose_twin(path, target, str(flights[0]), guesses, bodies))
+    print(f"wrote {target}")
+    return guesses
+
+
+def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -> None:
+    """One row a signal."""
+    end = max(float(signal.time[-1]) for signal in signals)
+    table = RichTable(title=f"{title}: {len(signals)} signals over {end:.4g} s", title_justify="left")
+    for head in ("signal", "type", "rate", "range", "unit", "odd"):
+        table.add_column(head, justify="right" if head == "rate" else "left", overflow="fold")
+    for signal in signals:
+        some = signal.finite
+        span = f"{some.min():.4g} to {some.max():.4g}" if len(some) else "no number"
+        span = f"{some[0]:.6g}" if len(some) and signal.is_constant else span
+        rate = f"{signal.rate:.4g} Hz" if np.isfinite(signal.rate) else ""
+        table.add_row(signal.title, signal.kind, rate, span, signal.unit, "; ".join(signal.list_oddities()))
+    console = open_console()
+    console.print(table)
+    for note in notes:
+        console.print(note)
+
+
+def print_guesses(guesses: Sequence[Guess], bodies: Sequence[tuple[str, bool]]) -> None:
+    """One row for each joint and actuator."""
+    table = RichTable(title="what they may be", title_justify="left")
+    for head in ("of the model", "in the log", "how sure", "why"):
+        table.add_column(head, overflow="fold")
+    for guess in guesses:
+        found = ", ".join(f"{quantity}: {signal.title}" for quantity, signal in guess.fields.items()) or "-"
+        sure = "sure" if guess.sure else "a doubt" if guess.fields else "missing"
+        said = "; ".join([*guess.reasons, *(f"BUT {doubt}" for doubt in guess.doubts)])
+        table.add_row(f"{guess.target} ({guess.group[:-1]})", found, sure, said)
+    for line, clear in bodies:
+        what, _, told = line.partition(": ")
+        found, _, why = told.partition("; ")
+        table.add_row(what, found, "sure" if clear else "a doubt", why)
+    open_console().print(table)
+
+
+def ask(guesses: Sequence[Guess]) -> list[Guess]:
+    """Ask on the terminal about each doubt that a person can settle; those about the order of columns all at once."""
+    ordered = [guess for guess in guesses if guess.doubts and all(d.startswith("only the order") for d in guess.doubts)]
+    if ordered:
+        pairs = ", ".join(f"{s.label} = {g.target}" for g in ordered for s in list(g.fields.values())[:1])
+        if input(f"Is this the order of the columns: {pairs}? [y/n] ").strip().lower() in ("y", "yes"):
+            for guess in ordered:
+                guess.reasons.append("order confirmed")
+                guess.doubts, guess.sure = [], True
+    return list(guesses)
+
+
+def compose_twin(
+    model: Path, target: Path, log: str, guesses: Sequence[Guess], bodies: Sequence[tuple[str, bool]]
+) -> str:
+    """A twin YAML with a comment at each guess; what is unknown is commented out."""
+    relative = os.path.relpath(model.resolve(), target.resolve().parent)
+    lines = [f"# Written by vpptwin inspect from {one_line(log)}; lines with DOUBT want a look.",
+             f"model: {yaml.safe_dump(relative).splitlines()[0]}"]  # fmt: skip
+    if any(guess.group == "joints" for guess in guesses):
+        lines.append("signals:")
+        for group in ("joints", "actuators"):
+            own = [guess for guess in guesses if guess.group == group]
+            empty = " {}" if not any(guess.fields for guess in own) else ""
+            if own:
+                lines += [f"  {group}:{empty}", *(compose_line(guess) for guess in own)]
+    lines += [f"# {'' if sure else 'DOUBT: '}{one_line(line)}" for line, sure in bodies]
+    return "\n".join(lines) + "\n"
+
+
+def compose_line(guess: Guess) -> str:
+    """One entry of `signals`, with what speaks for it and against it."""
+    said = "; ".join([*guess.reasons, *(f"DOUBT: {doubt}" for doubt in guess.doubts)])
+    name = yaml.safe_dump(guess.target).splitlines()[0]
+    if not guess.fields:
+        return f"    # {name}: {{topic: , {'position' if guess.group == 'joints' else 'effort'}: }}  # {one_line(said)}"
+    (topic,) = {signal.topic for signal in guess.fields.values()} or {""}
+    signals = list(guess.fields.values())
+    if all(s.name == guess.target and s.field == quantity for quantity, s in guess.fields.items()):
+        return f"    {name}: {yaml.safe_dump(topic).splitlines()[0]}  # {one_line(said)}"
+    if any(signal.name for signal in signals):
+        return f"    # {name}: {topic}  # called {signals[0].name} in the log; rename it in the MJCF; {one_line(said)}"
+    entry: dict[str, object] = {"topic": slash(topic).removeprefix("/")}
+    for quantity, signal in guess.fields.items():
+        unit = guess.units.get(quantity)
+        entry[quantity] = {"path": signal.field, "unit": unit} if unit else signal.field
+    text = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True).strip()
+    return f"    {name}: {text}  # {one_line(said)}"
+
+
+def one_line(text: str) -> str:
+    """Text for a comment."""
+    return re.sub(r"\s+", " ", text)

@@ -1,0 +1,96 @@
+"""Where a value lies in somebody's log, as topic maps and twins say it: topic, field, unit, scale, clock."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+
+UNITS: dict[str, tuple[str, float]] = {
+    "m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3), "in": ("m", 0.0254), "ft": ("m", 0.3048),
+    "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180.0), "rev": ("rad", 2.0 * math.pi),
+    "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "cm/s": ("m/s", 1e-2), "km/h": ("m/s", 1.0 / 3.6),
+    "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180.0), "mrad/s": ("rad/s", 1e-3),
+    "rpm": ("rad/s", math.pi / 30.0), "rev/s": ("rad/s", 2.0 * math.pi),
+    "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665), "mg": ("m/s^2", 9.80665e-3),
+    "N": ("N", 1.0), "kN": ("N", 1e3), "kgf": ("N", 9.80665), "gf": ("N", 9.80665e-3),
+    "N m": ("N m", 1.0), "mN m": ("N m", 1e-3), "kgf cm": ("N m", 9.80665e-2),
+    "V": ("V", 1.0), "mV": ("V", 1e-3), "A": ("A", 1.0), "mA": ("A", 1e-3),
+    "%": ("1", 1e-2), "1": ("1", 1.0), "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9),
+}  # fmt: skip
+"""Unit → that of the SI which it measures in, and how many of those it is."""
+
+TIME_UNITS = ("s", "ms", "us", "ns")
+NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+
+
+def text_as(key: str) -> BeforeValidator:
+    """A text alone stands for an entry with this key only."""
+    return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
+
+
+class Entry(BaseModel):
+    """A mapping of known keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FieldEntry(Entry):
+    """A column: polynomial of the field, times scale and the unit's size, plus offset."""
+
+    path: str | list[str]
+    scale: float | list[float] = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+    polynomial: list[float] = []
+    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+
+    @field_validator("unit")
+    @classmethod
+    def check_unit(cls, unit: str | None) -> str | None:
+        """Refuse a unit that nobody knows the size of."""
+        if unit is not None and unit not in UNITS:
+            raise ValueError(f"one of {', '.join(UNITS)}")
+        return unit
+
+    @property
+    def factors(self) -> tuple[float, ...]:
+        """Scale with the unit's size, one factor or one per component."""
+        size = UNITS[self.unit][1] if self.unit is not None else 1.0
+        return tuple(size * scale for scale in (self.scale if isinstance(self.scale, list) else [self.scale]))
+
+
+class Stamp(Entry):
+    """Where a message's time lies: a field of type Time, a number in `unit`, or the log time."""
+
+    path: str = "header.stamp"
+    unit: Literal["s", "ms", "us", "ns"] | None = None
+
+
+FieldText = Annotated[FieldEntry, text_as("path")]
+StampText = Annotated[Stamp, text_as("path")]
+
+
+class SignalEntry(Entry):
+    """A joint or an actuator out of fields of any topic."""
+
+    topic: str
+    position: FieldText | None = None
+    velocity: FieldText | None = None
+    effort: FieldText | None = None
+    stamp: StampText = Stamp()
+
+
+class TopicEntry(Entry):
+    """What a topic map says of one topic; `names` of the joints of a JointState topic that the log has in pieces."""
+
+    topic: str = ""
+    fields: dict[str, FieldText] = Field(default_factory=dict)
+    stamp: StampText = Stamp()
+    names: dict[str, SignalEntry] = Field(default_factory=dict)
+
+
+def dump_entry(entry: BaseModel) -> dict[str, Any]:
+    """An entry as YAML's plain data, without what it says by default."""
+    return entry.model_dump(exclude_defaults=True)

@@ -1,0 +1,123 @@
+"""ROS 1 bags and SQLite files of rosbag2, whose messages come as CDR."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from vpptwin.errors import InputError, escape_text
+from vpptwin.logs.container import Block, RawChannel, RawFile
+from vpptwin.logs.extras import load_extra
+from vpptwin.logs.tables import Wish
+
+_GATHERED = 1 << 14  # messages of a channel that are kept apart at most
+
+
+def read_bag(path: Path, wish: Wish) -> RawFile:
+    """Read a ROS 1 bag, or one SQLite file of a rosbag2.
+
+    Raises:
+        InputError: if it is damaged, or its messages are of types that it does not define and nobody knows.
+    """
+    with path.open("rb") as file:
+        is_first = file.read(7) == b"#ROSBAG"
+    load_extra("rosbags.typesys", path)
+    try:
+        return _read_bag1(path, wish) if is_first else _read_sqlite(path, wish)
+    except InputError:
+        raise
+    except Exception as error:  # the library raises of its own and whatever its unpacking does
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        advice = "run `rosbag reindex`, or copy it again" if is_first else "run `ros2 bag reindex`, or copy it again"
+        raise InputError(f"{path} is damaged ({reason})", "a whole bag", advice) from None
+
+
+def _read_bag1(path: Path, wish: Wish) -> RawFile:
+    from rosbags.rosbag1 import Reader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    with Reader(path) as reader:
+        store = get_typestore(Stores.EMPTY)
+        for connection in reader.connections:
+            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            if header := types.get("std_msgs/msg/Header"):
+                fields = [field for field in header[1] if field[0] != "seq"]  # which ROS 2 has no longer
+                types["std_msgs/msg/Header"] = (header[0], fields)
+            store.register(types)
+        texts = {
+            c.id: (c.topic, c.msgtype, store.generate_msgdef(c.msgtype, ros_version=2)[0]) for c in reader.connections
+        }
+        gather = _Gather(path, wish, texts)
+        for connection, stamp, raw in reader.messages():
+            if gather.note(connection.id, stamp):
+                gather.add(connection.id, stamp, bytes(store.ros1_to_cdr(raw, connection.msgtype)))
+    return gather.finish()
+
+
+def _read_sqlite(path: Path, wish: Wish) -> RawFile:
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    known = get_typestore(Stores.LATEST)
+    reader = Sqlite3Reader(path)
+    reader.open()
+    try:
+        texts = {}
+        for connection in reader.connections:
+            if connection.msgdef.format == MessageDefinitionFormat.MSG:
+                text = connection.msgdef.data
+            elif connection.msgtype in known.fielddefs:
+                text = known.generate_msgdef(connection.msgtype, ros_version=2)[0]
+            else:
+                text = ""  # which a topic that is wanted is refused for
+            texts[connection.id] = connection.topic, connection.msgtype, text
+        gather = _Gather(path, wish, texts)
+        for connection, stamp, raw in reader.messages(reader.connections):
+            if gather.note(connection.id, stamp):
+                gather.add(connection.id, stamp, bytes(raw))
+    finally:
+        reader.close()
+    return gather.finish()
+
+
+class _Gather:
+    """Messages one by one, into channels."""
+
+    def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
+        self.path, self.number, self.times = path, 0, (2**63, -1)
+        self.channels = {
+            key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
+            for key, (topic, kind, text) in texts.items()
+        }
+        self.wanted = {key for key, channel in self.channels.items() if wish.channel(channel)}
+        self.held: dict[tuple[Any, int], list[tuple[int, int, bytes]]] = {}
+
+    def note(self, key: Any, stamp: int) -> bool:  # noqa: ANN401
+        """Count a message; whether it is wanted."""
+        self.channels[key].count += 1
+        self.number += 1
+        self.times = min(self.times[0], stamp), max(self.times[1], stamp)
+        return key in self.wanted
+
+    def add(self, key: Any, stamp: int, content: bytes) -> None:  # noqa: ANN401
+        """Keep a message."""
+        held = self.held.setdefault((key, len(content)), [])
+        held.append((self.number, stamp, content))
+        if len(held) == _GATHERED:
+            self.store((key, len(content)))
+
+    def store(self, place: tuple[Any, int]) -> None:
+        """Messages of one channel and length, as a block."""
+        number, stamp, content = zip(*self.held.pop(place))
+        payload = np.frombuffer(b"".join(content), np.uint8).reshape(len(number), place[1])
+        self.channels[place[0]].blocks.append(Block(np.array(number, np.uint64), np.array(stamp, np.uint64), payload))
+
+    def finish(self) -> RawFile:
+        """All that was kept."""
+        for place in list(self.held):
+            self.store(place)
+        return RawFile(self.path, "ros2", list(self.channels.values()), self.times)

@@ -1,0 +1,386 @@
+"""CSV as scripts and data loggers write it: any delimiter, decimal commas, lists in cells, units, gzip, any clock."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.fields import NANOSECONDS, Stamp
+from vpptwin.logs.extras import load_extra
+from vpptwin.logs.tables import Table, list_names, name_topic
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_HEAD = 1 << 18  # characters that are looked at to see what kind of CSV it is
+_LONGEST_UNIT = 12  # characters
+_BLOCK = 1 << 24  # bytes of text converted at once
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)|", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
+_TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
+          "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
+_SUFFIXES = {"_ns": "ns", "_nsec": "ns", "_nanoseconds": "ns", "_us": "us", "_usec": "us", "_microseconds": "us",
+             "_ms": "ms", "_msec": "ms", "_millis": "ms", "_milliseconds": "ms", "_s": "s", "_sec": "s",
+             "_seconds": "s", "us": "us", "ms": "ms", "ns": "ns"}  # fmt: skip
+_WORDS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us",
+          "nsec": "ns", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}  # fmt: skip
+_SLOWEST, _FASTEST = 5.0, 5000.0  # samples a second of a log whose clock tells no unit; three decades leave one unit
+
+_DATES = 1e9, 4e9  # seconds since 1970: 2001 to 2096
+_STEP = 60.0  # s, between samples of a log that shows dates
+
+
+@dataclass
+class Format:
+    """What kind of CSV a file is.
+
+    Attributes:
+        encoding: of its text.
+        delimiter, decimal: of cells and fractions.
+        skip: lines before the first row of values.
+        names: of the columns, each once.
+        units: of columns that have one.
+        first: row of values.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    skip: int
+    names: list[str]
+    units: dict[str, str] = field(default_factory=dict)
+    first: list[str] = field(default_factory=list)
+
+
+def read_csv(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+    """Rows of a CSV file, in pieces.
+
+    Args:
+        path: of the file, which may be gzipped.
+        stamp: column of the time and its unit, where somebody says; otherwise it is found by its name.
+        notes: warnings are added to it.
+
+    Raises:
+        InputError: naming the line, if one is not like the others.
+    """
+    pa = load_extra("pyarrow", path)
+    form = sniff(path, notes)
+    topic = name_topic(path)
+    clock = find_clock(path, form.names, stamp)
+    unit = stamp.unit if stamp is not None else form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
+    number = 0
+    for batch in convert_batches(path, form, clock, pa):
+        columns = {name: read_column(path, form, batch, name, number, pa) for name in form.names}
+        time = columns[clock]
+        blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
+        if blank.any():
+            filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
+            torn = blank & np.any([np.isfinite(c).reshape(len(c), -1).any(axis=1) for c in filled], axis=0)
+            if torn.any():
+                line = find_line(path, form, number + int(np.argmax(torn)))
+                raise InputError(f"{path}, line {line}: no number as {clock}", "a time in every row", "remove the row")
+            columns = {name: column[~blank] for name, column in columns.items()}
+            time = columns[clock]
+        if unit is None and len(time):
+            unit = guess_unit(time)
+            if unit != "s":
+                notes.append(f"{topic}: {clock} is taken to count {unit}")
+        number += batch.num_rows
+        yield Table(topic, count_ns(time, unit or "s"), columns, form.units)
+    if not number:
+        raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
+
+
+def sniff(path: Path, notes: list[str]) -> Format:
+    """Find out what kind of CSV a file is, from its beginning.
+
+    Raises:
+        InputError: if it is none.
+    """
+    with open_bytes(path) as file:
+        head = read_head(path, file)
+    encoding = find_encoding(head)
+    if encoding == "latin-1":
+        notes.append(f"{path.name} is not in UTF-8, read as Latin-1")
+    text = head.decode(encoding, "ignore").lstrip("\ufeff")
+    lines = re.split(r"\r\n|\n|\r", text)
+    lines = lines[:-1] if len(head) >= _HEAD and len(lines) > 1 else lines
+    start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
+    rows = [line for line in lines[start:] if line.strip()][:50]
+    if not rows:
+        raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
+    delimiter = find_delimiter(rows)
+    cells = [[cell.strip() for cell in row] for row in csv.reader(rows, delimiter=delimiter)]
+    skip, names = start, cells[0]
+    if all(is_number(cell, delimiter) for cell in cells[0]):
+        said = next(csv.reader([lines[start - 1].lstrip("# ")], delimiter=delimiter)) if start else []
+        names = (
+            [cell.strip() for cell in said] if len(said) == len(cells[0]) else [f"c{i}" for i in range(len(cells[0]))]
+        )
+    else:
+        skip, cells = start + 1, cells[1:]
+    units: dict[str, str] = {}
+    names = part_units(names, units)
+    if len(cells) > 1 and is_units(cells[0], cells[1], delimiter):
+        units |= {name: clean_unit(cell) for name, cell in zip(names, cells[0]) if cell}
+        skip, cells = skip + 1, cells[1:]
+    skip += sum(not line.strip() for line in lines[start : start + (skip - start)])
+    values = [cell for row in cells for cell in row]
+    is_comma = delimiter != "," and any(_COMMA_NUMBER.fullmatch(cell) for cell in values)
+    return Format(encoding, delimiter, "," if is_comma else ".", skip, names, units, cells[0] if cells else [])
+
+
+def open_bytes(path: Path) -> Any:  # noqa: ANN401
+    """The file's content, unpacked if it is gzipped."""
+    with path.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    return gzip.open(path) if packed else path.open("rb")
+
+
+def read_head(path: Path, file: Any) -> bytes:  # noqa: ANN401
+    """The beginning of a file's content."""
+    try:
+        return file.read(_HEAD)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise refuse_damaged(path, error) from None
+
+
+def refuse_damaged(path: Path, error: Exception) -> InputError:
+    """What to say of a gzip file that ends early or is broken."""
+    return InputError(f"{path} is damaged ({error})", "a whole gzip file", "copy it again")
+
+
+def find_encoding(head: bytes) -> str:
+    """Encoding of text that begins so."""
+    for mark, name in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8")):
+        if head.startswith(mark):
+            return name
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        return "utf-8" if error.start > len(head) - 4 else "latin-1"
+    return "utf-8"
+
+
+def find_delimiter(rows: Sequence[str]) -> str:
+    """The delimiter that parts most rows into as many cells as the first, at least two."""
+
+    def rate(mark: str) -> tuple[float, int]:
+        counts = [len(row) for row in csv.reader(rows, delimiter=mark)]
+        same = sum(count == counts[0] for count in counts) / len(counts)
+        return (round(same, 1) if counts[0] > 1 else 0.0), counts[0]
+
+    return max(";\t,| ", key=rate)  # of equals the first: semicolons part what commas are fractions of
+
+
+def is_number(cell: str, delimiter: str) -> bool:
+    """Whether a cell holds a number, or a list of them, or nothing."""
+    cell = cell.strip().strip('"')
+    if delimiter != "," and _COMMA_NUMBER.fullmatch(cell):
+        return True
+    return bool(_NUMBER.fullmatch(cell)) or cell.startswith(("[", "("))
+
+
+def is_units(row: Sequence[str], after: Sequence[str], delimiter: str) -> bool:
+    """Whether a row holds units: no number where the row after it has some, and short words."""
+    numbers = [i for i, cell in enumerate(after) if cell and is_number(cell, delimiter)]
+    words = [row[i].strip("[]()") for i in numbers if i < len(row)]
+    if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _LONGEST_UNIT:
+        return False
+    return not any(word and word != "1" and is_number(word, delimiter) for word in words)
+
+
+def clean_unit(text: str) -> str:
+    """A unit as `vpptwin.fields.UNITS` spells it, as far as it is one of those."""
+    text = text.strip().strip("[]()").strip()
+    text = {"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "°/s": "deg/s", "dps": "deg/s",
+            "Nm": "N m", "N·m": "N m", "m/s²": "m/s^2", "m/s2": "m/s^2", "m/s/s": "m/s^2", "RPM": "rpm", "percent": "%",
+            "meters": "m", "metres": "m"}.get(text, text)  # fmt: skip
+    return _WORDS.get(text, text)
+
+
+def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
+    """Names without the units that some of them bring, each once; nameless ones are called by their place."""
+    parted: list[str] = []
+    for place, given in enumerate(names):
+        match = _UNIT.fullmatch(given)
+        is_index = match is not None and match.group(2).isdigit()
+        name = first = (match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}"
+        count = 1
+        while name in parted:
+            count += 1
+            name = f"{first}_{count}"
+        parted.append(name)
+        if match is not None and not is_index and match.group(2):
+            units[name] = clean_unit(match.group(2))
+    for name in parted:
+        stem, unit = split_time(name)
+        if stem and unit and name not in units:
+            units[name] = unit
+    return parted
+
+
+def split_time(name: str) -> tuple[bool, str]:
+    """Whether a column is called as clocks are, and the unit that its name ends with, "" for none."""
+    plain = list_names(name)[2]
+    if plain in _TIMES:
+        return True, ""
+    for suffix, unit in _SUFFIXES.items():
+        if plain.endswith(suffix) and plain.removesuffix(suffix).rstrip("_") in _TIMES:
+            return True, unit
+    return False, ""
+
+
+def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None) -> str:
+    """The column of the time.
+
+    Raises:
+        InputError: if there is none, or none of the name that somebody gave.
+    """
+    if stamp is not None:
+        known = [name for name in names if stamp.path in list_names(name)]
+    else:
+        known = sorted((n for n in names if split_time(n)[0]), key=lambda n: _rank(n))
+    if not known:
+        wanted = stamp.path if stamp is not None else "time, t or timestamp"
+        listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+        action = "call it so, or name it: `stamp: {path: NAME, unit: ms}`"
+        raise InputError(f"{path}: columns {listed}", f"a column {wanted} with the time", action)
+    return known[0]
+
+
+def _rank(name: str) -> int:
+    plain = list_names(name)[2]
+    return next((i for i, known in enumerate(_TIMES) if plain == known or plain.startswith(f"{known}_")), len(_TIMES))
+
+
+def guess_unit(time: np.ndarray) -> str:
+    """Unit of a clock: in which it shows a date of these years, otherwise in which its steps are those of a log."""
+    steps = np.abs(np.diff(time[:10_000].astype(float)))
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    latest = float(np.abs(time).max())
+    for unit, factor in NANOSECONDS.items():
+        if _DATES[0] < latest * factor / 1e9 < _DATES[1] and step * factor / 1e9 < _STEP:
+            return unit
+    for unit, factor in NANOSECONDS.items():
+        if step and _SLOWEST < 1e9 / (step * factor) <= _FASTEST:
+            return unit
+    return "s"
+
+
+def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
+    """Times in ns, (n,) int64."""
+    factor = NANOSECONDS[unit]
+    if time.dtype.kind in "iu":
+        return time.astype(np.int64) * factor
+    whole = np.floor(time)
+    wild = ~(np.abs(time) < 2.0**62 / factor)
+    whole = np.where(wild, 0.0, whole)
+    counted = whole.astype(np.int64) * factor + np.rint((np.where(wild, 0.0, time) - whole) * factor).astype(np.int64)
+    return np.where(wild, np.int64(2**62), counted)
+
+
+def convert_batches(path: Path, form: Format, clock: str, pa: Any) -> Iterator[pa.RecordBatch]:  # noqa: ANN401
+    """Rows as Arrow has them: numbers, except for the columns whose first row holds none."""
+    from pyarrow import csv as arrow_csv
+
+    types = {}
+    for place, name in enumerate(form.names):
+        cell = form.first[place] if place < len(form.first) else ""
+        number = is_number(cell, form.delimiter) and not cell.startswith(("[", "("))
+        whole = name == clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
+        types[name] = pa.int64() if whole else pa.float64() if number else pa.string()
+    with open_bytes(path) as file:
+        try:
+            reader = arrow_csv.open_csv(
+                file,
+                arrow_csv.ReadOptions(
+                    encoding=form.encoding, column_names=form.names, skip_rows=form.skip, block_size=_BLOCK,
+                    use_threads=False,
+                ),
+                arrow_csv.ParseOptions(delimiter=form.delimiter),
+                arrow_csv.ConvertOptions(
+                    column_types=types, decimal_point=form.decimal,
+                    null_values=["", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-nan"],
+                ),
+            )  # fmt: skip
+            yield from reader
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise refuse_damaged(path, error) from None
+        except (pa.ArrowInvalid, UnicodeError) as error:
+            raise blame_line(path, form, types, error) from None
+
+
+def blame_line(path: Path, form: Format, types: dict[str, Any], error: Exception) -> InputError:
+    """Which line it was that did not convert."""
+    expected = f"{len(form.names)} cells a line, each with a number where the first has one"
+    kinds = {i: str(types[name]) for i, name in enumerate(form.names)}
+    with open_bytes(path) as file:
+        reader = csv.reader(io.TextIOWrapper(file, form.encoding, "replace", newline=None), delimiter=form.delimiter)
+        for line, row in enumerate(reader, 1):
+            if line <= form.skip or not row:
+                continue
+            if len(row) != len(form.names):
+                found = f"{path}, line {reader.line_num}: {len(row)} cells"
+                return InputError(found, expected, "complete or remove the line")
+            for place, cell in enumerate(row):
+                text = cell.strip().replace(form.decimal, ".")
+                good = _NUMBER.fullmatch(text) or text.lower() in ("null", "none", "n/a", "na", "-", "-nan")
+                if kinds[place] in ("double", "int64") and not good:
+                    found = f"{path}, line {reader.line_num}: {cell!r} as {form.names[place]}"
+                    return InputError(found, "a number, as in the lines before", "correct the line")
+                if kinds[place] == "int64" and not re.fullmatch(r"\s*[-+]?\d+\s*", cell):
+                    found = f"{path}, line {reader.line_num}: {cell!r} as {form.names[place]}"
+                    return InputError(found, "a whole number, as in the lines before", "correct the line")
+    return InputError(f"{path}: {error}", "a CSV file", "correct it")
+
+
+def read_column(path: Path, form: Format, batch: Any, name: str, number: int, pa: Any) -> np.ndarray:  # noqa: ANN401
+    """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
+    column = batch.column(form.names.index(name))
+    if not pa.types.is_string(column.type):
+        if pa.types.is_int64(column.type) and column.null_count == 0:
+            return np.asarray(column.to_numpy(zero_copy_only=False))
+        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
+    place = form.names.index(name)
+    if not (place < len(form.first) and form.first[place].startswith(("[", "("))):
+        return np.asarray(column.fill_null("").to_numpy(zero_copy_only=False))
+    from pyarrow import compute
+
+    inner = compute.utf8_trim(column.fill_null(""), "[]() \t")
+    parts = compute.split_pattern_regex(inner, r"[,;\s]+")
+    widths = compute.list_value_length(parts).to_numpy(zero_copy_only=False)
+    width = len(re.split(r"[,;\s]+", form.first[place].strip("[]() \t")))
+    wrong = np.flatnonzero(widths != width)
+    if len(wrong):
+        line = find_line(path, form, number + int(wrong[0]))
+        found = f"{path}, line {line}: {widths[wrong[0]]} values in the list of {name}"
+        raise InputError(found, f"{width}, as in the first", "correct the line")
+    try:
+        values = compute.cast(parts.flatten(), pa.float64())
+    except pa.ArrowInvalid as error:
+        raise InputError(f"{path}: {name}: {error}", "lists of numbers", "correct the cell") from None
+    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(-1, width)
+
+
+def find_line(path: Path, form: Format, row: int) -> int:
+    """Number of the line in which a row of values lies."""
+    with open_bytes(path) as file:
+        reader = csv.reader(io.TextIOWrapper(file, form.encoding, "replace", newline=None), delimiter=form.delimiter)
+        filled = -form.skip
+        for cells in reader:
+            filled += bool(cells) or filled < 0
+            if filled > row:
+                break
+        return reader.line_num

@@ -1,0 +1,219 @@
+"""Named columns over time, as logs of other kinds hold them, packed as ROS 2 messages and then read as those are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from vpptwin.errors import InputError, escape_text
+from vpptwin.fields import Stamp
+from vpptwin.logs.container import Block, RawChannel, RawFile
+from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
+from vpptwin.logs.messages import compose_definition, shorten_type
+from vpptwin.progress import open_bar
+
+_TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
+_MOST_S = 2**31
+_LARGE = 1 << 27  # bytes
+
+
+@dataclass(frozen=True)
+class Table:
+    """Some rows of one source of a log.
+
+    Attributes:
+        topic: of the source, with a slash in front.
+        time: (n,) ns, int64.
+        columns: name as in the log -> numbers, bool or text, (n,) or (n, k).
+        units: of columns that have one.
+    """
+
+    topic: str
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What of a log is wanted.
+
+    Attributes:
+        channel: tells whether a channel's messages are.
+        fields: topic -> the fields that are enough; all of those that it leaves out.
+        stamps: topic -> where its time lies, where somebody says.
+    """
+
+    channel: Callable[[RawChannel], bool]
+    fields: Mapping[str, Collection[str]] = field(default_factory=dict)
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+
+    def choose(self, topic: str, names: Mapping[str, str]) -> list[str]:
+        """Which columns, named as in the log and in messages, are wanted."""
+        if topic not in self.fields:
+            return list(names)
+        wanted = {
+            name for path in self.fields[topic] for given in (path, path.split("[")[0]) for name in list_names(given)
+        }
+        found = [column for column, name in names.items() if column in wanted or name in wanted]
+        return found if len(found) >= len({path.split("[")[0] for path in self.fields[topic]}) - 1 else list(names)
+
+
+def name_topic(path: Path) -> str:
+    """What the only table of a file is called."""
+    return "/" + (re.sub(r"[^A-Za-z0-9_]+", "_", path.name.split(".")[0]).strip("_") or "table")
+
+
+def name_field(column: str) -> str:
+    """A column's name as ROS 2 allows it: small letters, digits, single underscores, an index left as it is."""
+    name, index = re.fullmatch(r"(.*?)((?:\[\d+\])?)", column, flags=re.DOTALL).groups()  # type: ignore[union-attr]
+    name = re.sub(r"_+", "_", re.sub(r"[^a-z0-9]", "_", name.lower())).strip("_")
+    return (name if name[:1].isalpha() else f"c_{name}".rstrip("_")) + index
+
+
+def list_names(path: str) -> tuple[str, str, str]:
+    """What a field may be called that somebody names: so, or as ROS 2 allows it, an index apart or within."""
+    return path, name_field(path), name_field(re.sub(r"\[(\d+)\]", r"_\1", path))
+
+
+def find_field(channel: RawChannel, path: str) -> str:
+    """A field's path in messages of a channel, which may be called as it is in the log that they were packed from."""
+    if channel.message_type.startswith("vpptwin_msgs/"):
+        fields = parse_definition(channel.message_type, channel.definition)[shorten_type(channel.message_type)]
+        known = {field.name for field in fields}
+        return next((name for name in list_names(path) if name.split("[")[0] in known), path)
+    return path
+
+
+def name_fields(columns: Iterable[str]) -> dict[str, str]:
+    """Column -> a field's name of its own."""
+    names: dict[str, str] = {}
+    for column in columns:
+        name = first = list_names(column)[2]
+        count = 1
+        while name in names.values():
+            name, count = f"{first}_{count + 1}", count + 1
+        names[column] = name
+    return names
+
+
+def pack_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
+    """The tables of a log as channels of messages.
+
+    Args:
+        path: of the log.
+        tables: of any number of topics, each in the order of its rows.
+        wish: what is kept of them.
+        notes: warnings, which may still grow while tables are read.
+
+    Raises:
+        InputError: if a time is none that a message can bear, or a topic changes its columns midway.
+    """
+    channels: dict[str, RawChannel] = {}
+    chosen: dict[str, dict[str, str]] = {}
+    first, last, number = 2**63, -1, 0
+    for table in show_progress(path, tables):
+        count = len(table.time)
+        if table.topic not in channels:
+            names = name_fields(table.columns)
+            chosen[table.topic] = {column: names[column] for column in wish.choose(table.topic, names)}
+            kept = {column: table.columns[column] for column in chosen[table.topic]}
+            kind = f"vpptwin_msgs/msg/{_name_type(table.topic)}"
+            text = define_message(kept, chosen[table.topic], table.units)
+            channels[table.topic] = RawChannel(table.topic, kind, MessageEncoding.CDR, SchemaEncoding.ROS2, text)
+        channel = channels[table.topic]
+        channel.count += count
+        if not count:
+            continue
+        if not (table.time.min() >= -_MOST_S * 10**9 and table.time.max() < _MOST_S * 10**9):
+            found = f"{path}: {table.topic} has times {table.time.min() / 1e9:.4g} to {table.time.max() / 1e9:.4g} s"
+            raise InputError(found, "times within 68 years of 1970", "say which unit the time has")
+        log_time = np.maximum(table.time, 0).astype(np.uint64)
+        first, last = min(first, int(log_time.min())), max(last, int(log_time.max()))
+        if wish.channel(channel):
+            kept = {column: table.columns[column] for column in chosen[table.topic]}
+            for rows, payload in pack_rows(channel, table.time, kept, chosen[table.topic]):
+                channel.blocks.append(Block((number + rows).astype(np.uint64), log_time[rows], payload))
+        number += count
+    return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
+
+
+def show_progress(path: Path, tables: Iterable[Table]) -> Iterable[Table]:
+    """The tables, counted on standard error while a large file is read."""
+    if not path.is_file() or path.stat().st_size < _LARGE:
+        yield from tables
+        return
+    with open_bar(desc=f"read {path.name}", unit=" rows") as bar:
+        for table in tables:
+            yield table
+            bar.update(len(table.time))
+
+
+def _name_type(topic: str) -> str:
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", topic) if word]
+    name = "".join(word[0].upper() + word[1:] for word in words) or "Table"
+    return name if name[0].isalpha() else f"T{name}"
+
+
+def define_message(columns: Mapping[str, np.ndarray], names: Mapping[str, str], units: Mapping[str, str]) -> str:
+    """ros2msg text of rows with these columns, texts last; a comment has each column's name in the log and its unit."""
+    lines = ["std_msgs/Header header"]
+    for column in sorted(columns, key=lambda column: is_text(columns[column])):
+        data = columns[column]
+        base = "string" if is_text(data) else "bool" if data.dtype == bool else _TYPES[data.dtype.str[1:]]
+        array = f"[{data.shape[1]}]" if data.ndim > 1 else ""
+        unit = f" [{units[column]}]" if column in units else ""
+        said = escape_text(f"{column}{unit}".replace("=", ":"))
+        lines.append(f"{base}{array} {names[column]}" + (f"  # {said}" if said != names[column] else ""))
+    _, _, rest = compose_definition("geometry_msgs/msg/PoseStamped").partition("=" * 80)
+    sections = [part for part in rest.split("=" * 80) if "MSG: std_msgs" in part or "MSG: builtin" in part]
+    return "\n".join(lines) + "\n" + "".join("=" * 80 + section.rstrip("\n") + "\n" for section in sections)
+
+
+def is_text(data: np.ndarray) -> bool:
+    """Whether a column is of text."""
+    return bool(data.dtype.kind in "OUS")
+
+
+def pack_rows(
+    channel: RawChannel, time: np.ndarray, columns: Mapping[str, np.ndarray], names: Mapping[str, str]
+) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    """Rows as little-endian CDR, those of one length together: rows (n,) and payload (n, length)."""
+    definitions = parse_definition(channel.message_type, channel.definition)
+    texts = {n: [str(t).encode() + b"\0" for t in columns[c]] for c, n in names.items() if is_text(columns[c])}
+    lengths = np.array([[len(text) for text in column] for column in texts.values()], dtype=int).T
+    lengths = lengths.reshape(len(time), len(texts))
+    shapes, which = (
+        np.unique(lengths, axis=0, return_inverse=True) if texts else (lengths[:1], np.zeros(len(time), int))
+    )
+    for index, shape in enumerate(shapes):
+        rows = np.flatnonzero(which.reshape(-1) == index)
+        sizes = dict(zip(texts, shape.tolist()))
+        counters: dict[int, int] = {}
+
+        def choose(path: str, offset: int, of_string: bool, s: dict = sizes, c: dict = counters) -> int:
+            c[offset] = s.get(path, 1)
+            return c[offset]
+
+        layout = arrange_fields(definitions, channel.message_type, choose)
+        payload = np.zeros((len(rows), layout.size), dtype=np.uint8)
+        payload[:, 1] = LITTLE_ENDIAN
+        for offset, size in counters.items():
+            payload[:, offset : offset + 4] = np.frombuffer(np.array(size, "<u4").tobytes(), np.uint8)
+        for path, (offset, length) in layout.strings.items():
+            if path in texts:
+                data = b"".join(texts[path][row] for row in rows)
+                payload[:, offset : offset + length] = np.frombuffer(data, np.uint8).reshape(len(rows), length)
+        seconds = time[rows] // 10**9
+        parts = {"header.stamp.sec": seconds, "header.stamp.nanosec": time[rows] - seconds * 10**9}
+        parts |= {name: columns[column][rows] for column, name in names.items() if not is_text(columns[column])}
+        for path, values in parts.items():
+            leaf = layout.leaves[path]
+            raw = np.ascontiguousarray(values.astype(f"<{leaf.code}").reshape(len(rows), -1)).view(np.uint8)
+            payload[:, leaf.offset : leaf.offset + raw.shape[1]] = raw
+        yield rows, payload
