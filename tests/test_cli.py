@@ -98,7 +98,7 @@ def find_blocks(language: str) -> list[str]:
 
 
 def test_the_documented_twins_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The drone of docs/twin.md loads, its quadrotor too; its cart gets the generic effects, with units of each kind."""
+    """The drone of docs/twin.md loads, its quadrotor too; its cart gets the generic effects, with units."""
     drone, cart, quadrotor = find_blocks("yaml")
     assert load_twin(write_twin(tmp_path)).robot.signals == Signals(**yaml.safe_load(quadrotor)["signals"])
     (tmp_path / "drone.yaml").write_text(drone)
