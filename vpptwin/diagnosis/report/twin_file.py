@@ -55,7 +55,8 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
     if spec.controller != "map":
         content["controller"] = spec.controller
     if spec.robot.signals != NO_SIGNALS:
-        content["signals"] = spec.robot.signals.model_dump(exclude_defaults=True)
+        told = spec.robot.signals.model_dump()
+        content["signals"] = {part: names for part, names in told.items() if names or part not in ("bodies", "sites")}
     return content
 
 
