@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import yaml
 
+from tests.quadrotor import write_twin
 from vpptwin import __version__
 from vpptwin.cli import main
 from vpptwin.effects import CATALOGUE, find_effect
 from vpptwin.twin import load_twin
+from vpptwin.twin.signals import Signals
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / "demo" / "flights"
@@ -95,8 +98,9 @@ def find_blocks(language: str) -> list[str]:
 
 
 def test_the_documented_twins_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The drone of docs/twin.md loads; its cart gets the generic effects, with units of each joint's kind."""
-    drone, cart = find_blocks("yaml")
+    """The drone of docs/twin.md loads, its quadrotor too; its cart gets the generic effects, with units."""
+    drone, cart, quadrotor = find_blocks("yaml")
+    assert load_twin(write_twin(tmp_path)).robot.signals == Signals(**yaml.safe_load(quadrotor)["signals"])
     (tmp_path / "drone.yaml").write_text(drone)
     (tmp_path / "cart.yaml").write_text(cart)
     (tmp_path / "cart.xml").write_text(*find_blocks("xml"))

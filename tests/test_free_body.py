@@ -156,7 +156,7 @@ def test_predictions_and_the_extended_twin_know_the_body(spec: TwinSpec, tmp_pat
         assert known.mean() > 0.8
         assert np.sqrt(np.mean(track.residual[0][known] ** 2)) < (0.02 if name[-1] in "xyz" else 0.08)
     content = name_twin(spec, tmp_path)
-    assert content["signals"] == spec.robot.signals.model_dump(exclude_defaults=True)
+    assert content["signals"] == spec.robot.signals.model_dump()
     (tmp_path / "again.yaml").write_text(yaml.safe_dump(content))
     assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
 

@@ -45,3 +45,14 @@ def test_a_rail_that_sticks_is_named_with_its_size(tmp_path: Path) -> None:
     force = verdict.causes[0].parameters["force"]
     assert abs(force.value - 0.19385) < STDS * force.std < 0.06
     assert not verdict.unexplained.significant
+
+
+@pytest.mark.slow
+def test_a_steady_torque_is_named_with_its_size(tmp_path: Path) -> None:
+    """0.08 N m in the pivot under bursts: a track that has it already would have the fit add it twice."""
+    wind = Wind("bursts", 0.32697, 0.16377, (1.7409, 0.92457, 0.81206))
+    verdict = judge_rig({"pitch.bias": {"force": 0.080628}}, 1112213201, wind, tmp_path)
+    assert [cause.effect for cause in verdict.causes] == ["pitch.bias"]
+    assert verdict.causes[0].confidence > CONFIDENT
+    force = verdict.causes[0].parameters["force"]
+    assert abs(force.value - 0.080628) < max(STDS * force.std, 0.002)

@@ -17,7 +17,7 @@ import torch
 from tests.diagnosis.made_up import FLIP, make_diagnosis
 from tests.twin.own_effect_files import SLIDE, WAVE, write_effects, write_rig
 from vpptwin.cli import main
-from vpptwin.diagnosis.report import command
+from vpptwin.diagnosis.report import result
 from vpptwin.errors import InputError
 from vpptwin.logs.write import FlightWriter
 from vpptwin.terminal import Screen, open_console, show_plainly
@@ -86,7 +86,7 @@ def test_pages_of_a_hostile_rig_hold_its_names_as_text(tmp_path: Path, monkeypat
 
 def test_the_report_of_hostile_effects_holds_them_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The words of an effect of the user's own, and a log's name."""
-    monkeypatch.setattr(command, "diagnose", lambda *arguments: make_diagnosis())
+    monkeypatch.setattr(result, "judge", lambda *arguments: make_diagnosis())
     log = tmp_path / f"{MARKUP.replace('/', '')}.mcap"
     log.write_bytes(FLIP.read_bytes())
     text = WAVE.replace("slide", "rail_x").replace("a wavy rail", MARKUP.replace("\\", "\\\\"))

@@ -24,7 +24,10 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list[Effects]:
         return hidden
 
     monkeypatch.setattr(sessions, "fly_sessions", fly)
-    monkeypatch.setattr(sessions, "diagnose_session", lambda hidden: SimpleNamespace(hidden=hidden, story=f"{hidden}"))
+    silent = SimpleNamespace(causes=[])
+    monkeypatch.setattr(
+        sessions, "diagnose_session", lambda hidden: SimpleNamespace(hidden=hidden, verdict=silent, story=f"{hidden}")
+    )
     return seen
 
 

@@ -4,8 +4,8 @@ What is listed here is imported when it is asked for: `import vpptwin` costs not
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # `typing` itself takes as long as all else before Ctrl-C is heeded
 if TYPE_CHECKING:
     from vpptwin.diagnosis.judgement.verdict import Verdict as Verdict
     from vpptwin.diagnosis.report.compare import Comparison as Comparison

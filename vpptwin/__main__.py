@@ -1,9 +1,14 @@
 """The program: `vpptwin`, or `python -m vpptwin`."""
 
+from __future__ import annotations
+
 import os
 import signal
 import sys
-from typing import NoReturn
+
+TYPE_CHECKING = False  # as in `vpptwin/__init__.py`
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 
 def stop(number: int, frame: object = None) -> NoReturn:

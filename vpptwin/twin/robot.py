@@ -197,23 +197,23 @@ class Robot:
         model, loads = self.model, self.loads
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
+        of_bodies = (effect for body in self.list_free() for effect in effects_for_body(body))
         if loads is None:
-            effects = effects_for_rig([generic_place(*joint) for joint in joints], {n: 1.0 for n in names if n})
-            return (*effects, *(effect for body in self.list_free() for effect in effects_for_body(body)))
+            unit = {name: 1.0 for name in names if name}
+            return (*effects_for_rig([generic_place(*joint) for joint in joints], unit), *of_bodies)
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        effects = effects_for_rig(places, controls, 1.0)
-        return (*effects, *(effect for body in self.list_free(loads) for effect in effects_for_body(body)))
+        return (*effects_for_rig(places, controls, 1.0), *of_bodies)
 
-    def list_free(self, loads: Loads | None = None) -> list[FreeBody]:
+    def list_free(self) -> list[FreeBody]:
         """The bodies that nothing holds, with what is typical of them."""
-        model, found = self.model, []
+        model, loads, found = self.model, self.loads, []
         force = typical_forces(model) if loads is None else loads.force
-        for joint in np.flatnonzero(model.jnt_type == FREE):
+        for joint in find_free(model):
             body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
             name = model.body(body).name
             speed = 1.0 if loads is None else float(loads.speed[dof : dof + 3].max())

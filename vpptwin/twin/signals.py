@@ -52,7 +52,8 @@ class Signals(BaseModel):
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """What a twin YAML says."""
-        content = self.model_dump(exclude_defaults=True)
+        told = self.model_dump()
+        content = {part: names for part, names in told.items() if names or part not in ("bodies", "sites")}
         for group, topic in SIGNAL_TOPICS.items():
             entries = self.entries.get(topic, {})
             if group in content:

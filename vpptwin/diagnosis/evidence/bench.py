@@ -67,6 +67,14 @@ class Track:
         """The part of some degrees of freedom, (nv,)."""
         return Track(self.pose * dofs, self.velocity * dofs, self.push * dofs)
 
+    def without_steady(self, flight: np.ndarray) -> Track:
+        """The track without the pulses' mean over each flight, whose index every window has, (K,).
+
+        A force that stays is for parameters to explain: about a motion that has it already they would add it twice.
+        """
+        steady = {name: self.push[flight == name].mean(axis=(0, 1)) for name in np.unique(flight)}
+        return Track(self.pose, self.velocity, self.push - np.array([steady[name] for name in flight])[:, None])
+
 
 def pick(motion: Motion, run: int) -> Motion:
     """One run of many, arrays (K, steps + 1, ...)."""
