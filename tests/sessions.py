@@ -167,28 +167,14 @@ class Sessions:
 
     def require(self, name: str, find: Callable[[Session], list[str]], tries: int = 2) -> None:
         """Fail if what is wrong with the verdict, by `find`, is so in every one of `tries` sessions."""
-        stories, alike = [], True
+        stories = []
         for turn in range(tries):
             session = diagnose_session((self._fly([name], turn) if turn else self._flown)[name])
             faults = find(session)
             if not faults:
                 return
             stories += [*faults, session.story]
-            alike &= takes_bias_for_asymmetry(session)
-        if alike:
-            pytest.xfail("friction with a constant force is the same law as lopsided friction, and no rival is named")
         pytest.fail("\n".join(stories))
-
-
-def takes_bias_for_asymmetry(session: Session) -> bool:
-    """Whether lopsided friction of a joint is taken for friction and a constant force on it.
-
-    In motion and at rest these are one law, so that each should name the other as its rival: a known defect.
-    """
-    named = {cause.effect for cause in session.verdict.causes}
-    return any(
-        f"{effect.removesuffix('.asymmetry')}.bias" in named for effect in session.hidden if "asymmetry" in effect
-    )
 
 
 def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: str) -> dict[str, Flown]:

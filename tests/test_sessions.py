@@ -24,10 +24,7 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list[Effects]:
         return hidden
 
     monkeypatch.setattr(sessions, "fly_sessions", fly)
-    silent = SimpleNamespace(causes=[])
-    monkeypatch.setattr(
-        sessions, "diagnose_session", lambda hidden: SimpleNamespace(hidden=hidden, verdict=silent, story=f"{hidden}")
-    )
+    monkeypatch.setattr(sessions, "diagnose_session", lambda hidden: SimpleNamespace(hidden=hidden, story=f"{hidden}"))
     return seen
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
+from vpptwin.diagnosis.judgement.diagnose import Material, is_outweighed, keep_better
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
 
@@ -60,3 +60,11 @@ def test_a_twin_that_predicts_as_well_is_kept(before: float, after: float) -> No
 def test_a_slip_may_cost_what_tests_allow(after: float, kept: bool) -> None:
     """Two percent where the twin sticks, as tests/sessions.py allows; no more."""
     assert bool(select(2.0, after, sticks=True)[1].fit.effects) == kept
+
+
+@pytest.mark.parametrize(
+    ("after", "gain", "outweighed"), [(140.0, 0.001, True), (140.0, 0.96, False), (0.9, 0.0, False)]
+)
+def test_what_explains_less_than_it_leaves_is_suggested(after: float, gain: float, outweighed: bool) -> None:
+    """A small cause beside a large one of 4600 times the noise, of which 140 stay: it may be what mends the large."""
+    assert is_outweighed(4600.0, after, gain) == outweighed

@@ -14,6 +14,7 @@ from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
 from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
 from vpptwin.diagnosis.search.frame import Frame
+from vpptwin.diagnosis.search.likelihood import couple_gusts
 from vpptwin.twin.robot import GUST_TIME
 
 TRUTH = {("slide.coulomb", "force"): FRICTION}
@@ -181,11 +182,11 @@ def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
 
 
 def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
-    """With friction the density is the mean of two: with the response of the twin that sticks, and that of none."""
-    own, residual, parts = guess(TRUTH), rubbing.residual(TRUTH), []
-    for values in ({}, TRUTH):
-        likelihood = rubbing.likelihood(values)
-        square = (likelihood.whiten(residual) ** 2).sum(axis=1)
+    """With friction the density is the mean of two: about the likeliest motion of the twin that sticks, and of none."""
+    own, parts = guess(TRUTH), []
+    for response, missed in ((rubbing.response({}), rubbing.residual(TRUTH)), rubbing.follow(own)):
+        likelihood = couple_gusts(rubbing.short, response, np.ones(1))
+        square = (likelihood.whiten(response.restore(missed)) ** 2).sum(axis=1)
         usual = 3.0 * np.median(square)
         square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
         parts.append(square + likelihood.logdet)

@@ -21,6 +21,7 @@ from vpptwin.diagnosis.judgement.selection import (
     is_cause,
     look_alike,
     select_causes,
+    tell_roughness,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.verdict import Rival
@@ -208,12 +209,31 @@ def test_held_out_windows_that_cannot_judge_are_not_asked(gain: float, drop: flo
     assert not judge(Judges(0.0, 1.1 * CRITERIA.powerless), 2.1 * BAR, a_coulomb=0.5)
 
 
-@pytest.mark.parametrize(("gain", "confirmed"), [(2.1, True), (1.9, False), (-1.0, False)])
-def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, confirmed: bool) -> None:
-    """Two standard errors; on the drone, whose gusts are known, the evidence of fitted windows may stand alone."""
+@pytest.mark.parametrize(
+    ("gain", "favour", "confirmed"), [(2.1, 0.1, True), (2.1, -0.1, False), (1.9, 0.1, False), (-1.0, 3.0, False)]
+)
+def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, favour: float, confirmed: bool) -> None:
+    """Two standard errors, and smaller errors; on the drone, whose gusts are known, fitted windows may stand alone."""
     before, after = fit(50.0), fit(-100.0, a_coulomb=1.0)
-    assert confirms(OTHER_RIG, Judges(gain), before, after) == confirmed  # type: ignore[arg-type]
-    assert confirms(SEARCH, Judges(gain), before, after)  # type: ignore[arg-type]
+    assert confirms(OTHER_RIG, Judges(gain, favour=favour), before, after) == confirmed  # type: ignore[arg-type]
+    assert confirms(SEARCH, Judges(gain, favour=favour), before, after)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("favour", "named"), [(0.1, True), (-0.9, True), (-1.1, False)])
+def test_errors_that_speak_against_a_cause_veto_it(favour: float, named: bool) -> None:
+    """On other rigs, by a standard error: what slips a little early or late predicts no better, and no worse."""
+    assert judge(Judges(10.0, favour=favour), 100.0, search=OTHER_RIG, a_coulomb=0.5) is named
+
+
+def test_lopsided_friction_and_a_force_beside_friction_are_one_law() -> None:
+    """What they differ by, to the inexactness of laws of friction, tells nothing; of other pairs everything does."""
+    rough = CRITERIA.kinship * 1000.0
+    assert tell_roughness(SEARCH, "a.bias", "a.asymmetry", 1000.0) == rough
+    assert tell_roughness(SEARCH, "a.asymmetry", "a.bias", 1000.0) == rough
+    for one, other in (("a.coulomb", "a.viscous"), ("a.coulomb", "a.asymmetry"), ("a.bias", "a.spring")):
+        assert tell_roughness(SEARCH, one, other, 1000.0) == 0.0
+    (rival,) = weigh_rivals({"a.asymmetry": rough - 1.0}, CRITERIA, {"a.asymmetry": rough})
+    assert rival.confidence == 0.5
 
 
 def test_what_falls_behind_is_heard_where_no_other_is_left() -> None:

@@ -16,7 +16,7 @@ from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import weigh_windows
 from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.diagnosis.search.shortlist import Start, rank_trials
-from vpptwin.diagnosis.search.solution import solve_hypothesis
+from vpptwin.diagnosis.search.solution import solve_bounded, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown
 from vpptwin.effects.friction import coulomb
 from vpptwin.effects.joint import Place, bias, spring
@@ -218,3 +218,18 @@ def test_neighbours_of_a_wrong_set_hold_the_right_one(tmp_path_factory: pytest.T
     best = min(found, key=lambda other: other.cost)
     assert "slide.coulomb" in best.effects
     assert best.evidence_against(fit) > 100.0
+
+
+def test_bounded_least_squares_do_without_divide_and_conquer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where LAPACK gives up on a matrix, as in session 199 of seed 81580, the same answer comes another way."""
+    rng = np.random.default_rng(5)
+    matrix, wanted, bounds = rng.normal(size=(6, 6)), rng.normal(size=6), (np.full(6, -0.1), np.full(6, 0.2))
+    usual = solve_bounded(matrix, wanted, bounds)
+
+    def give_up(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
+
+    monkeypatch.setattr("scipy.optimize._lsq.bvls.lstsq", give_up)
+    found = solve_bounded(matrix, wanted, bounds)
+    np.testing.assert_allclose(found, usual, atol=1e-6)
+    assert np.all((found >= bounds[0]) & (found <= bounds[1]))

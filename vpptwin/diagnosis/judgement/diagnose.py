@@ -51,6 +51,7 @@ CONTRADICTED = (
 MMAP_THRESHOLD = -3
 """M_MMAP_THRESHOLD of malloc.h."""
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
+OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
 
 Stage = Callable[[str], None]
 
@@ -227,12 +228,14 @@ def conclude(
     if search.bench.guessed:
         seen = weigh_causes(spec, material.measurements, fit.values, search.criteria)
         denied = {s.effect: s.tell(search.criteria) for s in seen if s.contradicts(search.criteria)}
-    causes = []
+    causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, nominal)
         own = [u for u in search.unknowns if u.effect.id == effect]
-        sure = most if effect not in selection.unconfirmed else search.criteria.suggested
+        if search.bench.guessed and is_outweighed(before.chi2, after.chi2, gain):
+            doubts[effect] = OUTWEIGHED
+        sure = search.criteria.suggested if effect in doubts else most
         confidence = min((least if contradicted else sober) * selection.confidence(effect), sure)
         confidence = min(confidence, least) if effect in denied else confidence
         found = {u.parameter.name: estimate(u, fit) for u in own}
@@ -256,7 +259,7 @@ def conclude(
         improvement=held_out.change(nominal, fit.values) if causes else {},
         misfit=find_misfit(held_out, fit.values, after.chi2) if missed else None,
         warnings=list(denied.values())
-        + [UNCONFIRMED.format(effect) for effect in sorted(selection.unconfirmed)]
+        + [doubts[effect].format(effect) for effect in sorted(doubts)]
         + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
         + [
             told
@@ -269,6 +272,11 @@ def conclude(
             for warning in (*flight.warnings, *measured.warnings)
         ],
     )
+
+
+def is_outweighed(before: float, after: float, gain: float) -> bool:
+    """Whether more of held-out chi² above the noise stays `after` than a cause explains, `gain` of that `before`."""
+    return after - 1.0 > gain * (before - 1.0)
 
 
 def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Misfit:

@@ -108,8 +108,6 @@ class HeldOut:
     def follow(self, fit: Fit) -> tuple[Response, np.ndarray]:
         """Response and residual of a fit's twin about the motion that is likeliest with it."""
         key = frozenset(fit.likeliest.items())
-        if self.short.track is None:
-            return self.response(fit.values), self.residual(fit.likeliest)
         if key not in self._tracks:
             bench = copy(self.short)
             bench.track = follow_motion(bench, fit.likeliest, fit.likelihood.gust)

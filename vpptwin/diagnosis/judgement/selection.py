@@ -83,8 +83,9 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             fit, swaps = search.drop_superfluous(settle(search, other)), swaps + 1
             continue
         if better is None:
-            rivals = {effect: weigh_rivals(row, criteria) for effect, row in evidence.items()}
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
+            rough = {e: {r: tell_roughness(search, e, r, beside[e]) for r in row} for e, row in evidence.items()}
+            rivals = {e: weigh_rivals(row, criteria, rough[e]) for e, row in evidence.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             unconfirmed = {e for e, step in replaced.items() if not confirms(search, held_out, step.before, fit)}
             return Selection(fit, first, rivals, instead, beside, left_out - fit.effects, frozenset(unconfirmed))
@@ -191,13 +192,17 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
         return False
     if held_out.worsens(step.before.values, tried.values):
         return False
-    return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > 0.0
+    even = -criteria.sigmas_against
+    return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > even
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
     """Whether held-out windows alone show that a fit is better, where errors have the last word; else they need not."""
+    if not trusts_errors(search):
+        return True
     gain, error = compare(search, held_out, before, after)
-    return not trusts_errors(search) or gain > search.criteria.sigmas_held_out * error
+    shown = gain > search.criteria.sigmas_held_out * error
+    return shown and (held_out.count < search.criteria.judges or held_out.prefer(before.values, after.values) > 0.0)
 
 
 def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
@@ -282,14 +287,30 @@ def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str
     return inexact if richer > 0 else -inexact
 
 
-def weigh_rivals(evidence: Mapping[str, float], criteria: Criteria) -> list[Rival]:
+def tell_roughness(search: Search, effect: str, rival: str, drop: float) -> float:
+    """Evidence that tells nothing between a cause, which brings `drop`, and a rival.
+
+    What shapes the dry friction beside it, as lopsidedness does, may be the same law as a force beside that friction:
+    how a slider sticks tells them apart by no more than laws of dry friction are inexact.
+    """
+    effects = [u.effect for u in search.unknowns if u.effect.id in (effect, rival)]
+    rubbing = [each.stage is EffectStage.FRICTION for each in effects]
+    shaping = any(each.modifies for each, rubs in zip(effects, rubbing) if rubs)
+    return search.criteria.kinship * drop if shaping and not all(rubbing) else 0.0
+
+
+def weigh_rivals(
+    evidence: Mapping[str, float], criteria: Criteria, rough: Mapping[str, float] | None = None
+) -> list[Rival]:
     """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
 
     Args:
         evidence: rival → evidence for the cause against it.
         criteria: how far evidence is believed, and which rivals are near.
+        rough: rival → how much of that tells nothing; None for all of it does.
     """
-    gaps = {name: max(found, 0.0) / criteria.temper for name, found in evidence.items()}
+    rough = rough or {}
+    gaps = {name: max(found - rough.get(name, 0.0), 0.0) / criteria.temper for name, found in evidence.items()}
     close = {name: gap for name, gap in gaps.items() if gap < criteria.rival_sigma**2}
     weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
     total = 1.0 + sum(weights.values())

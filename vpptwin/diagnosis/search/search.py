@@ -26,6 +26,8 @@ SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
 often a fit is refined."""
 FOLLOWED = 2
 """Times that motion and parameters of what sticks are fitted in turn in the end."""
+FARTHER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
+"""Times, at first and then around the best, that a law of dry friction is tried at which slopes liken to another."""
 LONG, BRIEF = 3, 2
 """A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
 
@@ -105,13 +107,13 @@ class Search(Fitter):
             (leader,) = best.effects - fit.effects
             for start in start_from_look_alikes(fit.about, self.unknowns, leader, best.values, fit.values):
                 if start.effect in starts and start.effect not in found:
-                    self._refit(found, fit, [start])
+                    self._refit(found, fit, self._lead_on(fit, start))
         if values:
             # Without the cause the others have moved to make up for it: beside a look-alike they are as they were.
             rest = {key: value for key, value in values.items() if key[0] != against}
             for start in start_from_look_alikes(fit.about, self.unknowns, against, values, rest):
                 if start.effect in starts and (rest or start.effect not in found):
-                    self._refit(found, fit, [start])
+                    self._refit(found, fit, self._lead_on(fit, start))
         drops = {name: refitted.evidence_against(fit) for name, refitted in found.items()}
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         behind = {name: found[name] for name, drop in drops.items() if self.criteria.bar < drop < least}
@@ -175,6 +177,18 @@ class Search(Fitter):
                 values[unknown.key] = float(unknown.parameter.clip(np.array(value)))
             tried.append(values)
         return [Start(effect, values, 0.0) for values in self._pick_places(fit, tried)]
+
+    def _lead_on(self, fit: Fit, start: Start) -> list[Start]:
+        """The same start; for dry friction the best places farther on: where it sticks no slope tells how far."""
+        strength = next(u for u in self.unknowns if u.effect.id == start.effect)
+        if strength.effect.stage is not Stage.FRICTION:
+            return [start]
+        way, times, places = start.values[strength.key] - strength.nominal, 1.0, [dict(start.values)]
+        for spread in FARTHER:
+            farther = strength.parameter.clip(strength.nominal + times * np.array(spread) * way)
+            places = self._pick_places(fit, [{**start.values, strength.key: float(value)} for value in farther])
+            times = (places[0][strength.key] - strength.nominal) / way
+        return [Start(start.effect, places[0], 0.0)]
 
     def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
         """The two of many places that miss least under a fit's likelihood."""

@@ -53,7 +53,7 @@ def solve_hypothesis(
     bounds = (low[moving] - margin) / unit, (high[moving] + margin) / unit
     inside = np.linalg.solve(factor.T, wanted)
     if np.any(inside < bounds[0]) or np.any(inside > bounds[1]):
-        inside = lsq_linear(factor.T, wanted, bounds=bounds, method="bvls").x
+        inside = solve_bounded(factor.T, wanted, bounds)
     step = inside * unit
     deviation = np.zeros(len(unknowns))
     deviation[moving] = step
@@ -63,6 +63,14 @@ def solve_hypothesis(
     covariance = np.zeros((len(unknowns), len(unknowns)))
     covariance[np.ix_(moving, moving)] = np.linalg.inv(hessian) * unit[:, None] * unit
     return Solution(deviation, float(cost), covariance)
+
+
+def solve_bounded(matrix: np.ndarray, wanted: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Least squares within bounds: x (n,) that brings `matrix` (m, n) x nearest to `wanted` (m,)."""
+    try:
+        return np.asarray(lsq_linear(matrix, wanted, bounds=bounds, method="bvls").x)
+    except np.linalg.LinAlgError:  # LAPACK's divide and conquer gives up on rare well-conditioned matrices
+        return np.asarray(lsq_linear(matrix, wanted, bounds=bounds, method="trf").x)
 
 
 def price_of_freedom(solution: Solution, unknowns: tuple[Unknown, ...], freed: frozenset[str]) -> float:
