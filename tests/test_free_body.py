@@ -146,6 +146,60 @@ def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) ->
     assert 0.2 < np.abs(turns).max() < 3.0
 
 
+TABLE = """model: quadrotor.xml
+signals:
+  bodies: {quad: {topic: "*", position: {path: [px, py, pz], unit: mm}, attitude: [qw, qx, qy, qz]}}
+  sites: {imu: {topic: "*", rate: {path: [gx, gy, gz], unit: deg/s}}}
+  actuators:
+"""
+MAP = "{topic: '*', effort: {path: pwm%d, polynomial: [0.0, 2.0e-6], voltage: {path: volts, nominal: 4.0}}}"
+
+
+def test_a_table_of_columns_is_a_flight_too(tmp_path: Path) -> None:
+    """Poses, rates, PWM at a battery that sags, in a CSV of any name; where columns lie stays in an extended twin."""
+    write_twin(tmp_path)
+    (tmp_path / "twin.yaml").write_text(TABLE + "".join(f"    m{i}: {MAP % i}\n" for i in range(1, 5)))
+    spec, flown = load_twin(tmp_path / "twin.yaml"), fly({}, 2.0, 5)
+    pose, imu, motors = flown.spatial["/pose"], flown.spatial["/imu"], flown.joints["/motors"]
+    volts = 4.2 - 0.1 * pose.time
+    columns = {"time": pose.time, "volts": volts}
+    columns |= dict(zip(("px", "py", "pz"), 1e3 * pose["position"].T)) | dict(
+        zip(("qw", "qx", "qy", "qz"), pose["attitude"].T)
+    )
+    columns |= dict(zip(("gx", "gy", "gz"), np.rad2deg(imu["rate"][::5]).T))
+    columns |= {f"pwm{i}": motors[f"m{i}"]["effort"][::5] / 2e-6 * 4.0 / volts for i in range(1, 5)}
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(tmp_path / "today.csv", rows, delimiter=",", header=",".join(columns), comments="")
+    flight = read_flight(tmp_path / "today.csv", signals=spec.robot.signals.entries)
+    np.testing.assert_allclose(flight.spatial["/bodies/quad"]["position"], pose["position"], atol=1e-9)
+    np.testing.assert_allclose(flight.spatial["/bodies/quad"]["attitude"], pose["attitude"], atol=1e-9)
+    np.testing.assert_allclose(flight.spatial["/sites/imu"]["rate"], imu["rate"][::5], atol=1e-9)
+    for name, stream in flight.joints["/actuator_command"].items():
+        np.testing.assert_allclose(stream["effort"], motors[name]["effort"][::5], atol=1e-9)
+    measured = read_measurements(spec, flight)
+    assert set(measured.attitudes) == {3}
+    (tmp_path / "again.yaml").write_text(yaml.safe_dump(name_twin(spec, tmp_path)))
+    assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
+
+
+@pytest.mark.parametrize(
+    ("entry", "line"),
+    [
+        ("{topic: '*', position: [px, py, pz]}", "with position; expected position and attitude"),
+        ("{topic: '*', position: px, attitude: [a, b, c, d]}", "position: 1 fields, 1 factors; expected 3 fields"),
+        ("{topic: '*', position: [x, y, z], attitude: [a, b, c, d], effort: u}", "expected position and attitude"),
+    ],
+)  # fmt: skip
+def test_a_body_of_columns_needs_its_pose(tmp_path: Path, entry: str, line: str) -> None:
+    """All of it, a field for every component, and nothing else."""
+    write_twin(tmp_path)
+    (tmp_path / "twin.yaml").write_text(f"model: quadrotor.xml\nsignals:\n  bodies: {{quad: {entry}}}\n")
+    (tmp_path / "today.csv").write_text("time,x\n0.0,1.0\n0.1,2.0\n")
+    signals = load_twin(tmp_path / "twin.yaml").robot.signals
+    with pytest.raises(InputError, match=line):
+        read_flight(tmp_path / "today.csv", signals=signals.entries)
+
+
 def test_predictions_and_the_extended_twin_know_the_body(spec: TwinSpec, tmp_path: Path) -> None:
     """Angles of a prediction stay near those measured where it was restarted; its YAML has the signals it came with."""
     prediction = predict_flight([spec], fly({}, 4.0, 7))

@@ -36,14 +36,22 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Voltage(Entry):
+    """A supply that a command works against: the command counts `path` / `nominal` times."""
+
+    path: str
+    nominal: float = Field(gt=0.0)
+
+
 class FieldEntry(Entry):
-    """A column: polynomial of the field, times scale and the unit's size, plus offset."""
+    """A column: polynomial of the field (of as much of it as the supply gives), times scale and unit, plus offset."""
 
     path: str | list[str]
     scale: float | list[float] = 1.0
     offset: float = 0.0
     unit: str | None = None
     polynomial: list[float] = []
+    voltage: Voltage | None = None
     axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
 
     @field_validator("unit")
@@ -72,13 +80,22 @@ FieldText = Annotated[FieldEntry, text_as("path")]
 StampText = Annotated[Stamp, text_as("path")]
 
 
+FieldList = Annotated[FieldEntry, BeforeValidator(lambda value: {"path": value} if isinstance(value, list) else value)]
+"""An entry, or the fields of a vector alone."""
+
+
 class SignalEntry(Entry):
-    """A joint or an actuator out of fields of any topic."""
+    """A joint or an actuator, one field each, or a free body or an IMU out of fields of any topic.
+
+    Of a body: position x, y, z and attitude w, x, y, z in the world; of an IMU: rate x, y, z in its axes.
+    """
 
     topic: str
-    position: FieldText | None = None
+    position: Annotated[FieldList, text_as("path")] | None = None
     velocity: FieldText | None = None
     effort: FieldText | None = None
+    attitude: FieldList | None = None
+    rate: FieldList | None = None
     stamp: StampText = Stamp()
 
 

@@ -22,6 +22,7 @@ class Source:
         offset: added after scaling, in the unit of the column.
         axis: for a quaternion, the axis whose rotation angle is read, one of AXES; otherwise None.
         polynomial: coefficients, that of the constant first; none for the field itself.
+        voltage: field of a supply and its nominal value: before anything else the field is multiplied by their ratio.
     """
 
     paths: tuple[str, ...]
@@ -29,6 +30,12 @@ class Source:
     offset: float = 0.0
     axis: str | None = None
     polynomial: tuple[float, ...] = ()
+    voltage: tuple[str, float] | None = None
+
+    @property
+    def roots(self) -> tuple[str, ...]:
+        """Fields that it takes, of a rotation the whole."""
+        return self.paths if self.voltage is None else (*self.paths, self.voltage[0])
 
 
 @dataclass(frozen=True)
@@ -168,6 +175,11 @@ ROS has them), or in the axes of an IMU [m, m/s, rad/s, m/s²]."""
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TOPICS = ("/joint_states", "/actuator_command")
 JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "control input, N or N m"}
+
+SPATIAL_COLUMNS = {"/bodies/": {"position": 3, "attitude": 4}, "/sites/": {"rate": 3}}
+"""Bodies and IMUs out of fields: root of the topics that they are read as -> column -> numbers."""
+
+SIGNAL_COLUMNS = (*JOINT_COLUMNS, "attitude", "rate")
 
 
 def is_spatial(message_type: str) -> bool:

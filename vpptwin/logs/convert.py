@@ -15,7 +15,7 @@ Value = float | Sequence[float] | np.ndarray
 def list_fields(source: Source) -> list[str]:
     """Numeric message fields that a column is made from; a rotation takes four."""
     if source.axis is None:
-        return list(source.paths)
+        return list(source.roots)
     return [f"{source.paths[0]}.{component}" for component in _COMPONENTS]
 
 
@@ -34,6 +34,9 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
         values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
     else:
         values = read_angle(np.stack([fields[path] for path in list_fields(source)], axis=-1), source.axis)
+    if source.voltage:
+        path, nominal = source.voltage
+        values = values * np.asarray(fields[path], dtype=float) / nominal
     if source.polynomial:
         values = np.polynomial.polynomial.polyval(values, source.polynomial)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])

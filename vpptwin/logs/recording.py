@@ -19,7 +19,7 @@ from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.tables import Table, Wish, find_field, name_topic, pack_tables
+from vpptwin.logs.tables import ANY, Table, Wish, find_field, name_topic, pack_tables
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.plain import read_yaml
 
@@ -56,6 +56,8 @@ class Recording:
     def find_topic(self, topic: str) -> str | None:
         """A topic's name in the log, of which people leave out the slash; None if it lacks it."""
         present = self.list_topics()
+        if topic == ANY and len(present) == 1:
+            return next(iter(present))
         return next((name for name in (topic, f"/{topic}", topic.removeprefix("/")) if name in present), None)
 
     def list_topics(self) -> dict[str, str]:
@@ -230,7 +232,7 @@ def _read_file(path: Path, wish: Wish) -> RawFile:
         return read_bag(path, wish)
     if kind is not None:
         notes: list[str] = []
-        stamp = wish.stamps.get("/episode" if kind == "lerobot" else name_topic(path))
+        stamp = wish.find_stamp("/episode" if kind == "lerobot" else name_topic(path))
         return pack_tables(path, _TABLES[kind](path, stamp, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)

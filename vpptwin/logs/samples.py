@@ -85,21 +85,22 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     Raises:
         InputError: if the log lacks the topic or a field, or a field is none of numbers.
     """
-    if recording.find_topic(route.topic) is None:
+    topic = recording.find_topic(route.topic)
+    if topic is None:
         lacking = f"{recording.path} lacks topic {route.topic}, which {route.name} is mapped to"
         listed = ", ".join(recording.list_topics())
         raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
-    found = read_fields(recording, route.topic, route.stamp, paths, label)
+    found = read_fields(recording, topic, route.stamp, paths, label)
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     for column, data in values.items():
-        if data.ndim != 1:
+        if data.ndim != 1 and len(route.sources[column].paths) == 1:
             path = route.sources[column].paths[0]
             raise InputError(f"{recording.path}: {route.topic} {path} is a list", "a number", f"name {path}[0], say")
         if route.sources[column].axis is not None:
             values[column] = np.unwrap(data)
-    empty = np.any([np.isnan(data) for data in values.values()], axis=0)
+    empty = np.any([np.isnan(data).reshape(len(data), -1).any(axis=1) for data in values.values()], axis=0)
     if empty.any():
         warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
     return replace(found, fields=values).take(np.flatnonzero(~empty))

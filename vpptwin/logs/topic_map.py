@@ -13,7 +13,17 @@ from pydantic import TypeAdapter, ValidationError
 
 from vpptwin.errors import InputError
 from vpptwin.fields import FieldEntry, SignalEntry, Stamp, TopicEntry, text_as
-from vpptwin.logs.channels import AXES, CHANNELS, JOINT_COLUMNS, JOINT_TOPICS, Channel, Column, Source
+from vpptwin.logs.channels import (
+    AXES,
+    CHANNELS,
+    JOINT_COLUMNS,
+    JOINT_TOPICS,
+    SIGNAL_COLUMNS,
+    SPATIAL_COLUMNS,
+    Channel,
+    Column,
+    Source,
+)
 from vpptwin.logs.messages import shorten_type
 from vpptwin.plain import read_yaml
 
@@ -111,7 +121,7 @@ class TopicMap:
         wanted: dict[str, set[str]] = {}
         for route in self.list_routes():
             if route.sources:
-                paths = [path for source in route.sources.values() for path in source.paths]
+                paths = [path for source in route.sources.values() for path in source.roots]
                 wanted.setdefault(slash(route.topic), set()).update(paths, [route.stamp.path])
         return wanted
 
@@ -166,14 +176,21 @@ def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries |
 
 
 def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> JointRoute:
-    given = {column: getattr(entry, column) for column in JOINT_COLUMNS if getattr(entry, column) is not None}
-    if not given:
-        raise InputError(f"{where}{name} on {entry.topic} without fields", " or ".join(JOINT_COLUMNS), "name one")
+    columns = next((found for root, found in SPATIAL_COLUMNS.items() if canonical.startswith(root)), None)
+    widths = columns or dict.fromkeys(JOINT_COLUMNS, 1)
+    given = {column: item for column in SIGNAL_COLUMNS if (item := getattr(entry, column)) is not None}
+    if not given.keys() & widths.keys() or (columns and given.keys() != columns.keys()):
+        expected = " and ".join(columns) if columns else " or ".join(JOINT_COLUMNS)
+        raise InputError(
+            f"{where}{name} on {entry.topic} with {' and '.join(given) or 'no fields'}", expected, "name it"
+        )
     sources = {}
     for column, item in given.items():
-        if not isinstance(item.path, str) or len(item.factors) > 1:
-            raise InputError(f"{where}{name}.{column}: several fields or factors", "one", "name one field")
-        sources[column] = Source((item.path,), item.factors, item.offset, item.axis, tuple(item.polynomial))
+        paths, wanted = (item.path,) if isinstance(item.path, str) else tuple(item.path), widths.get(column, 0)
+        if len(paths) != wanted or len(item.factors) not in (1, wanted):
+            found = f"{where}{name}.{column}: {len(paths)} fields, {len(item.factors)} factors"
+            raise InputError(found, f"{wanted} fields" if wanted else "none, as it is no such signal", "correct it")
+        sources[column] = _make_source(paths, item, item.axis)
     return JointRoute(canonical, name, slash(entry.topic), sources, entry.stamp)
 
 
@@ -214,4 +231,9 @@ def _build_source(where: str, channel: Channel, name: str, entry: FieldEntry) ->
     if axis is not None and column.source.axis is None:
         action = f"remove it; axes {', '.join(AXES)} are for theta"
         raise InputError(f"{where}.axis", f"no axis, as {name} is no angle", action)
-    return Source(paths, scale, entry.offset, axis, tuple(entry.polynomial))
+    return _make_source(paths, entry, axis)
+
+
+def _make_source(paths: tuple[str, ...], entry: FieldEntry, axis: str | None) -> Source:
+    voltage = (entry.voltage.path, entry.voltage.nominal) if entry.voltage else None
+    return Source(paths, entry.factors, entry.offset, axis, tuple(entry.polynomial), voltage)

@@ -13,8 +13,11 @@ from vpptwin.fields import SignalEntry, dump_entry
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.model import find_free, free_bodies
 
-SIGNAL_TOPICS = {"joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command"}
-"""Where joints and actuators are read that a twin makes of fields of other topics."""
+SIGNAL_TOPICS = {
+    "joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command",
+    "bodies": "/bodies/{}", "sites": "/sites/{}",
+}  # fmt: skip
+"""Where signals are read, bodies and IMUs each on a topic of its own, that a twin makes of fields of other topics."""
 
 
 class Signals(BaseModel):
@@ -46,8 +49,9 @@ class Signals(BaseModel):
             signals = given.get(group)
             if isinstance(signals, dict):
                 fields = {name: entry for name, entry in signals.items() if isinstance(entry, dict)}
-                entries.setdefault(topic, {}).update(fields)
-                split[group] = {**signals, **dict.fromkeys(fields, topic)}
+                for name, entry in fields.items():
+                    entries.setdefault(topic.format(name), {})[name] = entry
+                split[group] = {**signals, **{name: topic.format(name) for name in fields}}
         return {**split, "entries": {topic: names for topic, names in entries.items() if names}}
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
@@ -55,9 +59,9 @@ class Signals(BaseModel):
         told = self.model_dump()
         content = {part: names for part, names in told.items() if names or part not in ("bodies", "sites")}
         for group, topic in SIGNAL_TOPICS.items():
-            entries = self.entries.get(topic, {})
-            if group in content:
-                content[group] = {n: dump_entry(entries[n]) if n in entries else t for n, t in content[group].items()}
+            for name in content.get(group, ()):
+                if (entry := self.entries.get(topic.format(name), {}).get(name)) is not None:
+                    content[group][name] = dump_entry(entry)
         return content
 
 
