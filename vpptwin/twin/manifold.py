@@ -60,11 +60,6 @@ def turn_to_world(attitude: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector + w * across + np.cross(v, across))
 
 
-def turn_to_body(attitude: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors in the world's axes, (..., 3), in the body's."""
-    return turn_to_world(conjugate(attitude), vector)
-
-
 def list_attitudes(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Where quaternions lie in positions, and their rotation vectors in velocities, of free and ball joints."""
     found = []
