@@ -20,13 +20,8 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 
 def list_outside() -> list[str]:
     """Paths, relative to the repository, of pages outside docs and of all that pages link to outside docs."""
-    pages = [
-        "README.md",
-        "CHANGELOG.md",
-        "CONTRIBUTING.md",
-        "SECURITY.md",
-        *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("examples/*/README.md")),
-    ]
+    examples = [page.relative_to(ROOT).as_posix() for page in ROOT.glob("examples/*/README.md")]
+    pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", *examples]
     found = set(pages)
     for page in [*pages, *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("docs/**/*.md"))]:
         for _, link, _ in LINK.findall((ROOT / page).read_text(encoding="utf-8")):

@@ -1,4 +1,4 @@
-"""The documentation site as `make docs` builds it: opened from disk it asks nothing of the network, and all of it works."""
+"""The documentation site as `make docs` builds it works opened from disk, and asks nothing of the network."""
 
 from __future__ import annotations
 
