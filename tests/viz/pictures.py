@@ -36,8 +36,8 @@ def draw_flip(out: Path) -> None:
             out.write_bytes(browser.take_picture())
 
 
-def draw_report(report: Path, top: Path, force: Path) -> None:
-    """The top of the report that `make demo` has written, and its picture of the missing force."""
+def draw_report(report: Path, top: Path, force: Path | None = None) -> None:
+    """The top of a report, and its picture of the missing force."""
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
         Browser(Path(folder) / "profile", size=(880, 1000)) as browser,
@@ -47,6 +47,8 @@ def draw_report(report: Path, top: Path, force: Path) -> None:
         told = PngInfo()
         told.add_text("Description", str(browser.evaluate("document.title")))
         Image.open(io.BytesIO(browser.take_picture())).save(top, pnginfo=told)
+        if force is None:
+            return
         browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').scrollIntoView(); 0")
         height = browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').offsetHeight")
         browser.draw_frames()
@@ -57,4 +59,7 @@ def draw_report(report: Path, top: Path, force: Path) -> None:
 if __name__ == "__main__":
     pictures = ROOT / "docs/pictures"
     draw_report(ROOT / "out/demo/report.html", pictures / "report.png", pictures / "force.png")
+    pivot = ROOT / "out/pitch/report.html"  # of the command in examples/antx/README.md
+    if pivot.exists():
+        draw_report(pivot, pictures / "antx_pivot.png")
     draw_flip(pictures / "flip.png")
