@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from PIL import Image
 
 from vpptwin.cli import main
 from vpptwin.diagnosis.judgement.verdict import Estimate
@@ -75,6 +76,8 @@ def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
         strength = next(iter(cause["parameters"].values()))
         size = format_value(Estimate(**strength), signed=cause["effect"] == "pitch.inertia")
         assert f"`{cause['effect']}` {size}" in page
+    told = Image.open(ROOT / "docs/pictures/antx_pivot.png").info["Description"]
+    assert f"held-out chi² {pivot['after']['chi2']:.3g}," in told, "python -m tests.viz.pictures"
 
 
 def test_friction_is_that_of_a_small_cart(rig: Rig) -> None:
