@@ -49,6 +49,13 @@ def test_a_named_cause_is_compared_watched_and_trained_on() -> None:
     assert commands[0][1:6] == ["a flight.mcap", "--twin", "nominal", "--twin", "out/x y/twin.yaml"]
 
 
+def test_results_that_are_not_saved_are_saved_first() -> None:
+    """As in a notebook; the commands below name the files that it writes."""
+    first, compare, *_ = list_steps(NAMED, Session(read_demo()[0], ["a.mcap"], [], None), None, {})
+    assert first.command == 'result.save("out")'
+    assert compare.command.endswith("--twin out/twin.yaml")
+
+
 def test_nobody_trains_on_a_rig_of_other_people(tmp_path: Path) -> None:
     """Our tasks and manoeuvres are for the drone."""
     steps = advise(NAMED, load_twin(write_rig(tmp_path)))

@@ -20,6 +20,8 @@ from vpptwin.twin.spec import TwinSpec
 
 FOLLOWED = ("velocity", "position")
 """What an effect of one's own on a joint may follow, most likely first."""
+UNSAVED = Path("out")
+"""Folder for results that were not saved yet, as in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Session:
     @property
     def extended(self) -> str:
         """The extended twin's file."""
-        return str((self.out or Path()) / "twin.yaml")
+        return str((self.out or UNSAVED) / "twin.yaml")
 
 
 def list_steps(verdict: Verdict, session: Session, experiment: str | None, meanings: Mapping[str, str]) -> list[Step]:
@@ -67,7 +69,7 @@ def list_steps(verdict: Verdict, session: Session, experiment: str | None, meani
         meanings: effect id → summary of the catalogue.
     """
     twin = session.extended if verdict.causes else session.spec.name
-    steps = []
+    steps = [Step("Save the results, in Python.", f'result.save("{UNSAVED}")')] if session.out is None else []
     if verdict.causes:
         told = "Compare both twins. Best on a log that was not diagnosed: put its name in the place of these."
         steps.append(
@@ -138,8 +140,7 @@ def suggest_own_effect(verdict: Verdict, session: Session) -> Step:
     told = (
         f"Write an effect for what is left{follows}: save these lines as own.py, put your law in, and diagnose again."
     )
-    out = ["--out", str(session.out)] if session.out is not None else ["--out", "out/own"]
-    words = [*session.logs, "--twin", session.spec.name, "--effects", "own.py", *out]
+    words = [*session.logs, "--twin", session.spec.name, "--effects", "own.py", "--out", str(session.out or UNSAVED)]
     return Step(told, session.type("diagnose", *words), write_own_effect(verdict, session.spec.robot))
 
 
