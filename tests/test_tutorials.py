@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs/tutorials"
 PROMISED = {
     "own_rig": ["wrote cart.yaml", "± 0.03 N on joint slide, which the twin lacks, explains all", "whole-log chi²"],
-    "retrain": ["wrong time constant of the pitch servos", "20 flights of flip"],
+    "retrain": ["ms from command to servo, which the twin lacks", "20 flights of flip"],
     "write_effect": [
         "no known effect explains",
         "it follows rail_x position",
