@@ -240,3 +240,6 @@ def test_the_page_fits_the_screen(report: Path, tmp_path: Path, width: int, dark
         texts = "[...document.querySelectorAll('.panels svg text')].filter(t => t.checkVisibility())"
         smallest = f"Math.min(...{texts}.map(t => t.getBoundingClientRect().height))"
         assert browser.evaluate(smallest) > 8.0
+        scheme = {"name": "prefers-color-scheme", "value": "dark"}
+        browser.call("Emulation.setEmulatedMedia", media="print", features=[scheme])
+        assert browser.evaluate(f"{body}.backgroundColor") == "rgb(255, 255, 255)"  # on paper, whatever the screen

@@ -57,11 +57,12 @@ def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction],
     verdict, bench = diagnosis.verdict, diagnosis.held_out.short
     shown = predictions[int(bench.windows.flight[-1])]
     accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.causes]
+    lit = f", lit: {join_words([effect.summary for effect in accused])}" if accused else ""
     errors, flight = list_errors(verdict), cut_flight(shown)
     same = {quantity for quantity, (_, before, after) in errors.items() if not is_changed(before, after)}
     same |= {track.name for track in flight if not is_told_apart(track)}
     return Pictures(
-        sketch=sketch_rig(bench.spec.robot, accused, f"The rig, lit: {join_words([e.summary for e in accused])}"),
+        sketch=sketch_rig(bench.spec.robot, accused, f"The rig{lit}"),
         forces={cause.effect: draw_force(diagnosis, cause.effect) for cause in verdict.causes},
         errors={name: draw_error(verdict, noise, *found, name in same) for name, found in errors.items()},
         flight={track.name: draw_track(track, shown.restarts, track.name in same) for track in flight},
