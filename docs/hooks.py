@@ -1,4 +1,4 @@
-"""The site shows what lies outside docs too: README, CHANGELOG, examples, and the files that pages link to.
+"""The site shows what lies outside docs too: README and the like, examples, and the files that pages link to.
 
 Pages keep links that work where they lie in the repository; here they are turned to where things lie on the site.
 """
@@ -13,13 +13,15 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+WIDE = re.compile(r"^\|(?:[^|\n]*\|){10}", re.MULTILINE)  # a table that takes the width of the navigation too
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 
 
 def list_outside() -> list[str]:
     """Paths, relative to the repository, of pages outside docs and of all that pages link to outside docs."""
-    pages = ["README.md", "CHANGELOG.md", *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("examples/*/README.md"))]
+    examples = [page.relative_to(ROOT).as_posix() for page in ROOT.glob("examples/*/README.md")]
+    pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", *examples]
     found = set(pages)
     for page in [*pages, *(p.relative_to(ROOT).as_posix() for p in ROOT.glob("docs/**/*.md"))]:
         for _, link, _ in LINK.findall((ROOT / page).read_text(encoding="utf-8")):
@@ -38,6 +40,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn links to where things lie on the site: docs is its root, a folder is its README."""
+    if WIDE.search(markdown):
+        page.meta["hide"] = ["navigation", "toc"]
     here = page.file.src_uri
     home = here if page.file.generated_by else posixpath.join("docs", here)
 

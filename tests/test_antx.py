@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from PIL import Image
 
 from vpptwin.cli import main
+from vpptwin.diagnosis.judgement.verdict import Estimate
+from vpptwin.diagnosis.report.words import format_value
 
 ROOT = Path(__file__).resolve().parents[1]
 TWIN = ROOT / "examples/antx/rail.yaml"
@@ -58,6 +61,23 @@ def test_friction_is_suggested(rig: Rig) -> None:
     assert rig.verdict["unexplained"]["significant"]
     assert strength["nominal"] == 0.0
     assert strength["value"] > 4.0 * strength["std"]
+
+
+def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
+    """README and the example's page: strengths as the report writes them, and how sure."""
+    page = (ROOT / "examples/antx/README.md").read_text(encoding="utf-8")
+    (row,) = [line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if "(ANT-X," in line]
+    (first,) = rig.verdict["causes"]
+    (strength,) = first["parameters"].values()
+    for text in (page, row):
+        assert f"{format_value(Estimate(**strength))}" in text
+        assert f"at {100.0 * first['confidence']:.0f} %" in text
+    for cause in pivot["causes"]:
+        strength = next(iter(cause["parameters"].values()))
+        size = format_value(Estimate(**strength), signed=cause["effect"] == "pitch.inertia")
+        assert f"`{cause['effect']}` {size}" in page
+    told = Image.open(ROOT / "docs/pictures/antx_pivot.png").info["Description"]
+    assert f"held-out chi² {pivot['after']['chi2']:.3g}," in told, "python -m tests.viz.pictures"
 
 
 def test_friction_is_that_of_a_small_cart(rig: Rig) -> None:

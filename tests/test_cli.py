@@ -13,17 +13,20 @@ from pathlib import Path
 
 import pytest
 import yaml
+from PIL import Image
 
 from tests.quadrotor import write_twin
-from vpptwin import __version__
+from vpptwin import __version__, demo
 from vpptwin.cli import main
+from vpptwin.diagnosis.judgement.verdict import Estimate
+from vpptwin.diagnosis.report.words import format_value
 from vpptwin.effects import CATALOGUE, find_effect
 from vpptwin.twin import load_twin
 from vpptwin.twin.signals import Signals
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / "demo" / "flights"
-DIAGNOSED = [str(FLIGHTS / f"{name}.mcap") for name in ("steps", "aggressive", "mixed")]
+DIAGNOSED = [str(FLIGHTS / f"{name}.mcap") for name in demo.DIAGNOSED]
 UNSEEN = FLIGHTS / "flip.mcap"
 HORIZONS = [0.05, 0.1, 0.25, 0.5, 1.0]  # s, SPEC 7
 COMMANDS = ("effects", "diagnose", "compare", "play", "fly", "identify", "train", "evaluate")
@@ -257,11 +260,33 @@ def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
     assert verdict["after"]["position_rmse_m"][2] < 0.6 * verdict["before"]["position_rmse_m"][2]
 
 
+def test_readme_and_pictures_say_what_the_demo_says(diagnosed: Run) -> None:
+    """Cause, errors before and after, and the sentence that pictures of the report carry."""
+    (cause,), before, after = (diagnosed.verdict[key] for key in ("causes", "before", "after"))
+    size = format_value(Estimate(**cause["parameters"]["force"]))
+    assert not cause["also_explained_by"]
+    told = [row for row in (ROOT / "README.md").read_text().splitlines() if row.endswith("| `make demo` |")]
+    assert f"{cause['effect']}, {size}, no rival" in told[0]
+    errors = [[1e3 * score["position_rmse_m"][i] for i in (1, 2, 3, 4)] for score in (before, after)]
+    assert ", ".join(f"{format_short(b)} → {format_short(a)}" for b, a in zip(*errors)) + " mm" in told[1]
+    headline = re.search(r"<title>(.*)</title>", (diagnosed.out / "report.html").read_text(encoding="utf-8"))
+    assert headline is not None
+    assert size in headline[1]
+    for name in ("report", "force"):
+        picture = Image.open(ROOT / f"docs/pictures/{name}.png")
+        assert picture.info["Description"] == headline[1], "make demo && python -m tests.viz.pictures"
+
+
+def format_short(error: float) -> str:
+    """As the README has it: two digits, more where they are whole."""
+    return f"{error:.0f}" if error >= 10.0 else f"{error:.1f}"
+
+
 def test_diagnose_prints_what_a_reader_needs(diagnosed: Run) -> None:
     """The sentence with the cause first, errors before and after, and where the files lie; progress aside."""
     lines = diagnosed.said.strip().splitlines()
     assert re.match(r"Dry friction of 0\.\d+ ± 0\.\d+ N on the horizontal rail, which the twin lacks, ", lines[0])
-    for words in ("rail_x.coulomb: ", "% sure", "held-out chi²", "Shares", "noise", "before → after"):
+    for words in ("(rail_x.coulomb): ", "% sure", "held-out chi²", "Percentages", "noise", "before → after"):
         assert words in diagnosed.said
     for name in ("report.html", "verdict.json", "twin.yaml"):
         assert str(diagnosed.out / name) in diagnosed.said

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
+from vpptwin import __version__
 from vpptwin.cli import build_parser
 from vpptwin.train.overrides import parse_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*/README.md")])
+PAGES = sorted(
+    [
+        *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
+        *(page for pattern in ("*.md", "tutorials/*.md") for page in (ROOT / "docs").glob(pattern)),
+        *(ROOT / "examples").glob("*/README.md"),
+    ]
+)
 
 
 def find_commands(text: str) -> list[str]:
@@ -39,6 +48,16 @@ def test_links_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
     missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
     assert missing == []
+
+
+def test_the_citation_is_of_this_version() -> None:
+    """CITATION.cff has what its format requires, the package's version and licence, and the paper."""
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (__version__, project["license"])
+    assert cited["references"][0]["url"] == project["urls"]["Paper"]
+    assert [author["family-names"] for author in cited["references"][0]["authors"]] == ["Wang", "Zhao"]
 
 
 def test_enough_is_found() -> None:

@@ -92,7 +92,7 @@ def test_the_report_of_hostile_effects_holds_them_as_text(tmp_path: Path, monkey
     text = WAVE.replace("slide", "rail_x").replace("a wavy rail", MARKUP.replace("\\", "\\\\"))
     own = write_effects(tmp_path, text.replace('"N"', '"<b>N"'))
     assert main(["diagnose", str(log), "--effects", str(own), "--out", str(tmp_path / "out")]) == 0
-    assert set(list_tags(tmp_path / "out" / "report.html")) <= {"meta", "style", "svg", "body onbeforeprint"}
+    assert set(list_tags(tmp_path / "out" / "report.html")) <= {"meta", "style", "svg", "a", "body onbeforeprint"}
 
 
 def test_names_that_cannot_be_shown_are_refused(tmp_path: Path) -> None:

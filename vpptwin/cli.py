@@ -280,7 +280,7 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
     """The argument that adds effects of the user's own."""
     parser.add_argument(
         "--effects", type=Path, action="append", default=[], metavar="FILE",
-        help="a Python file with effects of your own, which is run; may be given several times",
+        help="a Python file with effects of your own, or a name of installed ones, which is run; may be repeated",
     )  # fmt: skip
     parser.add_argument("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
 

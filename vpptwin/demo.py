@@ -25,7 +25,9 @@ def show_demo(out: Path, force: bool = False) -> None:
     """
     if not force:
         check_own([out / "flip.html"])
-    began, flights = time.perf_counter(), flights_dir()
+    began, flights, here = time.perf_counter(), flights_dir(), Path.cwd()
+    if flights.is_relative_to(here):  # commands that the report offers are shorter so
+        flights = flights.relative_to(here)
     print("Three flights of an independent simulation, with one effect that the nominal twin lacks. What is it?\n")
     diagnose_logs([flights / f"{name}.mcap" for name in DIAGNOSED], "nominal", out, force=force)
     print("\nA flip from the same rig, the nominal twin beside it, restarted every half second:")

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from vpptwin.errors import InputError
+from vpptwin.installed import list_installed, locate_effects
 
 EVERY = Path("*")
 _trusted: set[Path] = set()  # of this process, as the user's word is
@@ -13,7 +14,7 @@ _trusted: set[Path] = set()  # of this process, as the user's word is
 
 def trust(files: Iterable[Path | str] = (EVERY,)) -> None:
     """Let Python files run that data names; by default every one, as `--trust` does."""
-    _trusted.update(Path(file) if file == EVERY else Path(file).resolve() for file in files)
+    _trusted.update(Path(file) if file == EVERY else locate_effects(file).resolve() for file in files)
 
 
 def trusted() -> frozenset[Path]:
@@ -22,14 +23,17 @@ def trusted() -> frozenset[Path]:
 
 
 def check_trusted(files: Iterable[Path | str], source: object, given: Iterable[Path | str] = ()) -> None:
-    """Refuse Python files that `source` names and that are neither trusted nor `given` by the user for this call.
+    """Refuse Python files that `source` names and that are neither installed, trusted, nor `given` for this call.
 
     Raises:
         InputError: naming the file, and how to allow it.
     """
-    allowed = {Path(file).resolve() for file in given} | _trusted
-    for file in () if EVERY in allowed else files:
-        if Path(file).resolve() not in allowed:
+    named = [] if EVERY in _trusted else list(files)
+    if not named:
+        return
+    allowed = {locate_effects(file).resolve() for file in (*given, *list_installed().values())} | _trusted
+    for file in named:
+        if locate_effects(file).resolve() not in allowed:
             found = f"{source} names {Path(file)}, Python code that would be run"
             action = (
                 f"read it, then say `--effects {file}` (train: `effects=[{file}]`), or `--trust` for all such files"

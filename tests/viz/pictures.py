@@ -1,4 +1,7 @@
-"""Draws the pictures of the documentation: make demo && python -m tests.viz.pictures (needs Chromium)."""
+"""Draws the pictures of the documentation: make demo && python -m tests.viz.pictures (needs Chromium).
+
+Those of a report carry its sentence, by which a test sees whether they are still of what the demo says.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from tests.viz.browser import Browser
 from vpptwin.estimation.replay import replay
@@ -32,23 +36,30 @@ def draw_flip(out: Path) -> None:
             out.write_bytes(browser.take_picture())
 
 
-def draw_report(report: Path, top: Path, force: Path) -> None:
-    """The top of the report that `make demo` has written, and its picture of the missing force."""
+def draw_report(report: Path, top: Path, force: Path | None = None) -> None:
+    """The top of a report, and its picture of the missing force."""
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
         Browser(Path(folder) / "profile", size=(880, 1000)) as browser,
     ):
         browser.open(report)
         browser.draw_frames()
-        top.write_bytes(browser.take_picture())
+        told = PngInfo()
+        told.add_text("Description", str(browser.evaluate("document.title")))
+        Image.open(io.BytesIO(browser.take_picture())).save(top, pnginfo=told)
+        if force is None:
+            return
         browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').scrollIntoView(); 0")
         height = browser.evaluate("document.querySelector('.panels[aria-label^=\"Missing force\"]').offsetHeight")
         browser.draw_frames()
         picture = Image.open(io.BytesIO(browser.take_picture()))
-        picture.crop((0, 0, picture.width, round(height))).save(force)
+        picture.crop((0, 0, picture.width, round(height))).save(force, pnginfo=told)
 
 
 if __name__ == "__main__":
     pictures = ROOT / "docs/pictures"
     draw_report(ROOT / "out/demo/report.html", pictures / "report.png", pictures / "force.png")
+    pivot = ROOT / "out/pitch/report.html"  # of the command in examples/antx/README.md
+    if pivot.exists():
+        draw_report(pivot, pictures / "antx_pivot.png")
     draw_flip(pictures / "flip.png")

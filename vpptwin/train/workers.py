@@ -18,6 +18,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors.distributed import RayCollector
 
 from vpptwin.errors import InputError
+from vpptwin.installed import locate_effects
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
@@ -158,7 +159,7 @@ def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder
 
     # Workers run in folders of their own.
     config = replace(
-        config, twin=locate_twin(config.twin), effects=[str(Path(file).resolve()) for file in config.effects]
+        config, twin=locate_twin(config.twin), effects=[str(locate_effects(file).resolve()) for file in config.effects]
     )
     makers = [WorkerEnv(config, worker, begun, fault_folder.resolve(), trusted()) for worker in range(config.workers)]
     started = not ray.is_initialized()

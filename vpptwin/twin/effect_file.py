@@ -12,7 +12,8 @@ from types import ModuleType
 from typing import TypeVar
 
 from vpptwin.effects import CATALOGUE, Effect
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
+from vpptwin.installed import list_installed
 from vpptwin.twin.effect_check import check_effect
 from vpptwin.twin.effect_trial import try_effect
 from vpptwin.twin.robot import Robot
@@ -81,7 +82,8 @@ def run_file(file: Path) -> ModuleType:
     try:
         text = file.read_bytes()
     except OSError as error:
-        raise InputError(f"no readable effects file {file}", "a Python file with effects", "check the path") from error
+        advice = suggest(str(file), list_installed(), "check the path")
+        raise InputError(f"no readable effects file {file}", "a Python file with effects", advice) from error
     # Its place and its text are in its name: files of the same name don't clash, and an edited one is run anew.
     name = "vpptwin_effects_" + sha256(str(file.resolve()).encode() + b"\0" + text).hexdigest()[:16]
     if name in sys.modules:

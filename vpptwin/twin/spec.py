@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError, suggest
+from vpptwin.installed import locate_effects
 from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file, models_dir
 from vpptwin.trust import check_trusted
@@ -194,8 +195,8 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
 
     Args:
         name: one of `SHIPPED` or the path of a twin YAML.
-        effect_files: Python files with effects of the user's own. They are run; one that the YAML names is run only
-            if it is among them, or trusted (`vpptwin.trust`).
+        effect_files: Python files with effects of the user's own, or names of installed ones. They are run; one that
+            the YAML names is run only if it is among them, installed, or trusted (`vpptwin.trust`).
 
     Raises:
         InputError: if a file is missing or wrong, an effect is unknown or out of bounds, or code is not trusted.
@@ -206,9 +207,10 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
         if not isinstance(content, dict):
             raise InputError(f"{path}: no YAML mapping", "keys model, vehicle, effects, signals", "see docs/twin.md")
         file = TwinFile.model_validate(content)
-        own = [path.parent / given for given in file.effects_from]
+        own = [locate_effects(given, path.parent) for given in file.effects_from]
         check_trusted(own, path, effect_files)
-        return build_twin(str(name), file, path.parent, list_effect_files(own, effect_files))
+        given = [locate_effects(given) for given in effect_files]
+        return build_twin(str(name), file, path.parent, list_effect_files(own, given))
     except (OSError, UnicodeDecodeError) as error:
         advice = suggest(str(name), SHIPPED, "check the path")
         raise InputError(f"no readable twin {path}", "`nominal`, `typical` or a twin YAML", advice) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,22 @@ def test_other_rigs_have_joint_states(tmp_path: Path) -> None:
         assert message.name == ["slide"]
         residual = found["/twin/before/residual/slide"][stamp]
         assert message.position[0] + residual.position[0] == pytest.approx(log[stamp].position[0], abs=1e-12)
+
+
+def test_a_rate_that_was_late_stays_in_the_message_of_its_position(tmp_path: Path) -> None:
+    """Though its stamps were moved, and the twin knows one sample more or less of it: every message holds both."""
+    flight, spec = record_cart(tmp_path)
+    prediction = predict_flight([spec], flight)
+    position, rate = prediction.tracks
+    known = np.flatnonzero(np.isfinite(position.predicted[0]))
+    position.predicted[0, known[:1]] = np.nan
+    late = replace(rate, time=rate.time - 5e-4)
+    write_prediction(tmp_path / "p.mcap", spec, replace(prediction, tracks=[position, late]))
+    messages = decode(tmp_path / "p.mcap", ["/twin/before/joint_states"])["/twin/before/joint_states"]
+    told = np.array([(messages[s].position[0], messages[s].velocity[0]) for s in sorted(messages)])
+    index = np.searchsorted(position.time, (np.array(sorted(messages)) - flight.start_ns) / 1e9 - 1e-6)
+    assert np.allclose(told[:, 0], position.predicted[0, index], atol=1e-12)
+    assert np.allclose(told[:, 1], rate.predicted[0, index], atol=1e-12)
 
 
 def test_a_log_recorded_on_another_clock_is_met_there(tmp_path: Path) -> None:

@@ -9,6 +9,9 @@ from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import ANGLE, POSITION, NoiseFloor
 from vpptwin.diagnosis.judgement.holdout import Score
 
+CHANGED = 0.02
+"""Share by which an error must change to be looked at."""
+
 
 @dataclass(frozen=True)
 class ErrorRow:
@@ -30,6 +33,7 @@ class ErrorTable:
         rows: one for each horizon.
         noise: what the noise of the sensors alone makes; empty where nobody knows.
         noise_label: what to call that.
+        changed: whether it changed by more than `CHANGED` at some horizon; true where there is nothing to compare.
     """
 
     quantity: str
@@ -37,6 +41,7 @@ class ErrorTable:
     rows: list[ErrorRow]
     noise: str
     noise_label: str = "sensor noise"
+    changed: bool = True
 
 
 def tabulate_errors(
@@ -72,8 +77,13 @@ def tabulate_errors(
         ]
         floor = noise.rmse.get(key)
         shown = format_error(1e3 * floor) if floor is not None else ""
-        tables.append(ErrorTable(quantity, unit, rows, shown, noise.label))
+        tables.append(ErrorTable(quantity, unit, rows, shown, noise.label, is_changed(first, second)))
     return tables
+
+
+def is_changed(before: Sequence[float], after: Sequence[float] | None) -> bool:
+    """Whether errors differ at some horizon by more than nobody would look at."""
+    return after is None or any(abs(b - a) > CHANGED * abs(a) for a, b in zip(before, after))
 
 
 def format_error(value: float) -> str:

@@ -24,6 +24,8 @@ MOST = 100.0
 """Samples per second of a quantity that are exported, out of those that the log has [Hz]."""
 OTHER_CLOCK = 60.0
 """A recorder whose first message is this far from its stamp ran on another clock, say under simulated time [s]."""
+LATEST = 0.02
+"""By which stamps of one quantity may be moved against another's of the same messages [s]."""
 POSE_COLUMNS = {"x": "x", "z": "z", "θ": "theta"}
 
 
@@ -77,7 +79,7 @@ def write_prediction(
 
     The prediction is that of the diagnosed twin `spec` and, second, of the extended one if there is one.
     """
-    tracks = [thin_track(track) for track in prediction.tracks]
+    tracks = thin_tracks(prediction.tracks)
     topics: list[Topic] = []
     for i, twin in enumerate(TWINS[: len(tracks[0].predicted)]):
         topics += list_topics(spec.robot, twin, tracks, i)
@@ -101,12 +103,28 @@ def find_offset(flight: Flight) -> float:
     return offset if abs(offset) > OTHER_CLOCK else 0.0
 
 
-def thin_track(track: Track) -> Track:
-    """The samples at which every twin was simulated, thinned out evenly if there are too many."""
-    known = np.flatnonzero(np.isfinite(track.predicted).all(axis=0))
-    rate = 1.0 / float(np.median(np.diff(track.time))) if len(track.time) > 1 else MOST
-    known = known[:: max(round(rate / MOST), 1)]
-    return replace(track, time=track.time[known], measured=track.measured[known], predicted=track.predicted[:, known])
+def thin_tracks(tracks: Sequence[Track]) -> list[Track]:
+    """The samples at which every twin was simulated, thinned out evenly if there are too many.
+
+    Of quantities that were logged together the same ones are kept, as one message holds them.
+    """
+    finite = [np.isfinite(track.predicted).all(axis=0) for track in tracks]
+    thinned = []
+    for track in tracks:
+        known = np.logical_and.reduce([f for f, other in zip(finite, tracks) if is_beside(track, other)])
+        period = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 1.0 / MOST
+        kept = np.flatnonzero(known)[:: max(round(1.0 / (period * MOST)), 1)]
+        time, measured, predicted = track.time[kept], track.measured[kept], track.predicted[:, kept]
+        thinned.append(replace(track, time=time, measured=measured, predicted=predicted))
+    return thinned
+
+
+def is_beside(one: Track, other: Track) -> bool:
+    """Whether two quantities come from the same messages; a lateness that was found has moved the stamps of one."""
+    if len(one.time) != len(other.time):
+        return False
+    period = float(np.diff(one.time).min()) if len(one.time) > 1 else 0.0
+    return bool(np.abs(one.time - other.time).max() <= max(0.5 * period, LATEST))
 
 
 @singledispatch

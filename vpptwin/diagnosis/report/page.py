@@ -4,31 +4,33 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from vpptwin.diagnosis.judgement.verdict import Verdict
+from vpptwin.diagnosis.report.advice import Step
 from vpptwin.diagnosis.report.pictures import Pictures
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.diagnosis.report.ranking import Suspect
 from vpptwin.diagnosis.report.summary import HORIZON, Summary
-from vpptwin.diagnosis.report.words import format_plain, format_value
+from vpptwin.diagnosis.report.words import format_plain, format_value, name_effect, name_effects
 
 FIRST_SUSPECTS = 10
 """Suspects of the ranking that are not folded away."""
-FEW = 6
-"""Entries of a list that is not folded away."""
 
 
 def render_report(
-    verdict: Verdict, summary: Summary, ranking: Sequence[Suspect], pictures: Pictures, preflight: Sequence[str],
-    origin: Provenance, meanings: Mapping[str, str],
+    verdict: Verdict, summary: Summary, steps: Sequence[Step], files: Sequence[str], ranking: Sequence[Suspect],
+    pictures: Pictures, preflight: Sequence[str], origin: Provenance, meanings: Mapping[str, str],
 ) -> str:  # fmt: skip
     """The report of a diagnosis as one HTML page.
 
     Args:
         verdict: the verdict.
         summary: the same in sentences.
+        steps: what to do next.
+        files: names of the other results, which lie beside the page; none where it stands alone.
         ranking: all suspects, strongest first.
         pictures: as SVG.
         preflight: what each log could show, in words.
@@ -36,10 +38,11 @@ def render_report(
         meanings: effect id → summary of the catalogue.
     """
     environment = open_templates("vpptwin.diagnosis.report")
-    environment.filters["tie"] = tie_units
+    environment.filters |= {"tie": tie_units, "name": partial(name_effects, meanings=meanings)}
     return environment.get_template("report.html.j2").render(
-        verdict=verdict, summary=summary, ranking=ranking, first_suspects=FIRST_SUSPECTS, few=FEW, pictures=pictures,
-        preflight=preflight, origin=origin, meanings=meanings, format_value=format_value, format_plain=format_plain,
+        verdict=verdict, summary=summary, steps=steps, files=files, ranking=ranking, first_suspects=FIRST_SUSPECTS,
+        pictures=pictures, name=partial(name_effect, meanings=meanings),
+        preflight=preflight, origin=origin, format_value=format_value, format_plain=format_plain,
         horizon=HORIZON,
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,13 +12,19 @@ from vpptwin.diagnosis.evidence.noise import ANGLE, POSITION, NoiseFloor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, plot_wrench
+from vpptwin.diagnosis.report.error_table import is_changed
+from vpptwin.diagnosis.report.fingerprints import draw_fingerprints
 from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
+from vpptwin.diagnosis.report.words import join_words
 from vpptwin.effects import find_effect
 from vpptwin.twin.sensors import PERFECT
 from vpptwin.viz import plots
+from vpptwin.viz.sketch import sketch_rig
 
 STRETCH = 8.0
 """Length of the flight that is shown beside the twin [s]."""
+VISIBLE = 0.1
+"""Share of a residual by which it must change for two lines to be told apart."""
 
 
 @dataclass(frozen=True)
@@ -26,44 +32,70 @@ class Pictures:
     """SVG elements, several for one subject where it takes several panels.
 
     Attributes:
-        errors: by horizon, one for positions and one for angles.
+        sketch: the rig, what is accused lit; "" for a rig without shapes.
         forces: cause → the missing force before and after.
-        flight: pairs of log with twin and of residual, one for each measured quantity.
+        errors: quantity → its error by horizon.
+        flight: measured quantity → log with twin, and residual.
+        same: names in `errors` and `flight` of what the extended twin predicts as the other did, drawn once.
         flight_name: the log that `flight` shows.
         leftover: the force that is still missing.
+        prints: effect → what it would do to these logs.
     """
 
-    errors: list[str]
+    sketch: str
     forces: dict[str, list[str]]
-    flight: list[str]
+    errors: dict[str, list[str]]
+    flight: dict[str, list[str]]
+    same: frozenset[str]
     flight_name: str
     leftover: list[str]
+    prints: dict[str, str]
 
 
 def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction], noise: NoiseFloor) -> Pictures:
     """Draw everything; of several flights one is shown that no fit has seen."""
-    verdict = diagnosis.verdict
-    shown = predictions[int(diagnosis.held_out.short.windows.flight[-1])]
+    verdict, bench = diagnosis.verdict, diagnosis.held_out.short
+    shown = predictions[int(bench.windows.flight[-1])]
+    accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.causes]
+    lit = f", lit: {join_words([effect.summary for effect in accused])}" if accused else ""
+    errors, flight = list_errors(verdict), cut_flight(shown)
+    same = {quantity for quantity, (_, before, after) in errors.items() if not is_changed(before, after)}
+    same |= {track.name for track in flight if not is_told_apart(track)}
     return Pictures(
-        errors=draw_errors(verdict, noise),
+        sketch=sketch_rig(bench.spec.robot, accused, f"The rig{lit}"),
         forces={cause.effect: draw_force(diagnosis, cause.effect) for cause in verdict.causes},
-        flight=draw_flight(shown),
+        errors={name: draw_error(verdict, noise, *found, name in same) for name, found in errors.items()},
+        flight={track.name: draw_track(track, shown.restarts, track.name in same) for track in flight},
+        same=frozenset(same),
         flight_name=shown.flight.path.name,
         leftover=draw_wrench(diagnosis.leftover_plot, "left") if diagnosis.leftover_plot is not None else [],
+        prints=draw_fingerprints(bench),
     )
 
 
-def draw_errors(verdict: Verdict, noise: NoiseFloor) -> list[str]:
-    """Errors over the horizon before and after, where the rig has slides and where it has hinges."""
-    figures = []
-    for key, label in ((POSITION, "position rmse [m]"), (ANGLE, "angle rmse [rad]")):
-        before, floor = getattr(verdict.before, key), noise.rmse.get(key)
-        after, interval = None, None
-        if verdict.causes:
-            after, interval = getattr(verdict.after, key), verdict.improvement.get(key)
-        if before is not None:
-            figures.append(plots.error_by_horizon(HORIZONS_S, before, after, floor, interval, label, noise.label))
-    return figures
+def list_errors(verdict: Verdict) -> dict[str, tuple[str, Sequence[float], Sequence[float] | None]]:
+    """What an error is of → its key in a score, before, and after; of slides and hinges, where the rig has them."""
+    after = verdict.after if verdict.causes else None
+    return {
+        name: (key, before, getattr(after, key, None))
+        for name, key in (("position", POSITION), ("angle", ANGLE))
+        if (before := getattr(verdict.before, key)) is not None
+    }
+
+
+def draw_error(
+    verdict: Verdict, noise: NoiseFloor, key: str, before: Sequence[float], after: Sequence[float] | None, same: bool
+) -> list[str]:
+    """Errors over the horizon, before and after where they differ."""
+    floor, interval = noise.rmse.get(key), verdict.improvement.get(key)
+    shown, label = None if same else after, "position rmse [m]" if key == POSITION else "angle rmse [rad]"
+    return [plots.error_by_horizon(HORIZONS_S, before, shown, floor, interval, label, noise.label)]
+
+
+def is_told_apart(track: Track) -> bool:
+    """Whether both twins' residuals would be seen to differ; one twin has nothing to be told from."""
+    first, last = track.residual[0], track.residual[-1]
+    return len(track.predicted) == 1 or float(np.std(last - first)) > VISIBLE * float(np.std(first))
 
 
 def draw_force(diagnosis: Diagnosis, effect_id: str) -> list[str]:
@@ -79,25 +111,25 @@ def draw_wrench(plot: WrenchPlot, subject: str) -> list[str]:
     return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label, subject)
 
 
-def draw_flight(prediction: FlightPrediction) -> list[str]:
-    """A stretch from the middle of a flight: log and twin, and their difference, for each measured quantity."""
+def cut_flight(prediction: FlightPrediction) -> list[Track]:
+    """A stretch from the middle of a flight, every measured quantity where all twins were simulated."""
     known = [track.time[np.isfinite(track.predicted).all(axis=0)] for track in prediction.tracks]
     first, last = max(t[0] for t in known), min(t[-1] for t in known)
     begin = max(first, 0.5 * (first + last) - 0.5 * STRETCH)
-    figures = []
+    tracks = []
     for track in prediction.tracks:
         part = (track.time >= begin) & (track.time <= begin + STRETCH) & np.isfinite(track.predicted).all(axis=0)
-        figures += draw_track(track, part, prediction.restarts)
-    return figures
+        samples = {name: getattr(track, name)[..., part] for name in ("time", "measured", "predicted")}
+        tracks.append(replace(track, **samples))
+    return tracks
 
 
-def draw_track(track: Track, part: np.ndarray, restarts: np.ndarray) -> list[str]:
-    """Log with twin, and residual, of some samples of one quantity."""
-    time, after = track.time[part], len(track.predicted) > 1
+def draw_track(track: Track, restarts: np.ndarray, same: bool) -> list[str]:
+    """Log with twin, and residual, of one quantity; both twins where they differ."""
+    time, after = track.time, len(track.predicted) > 1 and not same
     cuts = restarts[(restarts >= time[0]) & (restarts <= time[-1])].tolist()
-    predicted, residual = track.predicted[:, part], track.residual[:, part]
-    twins, left = ((both[0], both[1] if after else None) for both in (predicted, residual))
+    twins, left = ((both[0], both[1] if after else None) for both in (track.predicted, track.residual))
     return [
-        plots.prediction_overlay(time, track.measured[part], *twins, f"{track.name} [{track.unit}]", cuts),
+        plots.prediction_overlay(time, track.measured, *twins, f"{track.name} [{track.unit}]", cuts),
         plots.residual_over_time(time, *left, track.noise, f"{track.name} residual [{track.unit}]", cuts),
     ]

@@ -15,6 +15,7 @@ from vpptwin.diagnosis.evidence.noise import find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.diagnose import diagnose as judge
 from vpptwin.diagnosis.judgement.verdict import Verdict
+from vpptwin.diagnosis.report.advice import Session, list_steps
 from vpptwin.diagnosis.report.export import name_files, write_prediction
 from vpptwin.diagnosis.report.output import stage_results
 from vpptwin.diagnosis.report.page import render_report
@@ -57,7 +58,7 @@ class Result:
     twin: TwinSpec
     summary: Summary
     _spec: TwinSpec = field(repr=False)
-    _arguments: list[str]
+    _options: list[str]
     _predictions: list[FlightPrediction]
     _ranking: list[Suspect]
     _pictures: Pictures
@@ -75,7 +76,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """The report, in a frame of its own, so that its style stays there."""
-        page = self._render(self._trace([]))
+        page = self._render(self._trace([]), None)
         return f'<iframe srcdoc="{html.escape(page)}" style="width: 100%; height: 40em; border: 0"></iframe>'
 
     @property
@@ -83,7 +84,9 @@ class Result:
         """The report's pictures as SVG by what they show, the missing force by the cause that is accused of it."""
         drawn = self._pictures
         named = {f"force {effect}": drawings for effect, drawings in drawn.forces.items()}
-        named |= {"errors": drawn.errors, "flight": drawn.flight, "left over": drawn.leftover}
+        for name, found in (("errors", drawn.errors), ("flight", drawn.flight)):
+            named[name] = [drawing for drawings in found.values() for drawing in drawings]
+        named |= {"sketch": [drawn.sketch] if drawn.sketch else [], "left over": drawn.leftover}
         return {name: [Picture(drawing) for drawing in drawings] for name, drawings in named.items() if drawings}
 
     @property
@@ -117,14 +120,20 @@ class Result:
             write_prediction(folder / name, self._spec, prediction, {"log": str(prediction.flight.path)} | traced)
         write_json(self.verdict.as_dict(), folder / VERDICT)
         write_whole(folder / TWIN, compose_twin(self._spec, self.twin.effects, self.verdict, origin, out))
-        write_whole(folder / REPORT, self._render(origin))
+        write_whole(folder / REPORT, self._render(origin, out))
 
     def _trace(self, more: Sequence[str]) -> Provenance:
-        return trace_origin([*self._arguments, *more], self._spec.name, self._logs)
+        logs, name = map(str, self._logs), self._spec.name
+        return trace_origin(["diagnose", *logs, "--twin", name, *self._options, *more], name, self._logs)
 
-    def _render(self, origin: Provenance) -> str:
-        given = (self.verdict, self.summary, self._ranking, self._pictures, self._preflight, origin)
-        return render_report(*given, name_meanings(self._spec))
+    def _render(self, origin: Provenance, out: Path | None) -> str:
+        """The report, as it lies in the folder `out`, or in none."""
+        session = Session(self._spec, [str(log) for log in self._logs], self._options, out)
+        meanings = name_meanings(self._spec)
+        steps = list_steps(self.verdict, session, self.summary.experiment, meanings)
+        files = [name for name in self.files if name != REPORT] if out is not None else []
+        given = (self.verdict, self.summary, steps, files, self._ranking, self._pictures, self._preflight, origin)
+        return render_report(*given, meanings)
 
 
 def diagnose(
@@ -145,25 +154,24 @@ def diagnose(
     """
     spec = open_twin(twin, effects)
     flights = open_flights(logs, topic_map, spec.robot.signals.entries)
-    arguments = ["diagnose", *(str(flight.path) for flight in flights), "--twin", spec.name]
-    arguments += ["--topic-map", str(topic_map)] if topic_map is not None else []
-    arguments += [part for file in effects for part in ("--effects", str(file))]
+    options = ["--topic-map", str(topic_map)] if topic_map is not None else []
+    options += [part for file in effects for part in ("--effects", str(file))]
     with open_bar(desc="diagnose", disable=not progress) as bar:
         diagnosis = judge(spec, flights, partial(tell_stage, bar), bar.update)
         tell_stage(bar, "drawing")
-        return collect_result(spec, flights, diagnosis, arguments)
+        return collect_result(spec, flights, diagnosis, options)
 
 
-def collect_result(spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, arguments: Sequence[str]) -> Result:
-    """A diagnosis with its pictures and sentences; `arguments` are those of the command that does the same."""
+def collect_result(spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, options: Sequence[str]) -> Result:
+    """A diagnosis with its pictures and sentences; `options` are those of the command that does the same."""
     verdict = diagnosis.verdict
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
     twins = [spec, extended] if verdict.causes else [spec]
     predictions = [predict_flight(twins, flight) for flight in flights]
     noise = find_noise_floor([read_measurements(spec, flight) for flight in flights])
     return Result(
-        verdict, extended, summarise(verdict, noise, name_meanings(spec)), spec, list(arguments), predictions,
-        rank_suspects(diagnosis.ranking, verdict), draw_pictures(diagnosis, predictions, noise),
+        verdict, extended, summarise(verdict, noise, name_meanings(spec)), spec, list(options), predictions,
+        rank_suspects(diagnosis.ranking, verdict, name_meanings(spec)), draw_pictures(diagnosis, predictions, noise),
         [flight.describe() for flight in diagnosis.preflight],
     )  # fmt: skip
 

@@ -11,7 +11,6 @@ from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
-    Cleared,
     Experiment,
     Misfit,
     Rival,
@@ -19,15 +18,20 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
-from vpptwin.diagnosis.report.words import choose_unit, format_plain, format_value, is_plural, join_words
+from vpptwin.diagnosis.report.words import (
+    choose_unit,
+    format_plain,
+    format_value,
+    is_plural,
+    join_words,
+    name_effect,
+)
 from vpptwin.effects import UNLIMITED
 
 SHOWN_HORIZON = 2
 """Place of the horizon that the sentence names, 0.25 s: past the noise, before a drone without control is lost."""
 REACHABLE = 0.1 * UNLIMITED
 """Limits below this are some; a twin with more has none."""
-OPEN = 30.0
-"""Ratio of bounds from which the upper one says nothing: of a limit that the logs never ran into."""
 SUGGESTED = 0.89
 """Confidence up to which a cause is but suggested; `Criteria.suggested` caps it there."""
 FLOOR = 1.5
@@ -37,8 +41,8 @@ WHOLE = 0.95
 NOTHING = 0.005
 """Shares of the error up to this are written as no gain at all."""
 SHARE = (
-    "Shares are of the held-out excess chi², that part of the squared error of positions and angles which sensor noise "
-    "does not account for."
+    "Percentages are of the held-out excess chi², that part of the squared error of positions and angles, on log that "
+    "no fit has seen, which sensor noise does not account for: 100 % would leave nothing but that noise."
 )
 """What the percentages beside causes are shares of; those of what is left are shares of the missing force."""
 HORIZON = (
@@ -65,8 +69,6 @@ class Summary:
         error: the error before and after.
         tables: errors by horizon.
         unexplained: what is left.
-        unseen: what could not be seen, grouped by reason.
-        cleared: family → what lies within which bounds.
         experiment: what to fly next; None if nothing is to be decided.
     """
 
@@ -78,20 +80,17 @@ class Summary:
     error: str
     tables: list[ErrorTable]
     unexplained: str
-    unseen: list[str]
-    cleared: dict[str, list[str]]
     experiment: str | None
 
 
 def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) -> Summary:
     """Put a verdict into sentences; meanings: effect id → summary of the catalogue."""
     tables = tabulate_errors(verdict.before, verdict.after if verdict.causes else None, noise, verdict.improvement)
-    cleared: dict[str, list[str]] = {}
-    for suspect in verdict.cleared:
-        cleared.setdefault(suspect.effect.split(".")[0], []).append(describe_cleared(suspect))
-    told = [describe_cause(cause, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes]
+    told = [
+        describe_cause(cause, meanings, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes
+    ]
     return Summary(
-        headline=headline(verdict), remedy=describe_remedy(verdict),
+        headline=headline(verdict, meanings), remedy=describe_remedy(verdict),
         others=told[0 if verdict.misfit is not None else 1 :],
         certainty=[
             line
@@ -100,17 +99,17 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
         ],
         share=SHARE if any("of the error" in sentence for sentence in told) else "",
         error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
-        unseen=describe_unseen(verdict), cleared=cleared,
-        experiment=describe_experiment(verdict.experiment) if verdict.experiment is not None else None,
+        experiment=describe_experiment(verdict.experiment, meanings) if verdict.experiment is not None else None,
     )  # fmt: skip
 
 
-def headline(verdict: Verdict) -> str:
+def headline(verdict: Verdict, meanings: Mapping[str, str]) -> str:
     """The sentence to read if one reads no other: how far off the twin is where that is far, else the first cause."""
     if verdict.misfit is not None:
-        return describe_misfit(verdict.misfit, verdict)
+        return describe_misfit(verdict.misfit, verdict, meanings)
     if verdict.causes:
-        return describe_cause(verdict.causes[0], verdict.before.chi2, is_suggested(verdict.causes[0], verdict))
+        first = verdict.causes[0]
+        return describe_cause(first, meanings, verdict.before.chi2, is_suggested(first, verdict))
     if verdict.unexplained.significant:
         return "Something that no known effect explains separates the twin from these logs."
     if not is_floor(verdict):
@@ -129,7 +128,7 @@ def describe_miss(verdict: Verdict) -> str:
     return f"{math.sqrt(chi2):.3g} times what sensor noise makes (held-out chi² {chi2:.3g}, noise floor 1)"
 
 
-def describe_misfit(misfit: Misfit, verdict: Verdict) -> str:
+def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str]) -> str:
     """How far the twin is off where that is far: how much, in which joint, from when on, and by how much at the end."""
     last = f"{HORIZONS_S[-1]:g} s ahead"
     if not misfit.joint:
@@ -144,7 +143,12 @@ def describe_misfit(misfit: Misfit, verdict: Verdict) -> str:
         where = (
             f", most of all in {misfit.joint} from {misfit.horizon_s:g} s ahead on: {format_error_of(misfit)} {last}"
         )
-    named = f" with {join_words([cause.effect for cause in verdict.causes])}" if verdict.causes else ""
+    named = ""
+    if verdict.causes:  # of which each has a sentence of its own
+        count = len(verdict.causes)
+        named = (
+            f" with {name_effect(verdict.causes[0].effect, meanings) if count == 1 else f'the {count} causes below'}"
+        )
     nothing = "" if verdict.causes else "; nothing can be named for it"
     return f"The twin{named} misses these logs by {describe_miss(verdict)}{where}{nothing}."
 
@@ -177,7 +181,7 @@ def is_suggested(cause: Cause, verdict: Verdict) -> bool:
     return left and cause.confidence <= SUGGESTED
 
 
-def describe_cause(cause: Cause, chi2: float = math.inf, suggested: bool = False) -> str:
+def describe_cause(cause: Cause, meanings: Mapping[str, str], chi2: float = math.inf, suggested: bool = False) -> str:
     """One sentence: what, how much, what the twin has instead, what it explains of held-out `chi2`, and rivals."""
     (name, strength), *shape = cause.parameters.items()
     wrong = cause.summary.startswith("a wrong ")
@@ -193,7 +197,7 @@ def describe_cause(cause: Cause, chi2: float = math.inf, suggested: bool = False
         what += f", where the twin has {format_plain(strength.nominal, strength)},"
     else:
         what += "," if wrong else ", which the twin lacks,"
-    rivals = join_words([rival.effect for rival in cause.also_explained_by], "or")
+    rivals = join_words([name_effect(rival.effect, meanings) for rival in cause.also_explained_by], "or")
     also = f"; so might {rivals}" if rivals else ""
     told = f"{what} {describe_gain(cause, chi2)}{also}."
     return f"Suggested: {told}" if suggested else f"{told[0].upper()}{told[1:]}"
@@ -220,7 +224,8 @@ def describe_gain(cause: Cause, chi2: float) -> str:
 
 def describe_certainty(cause: Cause, meanings: Mapping[str, str], suggested: bool = False) -> list[str]:
     """How sure the naming is, and a sentence for everything else that it could be; meanings: effect id → summary."""
-    sure = f"{cause.effect}: {100.0 * cause.confidence:.3g} % sure"
+    sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % sure"
+    sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
     sure += ", suggested and no more while something is left" if suggested else ""
     if not cause.also_explained_by:
         return [f"{sure}; no other effect of the catalogue comes close."]
@@ -229,9 +234,8 @@ def describe_certainty(cause: Cause, meanings: Mapping[str, str], suggested: boo
 
 def describe_rival(rival: Rival, cause: Cause, meanings: Mapping[str, str]) -> str:
     """What else it could be, how far apart the two are, and how probable it is."""
-    meaning = f" ({meanings[rival.effect]})" if rival.effect in meanings else ""
     apart = f"{rival.sigma:.1f} sigma, {100.0 * rival.confidence:.0f} % probable"
-    return f"Can't tell {rival.effect}{meaning} from {cause.summary} here: {apart}."
+    return f"Can't tell {name_effect(rival.effect, meanings)} from {cause.summary} here: {apart}."
 
 
 def describe_error(verdict: Verdict, tables: list[ErrorTable]) -> str:
@@ -279,29 +283,9 @@ def describe_force(left: Unexplained) -> str:
     return f"a random force of {100.0 * force:.2g} % of what drives {joint}"
 
 
-def describe_unseen(verdict: Verdict) -> list[str]:
-    """What the logs could not have shown, grouped by reason."""
-    reasons: dict[str, list[str]] = {}
-    for suspect in verdict.unseen:
-        reasons.setdefault(suspect.reason, []).append(suspect.effect)
-    return [f"{', '.join(effects)}: {reason}" for reason, effects in reasons.items()]
-
-
-def describe_cleared(suspect: Cleared) -> str:
-    """Between which bounds the parameter of a cleared suspect lies."""
-    unit, factor = choose_unit(suspect.unit, max(abs(suspect.low), abs(suspect.high)))
-    parameter = "" if unit else f"{suspect.parameter} "
-    low, high = factor * suspect.low, factor * suspect.high
-    if low > 0.0 and high > OPEN * low:
-        return f"{suspect.effect}: {parameter}above {low:.2g} {unit}".rstrip()
-    digits = 1 - math.floor(math.log10(high - low)) if high > low else 3
-    bounds = f"between {round(low, digits):g} and {round(high, digits):g}"
-    return f"{suspect.effect}: {parameter}{bounds} {unit}".rstrip()
-
-
-def describe_experiment(experiment: Experiment) -> str:
+def describe_experiment(experiment: Experiment, meanings: Mapping[str, str]) -> str:
     """The manoeuvre that would decide, and how clearly."""
     values = ", ".join(f"{name} {value:g}" for name, value in experiment.parameters.items())
     given = f" ({values})" if values else ""
-    between = join_words(experiment.separates)
+    between = join_words([name_effect(effect, meanings) for effect in experiment.separates])
     return f"{experiment.manoeuvre}{given}: it is predicted to set {between} {experiment.sigma:.1f} sigma apart."

@@ -43,7 +43,6 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
 def list_findings(verdict: Verdict, summary: Summary) -> Table:
     """Findings beside their headings."""
     grid = Table.grid(padding=(0, 2))
-    cleared = [suspect for lines in summary.cleared.values() for suspect in lines]
     warnings = verdict.warnings[:MOST_WARNINGS]
     if len(verdict.warnings) > MOST_WARNINGS:
         warnings = [*warnings, f"and {len(verdict.warnings) - MOST_WARNINGS} more in the report"]
@@ -52,7 +51,7 @@ def list_findings(verdict: Verdict, summary: Summary) -> Table:
         ("how sure", summary.certainty),
         ("error", [summary.error]),
         ("left over", [summary.unexplained]),
-        ("cleared", [f"{len(cleared)} suspects that these logs would have shown"] if cleared else []),
+        ("cleared", [f"{len(verdict.cleared)} suspects that these logs would have shown"] if verdict.cleared else []),
         ("not seen", [f"{len(verdict.unseen)} suspects; the report tells why"] if verdict.unseen else []),
         ("warnings", warnings),
         ("fly next", [summary.experiment] if summary.experiment else []),

@@ -12,6 +12,7 @@ from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.effects import SIGMAS_90, find_effect
+from vpptwin.installed import list_installed
 from vpptwin.resources import models_dir
 from vpptwin.twin.signals import NO_SIGNALS
 from vpptwin.twin.spec import EffectValues, TwinSpec
@@ -49,7 +50,9 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
         content["vehicle"] = name_file(spec.vehicle_file, folder)
     content["effects"] = spec.effects
     if spec.effect_files:
-        content["effects_from"] = [os.path.relpath(file.resolve(), folder.resolve()) for file in spec.effect_files]
+        names = {file.resolve(): name for name, file in list_installed().items()}
+        files = [file.resolve() for file in spec.effect_files]
+        content["effects_from"] = [names.get(file) or os.path.relpath(file, folder.resolve()) for file in files]
     if spec.actuator_file is not None:
         content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
     if spec.controller != "map":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from vpptwin.diagnosis.judgement.verdict import Estimate
 
@@ -46,3 +47,13 @@ def is_plural(phrase: str) -> bool:
 def join_words(items: list[str], conjunction: str = "and") -> str:
     """A list in words: a, b and c."""
     return f" {conjunction} ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
+
+
+def name_effect(effect: str, meanings: Mapping[str, str]) -> str:
+    """An effect in words, its id behind them; meanings: effect id → summary of the catalogue."""
+    return f"{meanings[effect]} ({effect})" if effect in meanings else effect
+
+
+def name_effects(text: str, meanings: Mapping[str, str]) -> str:
+    """A text with every id in it put into words, as `name_effect` does."""
+    return re.sub(r"[^\s,;:()]+", lambda word: name_effect(word[0], meanings), text)

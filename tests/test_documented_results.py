@@ -1,0 +1,132 @@
+"""Tables and pictures of README and docs that come from recorded results say what these results say."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpptwin.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+LOOP = " ".join(f"benchmarks/results/close_the_loop_{seed}.json" for seed in range(3))
+RECORDED = {
+    "loop": f"close_the_loop.py --report {LOOP} --picture OUT/loop.svg",
+    "hidden_8001": "hidden_effects.py --report benchmarks/results/hidden_8001.json --pictures OUT",
+    "hidden_62169": "hidden_effects.py --report benchmarks/results/hidden_62169.json",
+    "other_81580": "hidden_effects.py --rigs other --report benchmarks/results/other_81580.json",
+    "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
+}
+"""What prints a record's tables and draws its pictures."""
+PICTURES = {
+    "loop.svg": "loop",
+    "hidden_confusion.svg": "hidden_8001",
+    "hidden_detection.svg": "hidden_8001",
+    "training_curves.svg": "paper_table",
+}
+NUMBER = re.compile(r"\d+ of \d+|\d+(?:\.\d+)?")
+
+
+@cache
+def replay_record(name: str, folder: Path) -> str:
+    """What a record's command prints; its pictures lie in a folder then."""
+    words = shlex.split(RECORDED[name].replace("OUT", str(folder)))
+    command = [sys.executable, f"benchmarks/{words[0]}", *words[1:]]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where pictures are drawn."""
+    return tmp_path_factory.mktemp("pictures")
+
+
+@pytest.mark.parametrize("picture", PICTURES)
+def test_a_picture_is_the_one_that_its_record_draws(picture: str, folder: Path) -> None:
+    """To the last byte: `docs/pictures` holds what the command draws now."""
+    replay_record(PICTURES[picture], folder)
+    assert (ROOT / "docs/pictures" / picture).read_text() == (folder / picture).read_text(), RECORDED[PICTURES[picture]]
+
+
+def test_the_picture_of_a_flight_is_the_one_that_its_command_draws(tmp_path: Path) -> None:
+    """The same words, and lines within a hundredth of its size: another machine rounds otherwise."""
+    log = str(ROOT / "demo/flights/flip.mcap")
+    assert main(["plot", log, "--twin", "nominal", "--out", str(tmp_path / "flight.svg")]) == 0
+    texts = [path.read_text(encoding="utf-8") for path in (tmp_path / "flight.svg", ROOT / "docs/pictures/flight.svg")]
+    words, lines = zip(*((re.findall(r">([^<>]+)</text>", text), re.findall(r' d="([^"]+)"', text)) for text in texts))
+    assert words[0] == words[1]
+    drawn, kept = (np.array([float(n) for n in re.findall(r"-?[\d.]+", " ".join(found))]) for found in lines)
+    assert np.abs(drawn - kept).max() < 0.01 * kept.max()
+
+
+def read_rows(text: str) -> list[list[str]]:
+    """Rows of Markdown tables, as cells."""
+    rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def read_section(page: str, words: str) -> str:
+    """The section of a page of docs that speaks of a record."""
+    sections = re.split(r"^## ", (ROOT / "docs" / page).read_text(encoding="utf-8"), flags=re.MULTILINE)
+    (section,) = [section for section in sections[1:] if words in section]
+    return section
+
+
+@pytest.mark.parametrize("name", ["hidden_8001", "hidden_62169", "other_81580"])
+def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
+    """Every `a of b` that README and docs/benchmarks.md claim for it is one that its command prints."""
+    printed = set(re.findall(r"\d+ of \d+", replay_record(name, folder)))
+    readme = [row[1] for row in read_rows((ROOT / "README.md").read_text(encoding="utf-8")) if name in row[-1]]
+    table = [row[1] for row in read_rows(read_section("benchmarks.md", f"{name}.json")) if len(row) >= 4]
+    claimed = re.findall(r"\d+ of \d+", " ".join(readme + table))
+    assert len(claimed) >= 12
+    assert set(claimed) <= printed
+
+
+@pytest.mark.parametrize(("name", "page"), [("loop", "loop.md"), ("paper_table", "train.md")])
+def test_tables_are_those_of_the_record(name: str, page: str, folder: Path) -> None:
+    """Every row of the first table behind the record's name has the numbers of one that its command prints."""
+    printed = [set(NUMBER.findall(" ".join(row[1:]))) for row in read_rows(replay_record(name, folder))]
+    section = read_section(page, "results/")
+    table = re.search(r"^\|.*?\n\n", section[section.index("results/") :], flags=re.DOTALL | re.MULTILINE)
+    assert table is not None
+    documented = [set(NUMBER.findall(" ".join(row[1:]))) for row in read_rows(table[0])]
+    assert len(documented) >= 10
+    for row in documented:
+        assert any(row <= other for other in printed), row
+
+
+def test_the_readme_tells_the_loop_as_it_was_measured(folder: Path) -> None:
+    """Success and errors, with what was promised in brackets, are cells of the record's table."""
+    printed = read_rows(replay_record("loop", folder))
+    numbers = [set(NUMBER.findall(" ".join(row))) for row in printed]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = read_rows(readme[readme.index("| policy trained on |") :].split("\n\n")[0])[1:]
+    cells = [cell for row in table for cell in row[1:]]
+    assert len(cells) == 12
+    for cell in cells:
+        assert any(set(NUMBER.findall(cell)) <= row for row in numbers), cell
+
+
+@pytest.mark.slow
+def test_the_readme_tells_what_the_policy_that_ships_is_worth(capsys: pytest.CaptureFixture[str]) -> None:
+    """The row that names `evaluate flip --tracks 1000 --seed 1` has its figures."""
+    assert main(["evaluate", "flip", "--tracks", "1000", "--seed", "1"]) == 0
+    said = re.match(
+        r"1000 flights of flip in twin nominal: (\d+) failed, ([\d.]+) mm upright, ([\d.]+) mm inverted, (\d+ of \d+)",
+        capsys.readouterr().out,
+    )
+    assert said is not None
+    rows = read_rows((ROOT / "README.md").read_text(encoding="utf-8"))
+    (row,) = [row for row in rows if row[-1].startswith("`vpptwin evaluate flip --tracks 1000 --seed 1`")]
+    wanted = f"{0.1 * int(said[1]):.1f} % failed, position error {said[2]} mm upright, {said[3]} mm inverted"
+    assert row[1].startswith(wanted)
+    assert f"{said[4]} full turns" in row[1]
