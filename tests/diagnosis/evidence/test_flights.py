@@ -67,9 +67,9 @@ def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
 
 
 def test_too_many_windows_are_thinned_out_evenly() -> None:
-    """Of 700 + 380 windows of the drone at most 400 stay: every third; of those that judge 200: every sixth."""
+    """Of 700 + 380 windows of the drone at most 240 stay: every fifth; of those that judge 120: every ninth."""
     starts = [np.arange(700.0), np.arange(380.0)]
-    for judging, every in ((False, 3), (True, 6)):
+    for judging, every in ((False, 5), (True, 9)):
         for all_of_them, kept in zip(starts, thin_out(load_twin(), starts, judging)):
             np.testing.assert_array_equal(kept, all_of_them[::every])
 
@@ -94,7 +94,7 @@ def lay_chain(folder: Path, joints: int) -> TwinSpec:
 
 def test_few_windows_all_stay() -> None:
     """Nothing is left out below the limit."""
-    starts = [np.arange(300.0), np.arange(100.0)]
+    starts = [np.arange(150.0), np.arange(90.0)]
     assert thin_out(load_twin(), starts) is starts
 
 

@@ -32,7 +32,7 @@ MIN_JUDGES = 3
 """Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
 MIN_RATE = 20.0
 """Lowest mean rate of poses [Hz]: a window needs a few of them."""
-MAX_WINDOWS = 400
+MAX_WINDOWS = 240
 """More windows than this are thinned out evenly: they would refine figures that model error limits anyway."""
 MAX_LONG_WINDOWS = 90
 """The same of windows of a rig that nobody knows, which are longer."""
