@@ -432,9 +432,9 @@ def test_a_missing_library_says_how_to_get_it(tmp_path: Path, monkeypatch: pytes
     """In one line."""
 
     def refuse(name: str) -> object:
-        raise ModuleNotFoundError(name)
+        raise ModuleNotFoundError(name=name)
 
-    monkeypatch.setattr("vpptwin.logs.extras.import_module", refuse)
+    monkeypatch.setattr("vpptwin.errors.import_module", refuse)
     with pytest.raises(InputError, match=r"needs pyarrow, which is not installed; .*pip install 'vpptwin\[logs\]'"):
         read_joint(write_csv(tmp_path / "state.csv", FIELD["plain"][0]), "state", position="q")
 
