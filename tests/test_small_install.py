@@ -51,6 +51,7 @@ REFUSED = {
     "evaluate": (["evaluate", "flip"], "train"),
     "live": (["play", "--live", "flip"], "train"),
     "onnx": (["export", "flip", "--format", "onnx"], "deploy"),
+    "rrd": (["diagnose", "flip.mcap", "--out", "out", "--rrd"], "rerun"),
     "csv": (["inspect", "flight.csv"], "logs"),
     "menagerie": (["inspect", "flip.mcap", "--model", "ur10e"], "menagerie"),
     "fly onnx": (["fly", "--policy", "empty.onnx", "--out", "a.mcap"], "deploy"),

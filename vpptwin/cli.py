@@ -149,6 +149,7 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
+    add("--rrd", action="store_true", help="write the twins' predictions for Rerun as well as for Foxglove")
 
 
 def describe_compare(parser: argparse.ArgumentParser) -> None:
