@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import yaml
@@ -120,7 +120,7 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
         InputError: if there is no such file, it is no log of a kind that is read, or damaged.
     """
     paths = find_files(path)
-    files = [_read_file(file, wish) for file in paths]
+    files = [_read_file(file, wish, len(paths) == 1) for file in paths]
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
@@ -215,7 +215,7 @@ def _read_metadata(folder: Path) -> list[str]:
         return sorted(file.name for file in folder.iterdir() if file.suffix in (".mcap", ".db3"))
 
 
-def _read_file(path: Path, wish: Wish) -> RawFile:
+def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     check_name(str(path))
     try:
         with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
@@ -230,8 +230,13 @@ def _read_file(path: Path, wish: Wish) -> RawFile:
         return read_bag(path, wish)
     if kind is not None:
         notes: list[str] = []
-        stamp = wish.stamps.get("/episode" if kind == "lerobot" else name_topic(path))
-        return pack_tables(path, _TABLES[kind](path, stamp, notes), wish, notes)
+        own = "/episode" if kind == "lerobot" else name_topic(path)
+        called = wish.name_table(own) if alone and kind in ("csv", "parquet") else own
+        if called != own:
+            notes.append(f"{path.name} is read as {called.removeprefix('/')}")
+        tables = _TABLES[kind](path, wish.stamps.get(called), notes)
+        tables = (replace(table, topic=called) if table.topic == own else table for table in tables)
+        return pack_tables(path, tables, wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
     raw = read_container(path, wish.channel)

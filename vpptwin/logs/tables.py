@@ -53,6 +53,10 @@ class Wish:
     fields: Mapping[str, Collection[str]] = field(default_factory=dict)
     stamps: Mapping[str, Stamp] = field(default_factory=dict)
 
+    def name_table(self, topic: str) -> str:
+        """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
+        return next(iter(self.fields)) if len(self.fields) == 1 else topic
+
     def choose(self, topic: str, names: Mapping[str, str]) -> list[str]:
         """Which columns, named as in the log and in messages, are wanted."""
         if topic not in self.fields:
