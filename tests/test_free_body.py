@@ -146,15 +146,15 @@ def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) ->
 
 TABLE = """model: quadrotor.xml
 signals:
-  bodies: {quad: {topic: "*", position: {path: [px, py, pz], unit: mm}, attitude: [qw, qx, qy, qz]}}
-  sites: {imu: {topic: "*", rate: {path: [gx, gy, gz], unit: deg/s}}}
+  bodies: {quad: {topic: flight, position: {path: [px, py, pz], unit: mm}, attitude: [qw, qx, qy, qz]}}
+  sites: {imu: {topic: flight, rate: {path: [gx, gy, gz], unit: deg/s}}}
   actuators:
 """
-MAP = "{topic: '*', effort: {path: pwm%d, polynomial: [0.0, 2.0e-6], voltage: {path: volts, nominal: 4.0}}}"
+MAP = "{topic: flight, effort: {path: pwm%d, polynomial: [0.0, 2.0e-6], voltage: {path: volts, nominal: 4.0}}}"
 
 
 def test_a_table_of_columns_is_a_flight_too(tmp_path: Path) -> None:
-    """Poses, rates, PWM at a battery that sags, in a CSV of any name; where columns lie stays in an extended twin."""
+    """Poses, rates, PWM at a battery that sags, in a lone CSV; where columns lie an extended twin says too."""
     write_twin(tmp_path)
     (tmp_path / "twin.yaml").write_text(TABLE + "".join(f"    m{i}: {MAP % i}\n" for i in range(1, 5)))
     spec, flown = load_twin(tmp_path / "twin.yaml"), fly({}, 2.0, 5)
@@ -183,9 +183,9 @@ def test_a_table_of_columns_is_a_flight_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entry", "line"),
     [
-        ("{topic: '*', position: [px, py, pz]}", "with position; expected position and attitude"),
-        ("{topic: '*', position: px, attitude: [a, b, c, d]}", "position: 1 fields, 1 factors; expected 3 fields"),
-        ("{topic: '*', position: [x, y, z], attitude: [a, b, c, d], effort: u}", "expected position and attitude"),
+        ("{topic: flight, position: [px, py, pz]}", "with position; expected position and attitude"),
+        ("{topic: flight, position: px, attitude: [a, b, c, d]}", "position: 1 fields, 1 factors; expected 3 fields"),
+        ("{topic: flight, position: [x, y, z], attitude: [a, b, c, d], effort: u}", "expected position and attitude"),
     ],
 )  # fmt: skip
 def test_a_body_of_columns_needs_its_pose(tmp_path: Path, entry: str, line: str) -> None:

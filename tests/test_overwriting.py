@@ -21,6 +21,8 @@ WRITERS = {
     "flip.svg": ["plot", str(FLIP), "--out", "flip.svg"],
     "plotted.html": ["plot", str(FLIP), "--out", "plotted.html"],
     "played.html": ["play", str(FLIP), "--html", "played.html"],
+    "typical.xml": ["export", "typical", "--format", "mjcf"],
+    "typical_mjlab.py": ["export", "typical", "--format", "mjlab"],
     "c/vpptwin.c": ["export", "flip", "--format", "c", "--out", "c"],
 }
 """A file, and the command that writes it."""

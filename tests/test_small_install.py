@@ -51,6 +51,9 @@ REFUSED = {
     "evaluate": (["evaluate", "flip"], "train"),
     "live": (["play", "--live", "flip"], "train"),
     "onnx": (["export", "flip", "--format", "onnx"], "deploy"),
+    "rrd": (["diagnose", "flip.mcap", "--out", "out", "--rrd"], "rerun"),
+    "csv": (["inspect", "flight.csv"], "logs"),
+    "menagerie": (["inspect", "flip.mcap", "--model", "ur10e"], "menagerie"),
     "fly onnx": (["fly", "--policy", "empty.onnx", "--out", "a.mcap"], "deploy"),
 }
 
@@ -70,6 +73,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Ended]:
     commands = [*WORKING.values(), *(command for command, _ in REFUSED.values())]
     folder = tmp_path_factory.mktemp("small")
     (folder / "empty.onnx").touch()
+    (folder / "flight.csv").write_text("t,q\n0.0,1.0\n0.1,1.1\n")
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, modules], input=json.dumps(commands), cwd=folder, capture_output=True, text=True,
         check=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -98,7 +102,7 @@ def test_the_extras_are_those_of_the_package() -> None:
     own = ("hydra", "omegaconf")  # omegaconf comes with hydra-core
     for extra, modules in EXTRAS.items():
         for module in modules:
-            assert module in own or any(need.startswith(module) for need in extras[extra]), module
+            assert module in own or any(need.replace("-", "_").startswith(module) for need in extras[extra]), module
             assert not any(need.startswith(module) for need in project["dependencies"])
     assert f"vpptwin[{','.join(EXTRAS)}]" in extras["dev"]
 

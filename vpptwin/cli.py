@@ -149,6 +149,7 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
+    add("--rrd", action="store_true", help="write the twins' predictions for Rerun as well as for Foxglove")
 
 
 def describe_compare(parser: argparse.ArgumentParser) -> None:
@@ -233,11 +234,12 @@ def describe_identify(parser: argparse.ArgumentParser) -> None:
 def describe_export(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin export`."""
     add = parser.add_argument
-    add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
-    add("--format", choices=["c", "onnx"], required=True)
+    add("source", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy; or a twin YAML")
+    formats = "a policy as c or onnx; a twin as mjcf, or as a randomization for mjlab"
+    add("--format", choices=["c", "onnx", "mjcf", "mjlab"], required=True, help=formats)
     add("--twin", help="whose vehicle the cascade is for (default: that of training)")
     add_effects(parser)
-    add("--out", type=Path, metavar="PATH", help="folder for C (default NAME_c), file for ONNX (default NAME.onnx)")
+    add("--out", type=Path, metavar="PATH", help="folder for C (default NAME_c), else file (default NAME.onnx, .xml)")
 
 
 def describe_evaluate(parser: argparse.ArgumentParser) -> None:
@@ -308,7 +310,7 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentP
     ),
     "train": ("train a policy with PPO", lambda options: commands.run_train([]), lambda parser: None),
     "export": (
-        "write a policy and the cascade below it as C99 source, or as ONNX",
+        "write a policy as C99 source or ONNX, a twin as MJCF or for mjlab",
         commands.run_export,
         describe_export,
     ),

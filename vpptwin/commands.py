@@ -43,7 +43,7 @@ def run_diagnose(options: argparse.Namespace) -> None:
     from vpptwin.diagnosis.report.command import diagnose_logs
 
     given = (options.logs, choose_twin(options, [options.twin])[0], options.out, options.topic_map, options.json)
-    diagnose_logs(*given, options.effects, options.force)
+    diagnose_logs(*given, options.effects, options.force, options.rrd)
 
 
 def run_compare(options: argparse.Namespace) -> None:
@@ -195,9 +195,15 @@ def check_pilot(options: argparse.Namespace) -> bool:
 
 def run_export(options: argparse.Namespace) -> None:
     """`vpptwin export`."""
-    from vpptwin.deploy.command import export
+    from vpptwin.deploy.command import TWINS, export, export_twin
 
-    for file in export(options.checkpoint, options.format, options.out, options.twin, options.force):
+    if options.format in TWINS:
+        if options.twin is not None:
+            raise InputError(f"--twin {options.twin} for --format {options.format}", "the twin alone", "leave it out")
+        file, lines = export_twin(str(options.source), options.format, options.out, options.effects, options.force)
+        print("\n".join([*lines, str(file)]))
+        return
+    for file in export(options.source, options.format, options.out, options.twin, options.force):
         print(file)
 
 

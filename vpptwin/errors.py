@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 from unicodedata import category
 
 LONGEST = 1000
@@ -13,6 +16,9 @@ EXTRAS = {
     "deploy": ("onnx", "onnxscript", "onnxruntime"),
     "ray": ("ray",),
     "gymnasium": ("gymnasium",),
+    "logs": ("pyarrow", "pyulog", "pymavlink", "rosbags"),
+    "menagerie": ("mujoco_menagerie", "robot_descriptions"),
+    "rerun": ("rerun",),
 }
 """Modules that come with no plain `pip install vpptwin`, by the extra that brings them."""
 
@@ -56,10 +62,30 @@ def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") 
     return f"did you mean {close[0]}?" if close else otherwise
 
 
-def explain_missing(error: ModuleNotFoundError) -> InputError | None:
-    """Which extra brings a module that is not installed; None if it is none of theirs."""
+def explain_missing(error: ModuleNotFoundError, need: str = "") -> InputError | None:
+    """Which extra brings a module that is not installed, and what needs it; None if it is none of theirs."""
     module = str(error.name).partition(".")[0]
     for extra, modules in EXTRAS.items():
         if module in modules:
-            return InputError(f"{module} is not installed", f"vpptwin[{extra}]", f"pip install 'vpptwin[{extra}]'")
+            found = f"{need} needs {module}, which" if need else module
+            return InputError(f"{found} is not installed", f"vpptwin[{extra}]", f"pip install 'vpptwin[{extra}]'")
     return None
+
+
+def load_extra(module: str, need: Path | str) -> Any:  # noqa: ANN401
+    """A module that comes with an extra.
+
+    Args:
+        module: its name.
+        need: what needs it, a log or a model.
+
+    Raises:
+        InputError: saying how to get it, if it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        problem = explain_missing(error, str(need))
+        if problem is None:
+            raise
+        raise problem from None

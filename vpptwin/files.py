@@ -26,6 +26,8 @@ OWN = {
     ".mcap": rb"\x07\0\0\0vpptwin",
     ".yaml": rb"\bvpptwin (diagnose|identify)\b",
     ".json": rb'"horizons_s"|"vpptwin"',
+    ".xml": rb"ritten by vpptwin export",
+    ".py": rb"ritten by vpptwin export",
 }
 """By what files that vpptwin wrote are known: MCAP by a record of that name, YAML by the command, JSON by a key."""
 STDOUT = Path("-")

@@ -81,7 +81,7 @@ def test_no_network_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_robot_descriptions(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the library's own names; without it a line says how to get it."""
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(InputError, match="pip install robot_descriptions"):
+    with pytest.raises(InputError, match=r"needs robot_descriptions, which .*pip install 'vpptwin\[menagerie\]'"):
         find_model("ur10e_mj_description")
     monkeypatch.setitem(sys.modules, "robot_descriptions", SimpleNamespace(__path__=[]))
     found = SimpleNamespace(MJCF_PATH="/cache/ur10e.xml")

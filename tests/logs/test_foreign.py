@@ -154,8 +154,6 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "state.csv", FIELD["plain"][0])
     with pytest.raises(InputError, match=r"no numeric field angle, only .*time, q"):
         read_joint(log, "state", position="angle")
-    with pytest.raises(InputError, match=r"lacks topic /motor.*one of /state"):
-        read_joint(log, "motor", position="q")
 
 
 @pytest.mark.parametrize(("head", "names"), [("tick,q\n", ("tick", "q")), ("", ("c0", "c1"))])
@@ -432,9 +430,9 @@ def test_a_missing_library_says_how_to_get_it(tmp_path: Path, monkeypatch: pytes
     """In one line."""
 
     def refuse(name: str) -> object:
-        raise ModuleNotFoundError(name)
+        raise ModuleNotFoundError(name=name)
 
-    monkeypatch.setattr("vpptwin.logs.extras.import_module", refuse)
+    monkeypatch.setattr("vpptwin.errors.import_module", refuse)
     with pytest.raises(InputError, match=r"needs pyarrow, which is not installed; .*pip install 'vpptwin\[logs\]'"):
         read_joint(write_csv(tmp_path / "state.csv", FIELD["plain"][0]), "state", position="q")
 
@@ -462,3 +460,18 @@ def test_a_twin_names_columns(shared_data: Path, tmp_path: Path, capsys: pytest.
     assert scores[0] == scores[1]
     signals = load_twin(tmp_path / "twin.yaml").robot.signals
     assert type(signals).model_validate(signals.as_dict()) == signals
+
+
+def test_a_twin_of_one_run_takes_the_next(tmp_path: Path) -> None:
+    """Files of one table each, whatever they are called; a file more, and each keeps its name."""
+    for run in ("run_1", "run_2"):
+        write_csv(tmp_path / f"{run}.csv", FIELD["plain"][0])
+    entries = {"/joint_states": {"j": SignalEntry.model_validate({"topic": "run_1", "position": "q"})}}
+    first, second = (read_flight(tmp_path / f"run_{i}.csv", None, entries) for i in (1, 2))
+    np.testing.assert_array_equal(
+        first.joints["/joint_states"]["j"]["position"], second.joints["/joint_states"]["j"]["position"]
+    )
+    write_csv(tmp_path / "run_3.csv", FIELD["plain"][0])
+    assert second.warnings[0] == "run_2.csv is read as run_1"
+    with pytest.raises(InputError, match=r"lacks topic /run_1.*one of /run_2, /run_3"):
+        read_flight(f"{tmp_path}/run_2.csv+{tmp_path}/run_3.csv", None, entries)

@@ -118,7 +118,8 @@ def is_control(signal: Signal, servo: bool) -> bool:
     """Whether a signal may be what a servo is asked for, or what a motor is driven by."""
     if signal.name:
         return signal.field == ("position" if servo and is_commanded(signal) else "effort")
-    return is_commanded(signal) and tell_quantity(signal) == "position" if servo else tell_quantity(signal) == "effort"
+    quantity = tell_quantity(signal)
+    return is_commanded(signal) and quantity in ("position", "") if servo else quantity == "effort"
 
 
 def is_servo(model: mujoco.MjModel, actuator: int) -> bool:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from vpptwin.errors import InputError
-from vpptwin.logs.extras import load_extra
+from vpptwin.errors import InputError, load_extra
 from vpptwin.resources import find_model_file
 
 
@@ -24,7 +23,7 @@ def find_model(name: str) -> Path:
         return find_model_file(name, Path())
     if name.endswith("_description"):
         return describe_robot(name)
-    menagerie = load_extra("mujoco_menagerie", f"model {name!r}", "menagerie")
+    menagerie = load_extra("mujoco_menagerie", f"model {name!r}")
     known = {robot.name: robot for robot in menagerie.robots()}
     if name in known:
         robot, entry = known[name], known[name].default_model
@@ -51,11 +50,7 @@ def describe_robot(name: str) -> Path:
     Raises:
         InputError: if the library or the robot is missing, or the robot comes as URDF alone.
     """
-    try:
-        import_module("robot_descriptions")
-    except ModuleNotFoundError:
-        found = f"model {name!r} needs robot_descriptions, which is not installed"
-        raise InputError(found, "the library", "pip install robot_descriptions") from None
+    load_extra("robot_descriptions", f"model {name!r}")
     try:
         return Path(import_module(f"robot_descriptions.{name}").MJCF_PATH)
     except (ModuleNotFoundError, AttributeError):

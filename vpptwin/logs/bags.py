@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from vpptwin.errors import InputError, escape_text
+from vpptwin.errors import InputError, escape_text, load_extra
 from vpptwin.logs.container import Block, RawChannel, RawFile
-from vpptwin.logs.extras import load_extra
 from vpptwin.logs.tables import Wish
 
 _GATHERED = 1 << 14  # messages of a channel that are kept apart at most

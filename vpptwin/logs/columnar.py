@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
 from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
-from vpptwin.logs.extras import load_extra
 from vpptwin.logs.tables import Table, name_topic
 
 _ROWS = 1 << 16  # rows converted at once

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.extras import load_extra
 from vpptwin.logs.tables import Table, list_names, name_topic
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream
-from vpptwin.logs.tables import ANY, Wish
+from vpptwin.logs.tables import Wish
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
 
@@ -42,7 +42,7 @@ def read_flight(
     sources = {slash(route.topic) for route in topics.list_routes()}
 
     def is_wanted(channel: RawChannel) -> bool:
-        named = ANY in sources or slash(channel.topic) in sources or channel.topic in topics.joints
+        named = slash(channel.topic) in sources or channel.topic in topics.joints
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
     recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps()))

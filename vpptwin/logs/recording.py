@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import yaml
@@ -19,7 +19,7 @@ from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.tables import ANY, Table, Wish, find_field, name_topic, pack_tables
+from vpptwin.logs.tables import Table, Wish, find_field, name_topic, pack_tables
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.plain import read_yaml
 
@@ -56,8 +56,6 @@ class Recording:
     def find_topic(self, topic: str) -> str | None:
         """A topic's name in the log, of which people leave out the slash; None if it lacks it."""
         present = self.list_topics()
-        if topic == ANY and len(present) == 1:
-            return next(iter(present))
         return next((name for name in (topic, f"/{topic}", topic.removeprefix("/")) if name in present), None)
 
     def list_topics(self) -> dict[str, str]:
@@ -122,7 +120,7 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
         InputError: if there is no such file, it is no log of a kind that is read, or damaged.
     """
     paths = find_files(path)
-    files = [_read_file(file, wish) for file in paths]
+    files = [_read_file(file, wish, len(paths) == 1) for file in paths]
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
@@ -217,7 +215,7 @@ def _read_metadata(folder: Path) -> list[str]:
         return sorted(file.name for file in folder.iterdir() if file.suffix in (".mcap", ".db3"))
 
 
-def _read_file(path: Path, wish: Wish) -> RawFile:
+def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     check_name(str(path))
     try:
         with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
@@ -232,8 +230,13 @@ def _read_file(path: Path, wish: Wish) -> RawFile:
         return read_bag(path, wish)
     if kind is not None:
         notes: list[str] = []
-        stamp = wish.find_stamp("/episode" if kind == "lerobot" else name_topic(path))
-        return pack_tables(path, _TABLES[kind](path, stamp, notes), wish, notes)
+        own = "/episode" if kind == "lerobot" else name_topic(path)
+        called = wish.name_table(own) if alone and kind in ("csv", "parquet") else own
+        if called != own:
+            notes.append(f"{path.name} is read as {called.removeprefix('/')}")
+        tables = _TABLES[kind](path, wish.stamps.get(called), notes)
+        tables = (replace(table, topic=called) if table.topic == own else table for table in tables)
+        return pack_tables(path, tables, wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
     raw = read_container(path, wish.channel)

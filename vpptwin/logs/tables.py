@@ -39,10 +39,6 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
-ANY = "/*"
-"""Instead of a topic: the only one of the log, whatever it is called."""
-
-
 @dataclass(frozen=True)
 class Wish:
     """What of a log is wanted.
@@ -57,18 +53,18 @@ class Wish:
     fields: Mapping[str, Collection[str]] = field(default_factory=dict)
     stamps: Mapping[str, Stamp] = field(default_factory=dict)
 
+    def name_table(self, topic: str) -> str:
+        """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
+        return next(iter(self.fields)) if len(self.fields) == 1 else topic
+
     def choose(self, topic: str, names: Mapping[str, str]) -> list[str]:
         """Which columns, named as in the log and in messages, are wanted."""
-        paths = self.fields.get(topic, self.fields.get(ANY))
+        paths = self.fields.get(topic)
         if paths is None:
             return list(names)
         wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
         found = [column for column, name in names.items() if column in wanted or name in wanted]
         return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else list(names)
-
-    def find_stamp(self, topic: str) -> Stamp | None:
-        """Where a topic's time lies, if somebody says."""
-        return self.stamps.get(topic, self.stamps.get(ANY))
 
 
 def name_topic(path: Path) -> str:

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
-from vpptwin.logs.extras import load_extra
 from vpptwin.logs.tables import Table
 
 _USD_CODES = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4",

@@ -16,6 +16,8 @@ from tests.diagnosis.rigs import CARTS, record
 from tests.estimation.synthetic import draw_commands, fly_own
 from vpptwin.diagnosis.report.export import name_files, write_prediction
 from vpptwin.diagnosis.report.prediction import predict_flight
+from vpptwin.diagnosis.report.rerun import write_rrd
+from vpptwin.files import is_own
 from vpptwin.logs import Stream, read_flight, write_flight
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -195,3 +197,27 @@ def test_files_are_named_after_logs() -> None:
     assert name_files([Path("a/steps.mcap")]) == ["prediction.mcap"]
     names = name_files([Path("a/steps.mcap"), Path("b/steps.mcap"), Path("mixed.mcap")])
     assert names == ["prediction_steps.mcap", "prediction_steps_2.mcap", "prediction_mixed.mcap"]
+
+
+def test_rerun_shows_both_twins_over_the_untouched_recording(tmp_path: Path) -> None:
+    """Bit by bit what was recorded, what MCAP has of the twins, on the log's clock."""
+    chunks = pytest.importorskip("rerun.chunk")
+    flight, twins = read_flight(FLIP), [load_twin(), load_twin().with_effects(FRICTION)]
+    prediction = predict_flight(twins, flight)
+    write_rrd(tmp_path / "prediction.rrd", prediction)
+    assert is_own(tmp_path / "prediction.rrd")
+    held: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for chunk in chunks.RrdReader(tmp_path / "prediction.rrd").stream().to_chunks():
+        batch = chunk.to_record_batch()
+        scalars = next((name for name in batch.schema.names if name.endswith("Scalars:scalars")), None)
+        if scalars is not None:
+            stamps = batch.column("stamp").to_numpy(zero_copy_only=False).astype(np.int64)
+            held[chunk.entity_path] = stamps, batch.column(scalars).flatten().to_numpy()
+    pose = flight.streams["/mocap/pose"]
+    stamps, values = held["/recording/mocap/pose/x"]
+    np.testing.assert_array_equal(values, pose["x"])
+    np.testing.assert_array_equal(stamps, flight.start_ns + np.rint(pose.time * 1e9).astype(np.int64))
+    track = prediction.tracks[0]
+    for twin, predicted in zip(("before", "after"), track.predicted):
+        np.testing.assert_array_equal(held[f"/x/{twin}"][1], predicted[np.isfinite(predicted)])
+    assert np.abs(held["/x/residual/after"][1]).mean() > 0.0

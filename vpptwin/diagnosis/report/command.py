@@ -10,13 +10,14 @@ from vpptwin.diagnosis.report.output import check_target, give_json, stage_resul
 from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, diagnose, list_stale
 from vpptwin.diagnosis.report.sources import list_logs
 from vpptwin.diagnosis.report.terminal import print_summary
+from vpptwin.errors import load_extra
 from vpptwin.files import STDOUT
 from vpptwin.logs.flight import Flight
 
 
 def diagnose_logs(
     logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
-    effects: Sequence[Path] = (), force: bool = False,
+    effects: Sequence[Path] = (), force: bool = False, rrd: bool = False,
 ) -> Result:  # fmt: skip
     """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
 
@@ -28,6 +29,7 @@ def diagnose_logs(
         json: another place for the verdict; `-` prints it to standard output instead of the summary.
         effects: Python files with effects of the user's own.
         force: overwrite files in `out` that vpptwin did not write, too.
+        rrd: write the predictions for Rerun as well.
 
     Raises:
         InputError: on bad logs, a bad twin, or a folder that cannot be written; old results are left as they were.
@@ -35,10 +37,13 @@ def diagnose_logs(
     if json is not None:
         check_target(json)
     flown = list_logs(logs)
-    files = [VERDICT, REPORT, TWIN, *name_files([Path(log) for log in flown if not isinstance(log, Flight)])]
+    if rrd:
+        load_extra("rerun", "--rrd")  # before the work
+    read = [Path(log) for log in flown if not isinstance(log, Flight)]
+    files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
     with stage_results(out, files, list_stale(out), force) as folder:
         result = diagnose(flown, twin, topic_map, effects)
-        result.write(folder, out)
+        result.write(folder, out, rrd)
     if json is not None:
         give_json(result.verdict.as_dict(), json)
     if json != STDOUT:

@@ -55,15 +55,15 @@ class Topic:
             writer.write_joints(self.name, time, joints, time + offset)
 
 
-def name_files(logs: Sequence[Path]) -> list[str]:
+def name_files(logs: Sequence[Path], suffix: str = ".mcap") -> list[str]:
     """A file for the prediction of each log: `prediction.mcap`, or `prediction_LOG.mcap` where there are several."""
     if len(logs) == 1:
-        return ["prediction.mcap"]
+        return [f"prediction{suffix}"]
     names: list[str] = []
     for log in logs:
-        name, count = f"prediction_{log.stem}.mcap", 2
+        name, count = f"prediction_{log.stem}{suffix}", 2
         while name in names:
-            name, count = f"prediction_{log.stem}_{count}.mcap", count + 1
+            name, count = f"prediction_{log.stem}_{count}{suffix}", count + 1
         names.append(name)
     return names
 
@@ -153,7 +153,12 @@ def list_drone(robot: PlanarDrone, twin: str, tracks: Sequence[Track], i: int) -
     return topics
 
 
+def plain_name(track: Track) -> str:
+    """What a quantity is called in names of topics."""
+    return track.name.replace("θ", "theta").replace(" ", "_")
+
+
 def list_residual(twin: str, track: Track, i: int) -> Topic:
     """Measured minus predicted of one quantity."""
-    name = track.name.replace("θ", "theta").replace(" ", "_")
+    name = plain_name(track)
     return Topic(f"/twin/{twin}/residual/{name}", track.time, joints={name: {track.kind: track.residual[i]}})

@@ -23,6 +23,7 @@ from vpptwin.diagnosis.report.pictures import Pictures, draw_pictures
 from vpptwin.diagnosis.report.prediction import FlightPrediction, predict_flight
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.ranking import Suspect, rank_suspects
+from vpptwin.diagnosis.report.rerun import write_rrd
 from vpptwin.diagnosis.report.sources import Log, open_flights, open_twin
 from vpptwin.diagnosis.report.summary import Summary, summarise
 from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
@@ -98,26 +99,31 @@ class Result:
     def _logs(self) -> list[Path]:
         return [prediction.flight.path for prediction in self._predictions]
 
-    def save(self, folder: str | PathLike[str], force: bool = False) -> None:
+    def save(self, folder: str | PathLike[str], force: bool = False, rrd: bool = False) -> None:
         """Write verdict.json, report.html, twin.yaml and the twins' predictions, as `vpptwin diagnose --out` does.
 
         Args:
             folder: made if need be.
             force: overwrite files of these names that vpptwin did not write, too.
+            rrd: write the predictions for Rerun as well.
 
         Raises:
-            InputError: if the folder cannot be written to, or holds such a file.
+            InputError: if the folder cannot be written to, or holds such a file; or if Rerun is not installed.
         """
         out = Path(folder)
-        with stage_results(out, self.files, list_stale(out), force) as drafts:
-            self.write(drafts, out)
+        files = [*self.files, *(name_files(self._logs, ".rrd") if rrd else ())]
+        with stage_results(out, files, list_stale(out), force) as drafts:
+            self.write(drafts, out, rrd)
 
-    def write(self, folder: Path, out: Path) -> None:
+    def write(self, folder: Path, out: Path, rrd: bool = False) -> None:
         """Write all files into `folder`, to lie in `out` in the end."""
         origin = self._trace(["--out", str(out)])
         traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
         for prediction, name in zip(self._predictions, name_files(self._logs), strict=True):
             write_prediction(folder / name, self._spec, prediction, {"log": str(prediction.flight.path)} | traced)
+        for prediction, name in zip(self._predictions, name_files(self._logs, ".rrd")):
+            if rrd:
+                write_rrd(folder / name, prediction)
         write_json(self.verdict.as_dict(), folder / VERDICT)
         write_whole(folder / TWIN, compose_twin(self._spec, self.twin.effects, self.verdict, origin, out))
         write_whole(folder / REPORT, self._render(origin, out))
@@ -185,6 +191,7 @@ def list_stale(out: Path) -> list[str]:
     """Predictions that an earlier diagnosis in the same folder wrote, by the logs that its verdict names."""
     try:
         verdict = loads((out / VERDICT).read_text(encoding="utf-8"))
-        return name_files([Path(log) for log in verdict["logs"]])
+        logs = [Path(log) for log in verdict["logs"]]
+        return [*name_files(logs), *name_files(logs, ".rrd")]
     except (OSError, ValueError, KeyError, TypeError):
         return []

@@ -1,0 +1,239 @@
+"""A twin as plain MJCF: what MuJoCo can hold of it, a comment at each change, and how far that is from the twin."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from vpptwin.deploy.hold import AFFINE, Held
+from vpptwin.effects import Effect
+from vpptwin.engine.callback import installed
+from vpptwin.errors import InputError
+from vpptwin.twin import Twin
+from vpptwin.twin.model import hold_joints, typical_forces
+from vpptwin.twin.spec import TwinSpec
+
+HELD, SEED = 0.1, 0
+"""How long each command of the rollouts is held [s]; of what is random in them."""
+SPEED = 0.3
+"""At which their joints start [m/s, rad/s]."""
+SHARE = 0.3
+"""Of what a command may be, or of what typically moves a joint that it acts on, or of a radian."""
+TINY = 1e-9
+"""Stands for an actuator that moves nothing."""
+
+
+def describe(effect: Effect, spec: TwinSpec) -> str:
+    """An effect with its values and their 90 % intervals, in a line."""
+    parts = []
+    for p in effect.parameters:
+        ends = spec.intervals.get(f"{effect.id}.{p.name}")
+        sure = f" (90 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else ""
+        parts.append(f"{p.name} = {spec.value(effect, p.name):.6g} {p.unit}".rstrip() + sure)
+    return f"{effect.id}: {', '.join(parts)}"
+
+
+def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
+    """The twin's MJCF with what MuJoCo can hold.
+
+    Args:
+        spec: the twin.
+        held: of it.
+        folder: where the file will lie, from which meshes are found.
+
+    Raises:
+        InputError: if the MJCF's text cannot be made or holds no such element, as of a replicated body.
+    """
+    given = mujoco.MjSpec.from_file(str(spec.model_file))
+    spec.robot.adapt(given, spec.model_file)
+    if given.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        given.compiler.saveinertial = True  # of all bodies, as those of geoms would win
+    given.compile()
+    root = ET.fromstring(given.to_xml())
+    locate_assets(root, given, spec.model_file.parent, folder)
+    for (element, name), effects in held.list_elements().items():
+        found = find_element(root, element, name, spec.model)
+        if found is None:
+            raise InputError(f"{spec.model_file}: no {element} {name} once flattened", "one", "name it in the MJCF")
+        own = {a: values for (kind, who, a), values in held.values.items() if (kind, who) == (element, name)}
+        set_attributes(found, element, own)
+        parent = next(around for around in root.iter() if found in list(around))
+        for effect in effects:
+            parent.insert(list(parent).index(found), ET.Comment(f" {without_dashes(describe(effect, spec))} "))
+    head = [f"Written by vpptwin export from {spec.name}."]
+    head += [f"Not held: {describe(effect, spec)} - {why}" for effect, why in held.lost]
+    for line in reversed(head):
+        root.insert(0, ET.Comment(f" {without_dashes(line)} "))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def without_dashes(text: str) -> str:
+    """Text for a comment of XML, which no two dashes may be in."""
+    return text.replace("--", "- -").rstrip("-")
+
+
+def locate_assets(root: ET.Element, given: mujoco.MjSpec, home: Path, folder: Path) -> None:
+    """Say where meshes and textures lie as seen from another folder."""
+    compiler = root.find("compiler")
+    if compiler is None or root.find(".//asset") is None:
+        return
+    for attribute, own in (("meshdir", given.compiler.meshdir), ("texturedir", given.compiler.texturedir)):
+        compiler.set(attribute, os.path.relpath((home / own).resolve(), folder.resolve()))
+
+
+def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjModel) -> ET.Element | None:
+    """An element by its kind and name; one for inertia, or options, is made where it lacks."""
+    if element == "option":
+        found = root.find("option")
+        return found if found is not None else ET.SubElement(root, "option")
+    if element == "joint":
+        return root.find(f".//worldbody//joint[@name='{name}']")
+    if element == "actuator":
+        return next((e for e in root.findall("./actuator/*") if e.get("name") == name), None)
+    body = next((e for e in root.iter("body") if e.get("name") == name), None)
+    if body is None:
+        return None
+    inertial = body.find("inertial")
+    if inertial is None:
+        inertial = ET.Element("inertial")
+        body.insert(0, inertial)
+    inertial.attrib.clear()
+    of = model.body(name)
+    for attribute, numbers in (("pos", of.ipos), ("quat", of.iquat), ("mass", of.mass), ("diaginertia", of.inertia)):
+        inertial.set(attribute, write_numbers(tuple(numbers)))
+    compiler = root.find("compiler")
+    if compiler is not None:
+        compiler.set("inertiafromgeom", "auto")
+    return inertial
+
+
+def set_attributes(found: ET.Element, element: str, values: Mapping[str, tuple[float, ...]]) -> None:
+    """Write numbers into an element, with what has to go with them."""
+    for attribute, numbers in values.items():
+        if attribute == "biastype":
+            found.set(attribute, "affine" if numbers[0] == AFFINE else "none")
+        elif attribute == "nsample":
+            found.set(attribute, str(int(numbers[0])))
+            found.set("interp", "linear")
+        else:
+            found.set(attribute, write_numbers(numbers))
+        if attribute == "ctrlrange":
+            found.set("ctrllimited", "true")
+        if attribute == "dynprm":
+            found.set("dyntype", "filterexact")
+            found.set("actearly", "true")
+
+
+def write_numbers(numbers: tuple[float, ...]) -> str:
+    """Numbers as MJCF has them, to the last bit."""
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def describe_rollouts(spec: TwinSpec, held: Held, path: Path) -> list[str]:
+    """What `compare_rollouts` found, in lines of a table."""
+    rows = compare_rollouts(spec, held, path)
+    lines = [f"{spec.robot.window:g} s of random commands in plain MuJoCo, largest difference of a position [m, rad]:"]
+    heads = ("", "moves by", "from what is held", "from the twin", "of the MJCF before")
+    wide = max(len(name) for name, *_ in rows)
+    lines.append("  ".join([heads[0].ljust(wide), *heads[1:]]))
+    for name, *numbers in rows:
+        lines.append("  ".join([name.ljust(wide), *(f"{x:.3g}".rjust(len(h)) for x, h in zip(numbers, heads[1:]))]))
+    return lines
+
+
+def compare_rollouts(spec: TwinSpec, held: Held, path: Path) -> list[tuple[str, float, float, float, float]]:
+    """How far plain MuJoCo goes from the twin under random commands.
+
+    Args:
+        spec: the twin.
+        held: of it.
+        path: the MJCF that was written.
+
+    Returns:
+        Of each degree of freedom: what it is called; how far it gets in the twin; the largest difference between the
+        MJCF and the twin with what is held alone; the MJCF and the whole twin; the twin's own MJCF and the whole twin
+        [m, rad].
+    """
+    with installed(None):
+        written = mujoco.MjModel.from_xml_path(str(path))
+    kept = {effect.id for effect in held.effects}
+    partly = replace(spec, effects={name: values for name, values in spec.effects.items() if name in kept})
+    commands, velocity = excite(spec)
+    whole, part = (simulate_twin(twin, commands, velocity) for twin in (spec, partly))
+    new, old = (simulate_plain(spec, model, commands, velocity) for model in (written, spec.model))
+    way = difference(spec.model, whole, np.broadcast_to(whole[:1], whole.shape)).max(axis=0)
+    pairs = ((new, part), (new, whole), (old, whole))
+    missed = [difference(spec.model, *pair).max(axis=0) for pair in pairs]
+    return [
+        (spec.robot.name_dof(i), float(a), float(b), float(c), float(d))
+        for i, (a, b, c, d) in enumerate(zip(way, *missed))
+    ]
+
+
+def difference(model: mujoco.MjModel, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far two ways (steps, nq) are apart in each degree of freedom, (steps, nv) m, rad."""
+    apart = np.zeros((len(one), model.nv))
+    for row, a, b in zip(apart, one, other):
+        mujoco.mj_differentiatePos(model, row, 1.0, a, b)
+    return np.abs(apart)
+
+
+def excite(spec: TwinSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Random commands (steps, nu), each held for a while, and start velocities (nv,).
+
+    The drone's commands stay zero: those of the twin are blade pitches, those of its MJCF thrusts.
+    """
+    model, rng = spec.model, np.random.default_rng(SEED)
+    steps, each = round(spec.robot.window / model.opt.timestep), max(round(HELD / model.opt.timestep), 1)
+    drawn = rng.uniform(-1.0, 1.0, (steps // each + 1, model.nu))
+    velocity = SPEED * rng.uniform(-1.0, 1.0, model.nv)
+    velocity[[model.joint(name).dofadr[0] for name in spec.robot.driven]] = 0.0
+    moved, typical = weigh_actuators(spec), typical_forces(model)
+    middle, half = np.zeros(model.nu), np.full(model.nu, SHARE)
+    for i in range(model.nu):
+        if model.actuator_ctrllimited[i]:
+            middle[i], half[i] = model.actuator_ctrlrange[i].mean(), SHARE * np.ptp(model.actuator_ctrlrange[i]) / 2.0
+        elif model.actuator_biastype[i] != AFFINE:
+            half[i] *= 1.0 / max(np.max(moved[i] * abs(model.actuator_gainprm[i, 0]) / typical), TINY)
+    half *= spec.robot.rotorcraft is None
+    return np.repeat(middle + half * drawn, each, axis=0)[:steps], velocity
+
+
+def weigh_actuators(spec: TwinSpec) -> np.ndarray:
+    """Force on each degree of freedom for one of each actuator, where the rig starts, (nu, nv), positive."""
+    model, data = spec.model, mujoco.MjData(spec.model)
+    data.qpos[:] = spec.robot.start_pose
+    moved = np.zeros((model.nu, model.nv))
+    with installed(None):
+        mujoco.mj_forward(model, data)
+    if model.nu:
+        mujoco.mju_sparse2dense(moved, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return np.abs(moved)
+
+
+def simulate_twin(spec: TwinSpec, commands: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Positions after every step, (steps, nq)."""
+    twin = Twin(spec, 1)
+    return np.asarray(twin.replay_commands(twin.initial_state(qvel=velocity), commands[None]).qpos[0])
+
+
+def simulate_plain(
+    spec: TwinSpec, model: mujoco.MjModel, commands: np.ndarray, velocity: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """Positions of MuJoCo alone after every step, (steps, nq); joints that follow a log stay where they are."""
+    with installed(None):
+        model = hold_joints(model, spec.robot.driven) if spec.robot.driven else model
+        data, way = mujoco.MjData(model), np.zeros((len(commands), model.nq))
+        data.qpos[:], data.qvel[:] = spec.robot.start_pose, velocity
+        for step, command in enumerate(commands):
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+            way[step] = data.qpos
+    return way
