@@ -63,6 +63,7 @@ def test_friction_is_suggested(rig: Rig) -> None:
     assert strength["value"] > 4.0 * strength["std"]
 
 
+@pytest.mark.slow
 def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
     """README and the example's page: strengths as the report writes them, and how sure."""
     page = (ROOT / "examples/antx/README.md").read_text(encoding="utf-8")

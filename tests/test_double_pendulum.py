@@ -141,7 +141,7 @@ def test_the_lower_link_is_heavier_than_identified(logs: dict[str, Log]) -> None
     assert fit["late"] < 0.0
 
 
-@pytest.mark.parametrize("name", ["00", "13"])
+@pytest.mark.parametrize("name", ["00", pytest.param("13", marks=pytest.mark.slow)])
 def test_the_verdict_says_nothing_that_is_excluded(folder: Path, tmp_path: Path, name: str) -> None:
     """About 20 s each: there is a gap, and no cause is sure that the fit by hand excludes."""
     convert(folder / f"design_A_{name}.csv", tmp_path / "log.mcap")

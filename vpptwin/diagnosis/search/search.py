@@ -181,9 +181,9 @@ class Search(Fitter):
     def _lead_on(self, fit: Fit, start: Start) -> list[Start]:
         """The same start; for dry friction the best places farther on: where it sticks no slope tells how far."""
         strength = next(u for u in self.unknowns if u.effect.id == start.effect)
-        if strength.effect.stage is not Stage.FRICTION:
-            return [start]
         way, times, places = start.values[strength.key] - strength.nominal, 1.0, [dict(start.values)]
+        if strength.effect.stage is not Stage.FRICTION or way == 0.0:
+            return [start]
         for spread in FARTHER:
             farther = strength.parameter.clip(strength.nominal + times * np.array(spread) * way)
             places = self._pick_places(fit, [{**start.values, strength.key: float(value)} for value in farther])
