@@ -170,6 +170,15 @@ def test_fits_go_downhill(rubbing: Search) -> None:
         assert done.values["slide.coulomb", "force"] > 0.0
 
 
+def test_dry_friction_is_tried_farther_than_slopes_lead(rubbing: Search) -> None:
+    """From a third of it to the friction that is there; where slopes lead nowhere, and for other laws, as it was."""
+    key = "slide.coulomb", "force"
+    (found,) = rubbing._lead_on(rubbing.start, Start(key[0], {key: FRICTION / 3.0}, 0.0))
+    assert found.values[key] == pytest.approx(FRICTION, rel=0.1)
+    for unmoved in (Start(key[0], {key: 0.0}, 0.0), Start("slide.bias", {("slide.bias", "force"): 0.3}, 0.0)):
+        assert rubbing._lead_on(rubbing.start, unmoved) == [unmoved]
+
+
 def test_what_is_superfluous_is_dropped(rubbing: Search) -> None:
     """Friction and a constant force that nothing asks for: friction stays alone."""
     values = {("slide.coulomb", "force"): FRICTION, ("slide.bias", "force"): 0.05}
