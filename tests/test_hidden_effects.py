@@ -42,6 +42,7 @@ def test_with_none_hidden_nothing_is_named(sessions: Sessions) -> None:
     sessions.require("none", find, tries=1)
 
 
+@pytest.mark.slow
 def test_a_storm_of_steps_is_no_effect(tmp_path: Path) -> None:
     """Gusts of 2.6 % of weight that jump, as in session 2 of seed 8100, double the error: no gap all the same."""
     wind = Wind("steps", 2.6218, 0.63752, (1.0758, 0.57882, 0.83992))
@@ -52,6 +53,7 @@ def test_a_storm_of_steps_is_no_effect(tmp_path: Path) -> None:
     assert not verdict.gap
 
 
+@pytest.mark.slow
 def test_rotor_blades_that_chip_leave_something_unexplained(tmp_path: Path) -> None:
     """Thrust that rotor 1 loses at 10 s, as in session 2 of seed 8101, acts like no gust: it follows something."""
     chip = {"alien.chip": {"loss": 0.12945, "time": 10.369}}
