@@ -21,6 +21,8 @@ UNITS: dict[str, tuple[str, float]] = {
 }  # fmt: skip
 """Unit → that of the SI which it measures in, and how many of those it is."""
 
+BODIES, SITES = "/bodies/", "/sites/"
+"""Roots of the topics that bodies and IMUs out of fields are read as, one for each name."""
 TIME_UNITS = ("s", "ms", "us", "ns")
 NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 

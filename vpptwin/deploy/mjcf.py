@@ -16,6 +16,7 @@ from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed
 from vpptwin.errors import InputError
 from vpptwin.twin import Twin
+from vpptwin.twin.manifold import difference_poses
 from vpptwin.twin.model import hold_joints, typical_forces
 from vpptwin.twin.spec import TwinSpec
 
@@ -168,21 +169,12 @@ def compare_rollouts(spec: TwinSpec, held: Held, path: Path) -> list[tuple[str, 
     commands, velocity = excite(spec)
     whole, part = (simulate_twin(twin, commands, velocity) for twin in (spec, partly))
     new, old = (simulate_plain(spec, model, commands, velocity) for model in (written, spec.model))
-    way = difference(spec.model, whole, np.broadcast_to(whole[:1], whole.shape)).max(axis=0)
-    pairs = ((new, part), (new, whole), (old, whole))
-    missed = [difference(spec.model, *pair).max(axis=0) for pair in pairs]
+    pairs = ((whole[:1], whole), (part, new), (whole, new), (whole, old))
+    way, *missed = (np.abs(difference_poses(spec.model, *pair)).max(axis=0) for pair in pairs)
     return [
         (spec.robot.name_dof(i), float(a), float(b), float(c), float(d))
         for i, (a, b, c, d) in enumerate(zip(way, *missed))
     ]
-
-
-def difference(model: mujoco.MjModel, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """How far two ways (steps, nq) are apart in each degree of freedom, (steps, nv) m, rad."""
-    apart = np.zeros((len(one), model.nv))
-    for row, a, b in zip(apart, one, other):
-        mujoco.mj_differentiatePos(model, row, 1.0, a, b)
-    return np.abs(apart)
 
 
 def excite(spec: TwinSpec) -> tuple[np.ndarray, np.ndarray]:

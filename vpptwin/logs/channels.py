@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from vpptwin.fields import BODIES, SITES
 from vpptwin.logs.messages import shorten_type
 
 # Axis names of a rotation -> (quaternion component, sign). SPEC 1: theta turns about -y.
@@ -176,7 +177,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TOPICS = ("/joint_states", "/actuator_command")
 JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "control input, N or N m"}
 
-SPATIAL_COLUMNS = {"/bodies/": {"position": 3, "attitude": 4}, "/sites/": {"rate": 3}}
+SPATIAL_COLUMNS = {BODIES: {"position": 3, "attitude": 4}, SITES: {"rate": 3}}
 """Bodies and IMUs out of fields: root of the topics that they are read as -> column -> numbers."""
 
 SIGNAL_COLUMNS = (*JOINT_COLUMNS, "attitude", "rate")

@@ -80,7 +80,7 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
 
 
 def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
-    """Read a joint or actuator out of fields; rows in which one of them holds no number are no samples of it.
+    """Read a joint, actuator, body or IMU out of fields; rows in which one of them is no number are no samples of it.
 
     Raises:
         InputError: if the log lacks the topic or a field, or a field is none of numbers.
@@ -151,21 +151,13 @@ def read_spatial(recording: Recording, topic: str) -> Samples:
     kinds = {shorten_type(kind): columns for kind, columns in SPATIAL.items()}
     columns = kinds[shorten_type(recording.check_type(topic))]
     parts = {name: [f"{path}.{c}" for c in ("wxyz" if name == "attitude" else "xyz")] for name, path in columns.items()}
-    stamp_paths = _list_stamp_fields(Stamp())
-    batches = recording.decode(topic, [*stamp_paths, *(path for paths in parts.values() for path in paths)])
-    if not batches:
-        return Samples(topic, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    order = np.argsort(np.concatenate([batch.number for batch in batches]), kind="stable")
-
-    def join(path: str) -> np.ndarray:
-        return np.concatenate([batch.values[path] for batch in batches])[order]
-
-    log_time = np.concatenate([batch.log_time for batch in batches])[order].astype(np.int64)
-    stamp = _read_stamps(f"{recording.path}: {topic}", Stamp(), {path: join(path) for path in stamp_paths}, log_time)
-    fields = {name: np.stack([join(path) for path in paths], axis=1).astype(float) for name, paths in parts.items()}
+    found = read_fields(recording, topic, Stamp(), [path for paths in parts.values() for path in paths], topic)
+    if not found.fields:
+        return found
+    fields = {n: np.stack([found.fields[path] for path in paths], axis=1).astype(float) for n, paths in parts.items()}
     # ROS marks what an IMU or an odometry does not tell by NaN, or by zeros throughout.
     told = {name: values for name, values in fields.items() if values.any() and not np.isnan(values).all()}
-    return Samples(topic, stamp, log_time, told)
+    return replace(found, fields=told)
 
 
 @dataclass

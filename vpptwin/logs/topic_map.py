@@ -78,13 +78,13 @@ class Route:
 
 @dataclass(frozen=True)
 class JointRoute:
-    """How one joint or actuator is recorded in a log, in fields of any topic.
+    """How one joint, actuator, body or IMU is recorded in a log, in fields of any topic.
 
     Attributes:
-        canonical: JointState topic that it is read as.
-        name: of the joint or actuator.
+        canonical: topic that it is read as: JointState, or one of its own.
+        name: of the joint, actuator, body or site.
         topic: in the log.
-        sources: position, velocity, effort -> where it lies.
+        sources: column, of `SIGNAL_COLUMNS` -> where it lies.
         stamp: where the time lies.
     """
 

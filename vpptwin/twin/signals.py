@@ -9,13 +9,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vpptwin.errors import InputError
-from vpptwin.fields import SignalEntry, dump_entry
+from vpptwin.fields import BODIES, SITES, SignalEntry, dump_entry
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.model import find_free, free_bodies
 
 SIGNAL_TOPICS = {
     "joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command",
-    "bodies": "/bodies/{}", "sites": "/sites/{}",
+    "bodies": BODIES + "{}", "sites": SITES + "{}",
 }  # fmt: skip
 """Where signals are read, bodies and IMUs each on a topic of its own, that a twin makes of fields of other topics."""
 

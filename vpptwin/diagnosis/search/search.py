@@ -179,16 +179,16 @@ class Search(Fitter):
         return [Start(effect, values, 0.0) for values in self._pick_places(fit, tried)]
 
     def _lead_on(self, fit: Fit, start: Start) -> list[Start]:
-        """The same start; for dry friction the best places farther on: where it sticks no slope tells how far."""
+        """The same start; for dry friction the best place farther on: where it sticks no slope tells how far."""
         strength = next(u for u in self.unknowns if u.effect.id == start.effect)
-        way, times, places = start.values[strength.key] - strength.nominal, 1.0, [dict(start.values)]
-        if strength.effect.stage is not Stage.FRICTION or way == 0.0:
+        if strength.effect.stage is not Stage.FRICTION:
             return [start]
+        place = dict(start.values)
         for spread in FARTHER:
-            farther = strength.parameter.clip(strength.nominal + times * np.array(spread) * way)
-            places = self._pick_places(fit, [{**start.values, strength.key: float(value)} for value in farther])
-            times = (places[0][strength.key] - strength.nominal) / way
-        return [Start(start.effect, places[0], 0.0)]
+            farther = strength.nominal + np.array(spread) * (place[strength.key] - strength.nominal)
+            tried = [{**place, strength.key: float(value)} for value in strength.parameter.clip(farther)]
+            place = self._pick_places(fit, tried)[0]
+        return [Start(start.effect, place, 0.0)]
 
     def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
         """The two of many places that miss least under a fit's likelihood."""
