@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -154,7 +155,7 @@ def test_errors_must_not_grow() -> None:
     """A cause that makes the prediction of held-out poses worse is none; on other rigs it must make it better."""
     assert not judge(Judges(10.0, worse=True), 10.0 * BAR, a_coulomb=0.5)
     assert judge(Judges(10.0, favour=-1.0), 10.0 * BAR, a_coulomb=0.5)
-    assert not judge(Judges(10.0, favour=-1.0), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
+    assert not judge(Judges(10.0, favour=-2.0), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
     assert judge(Judges(10.0, favour=0.1), 10.0 * BAR, None, OTHER_RIG, a_coulomb=0.5)
 
 
@@ -219,10 +220,23 @@ def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, favour:
     assert confirms(SEARCH, Judges(gain, favour=favour), before, after)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("favour", "named"), [(0.1, True), (-0.9, True), (-1.1, False)])
-def test_errors_that_speak_against_a_cause_veto_it(favour: float, named: bool) -> None:
-    """On other rigs, by a standard error: what slips a little early or late predicts no better, and no worse."""
-    assert judge(Judges(10.0, favour=favour), 100.0, search=OTHER_RIG, a_coulomb=0.5) is named
+@pytest.mark.parametrize(
+    ("drop", "gain", "favour", "named"),
+    [
+        (0.4 * STRONG, 4.0, 0.1, True),
+        (0.4 * STRONG, 4.0, -0.9, True),
+        (0.4 * STRONG, 4.0, -1.1, False),
+        (1.1 * STRONG, 4.0, -1.1, True),
+        (1.1 * STRONG, 4.0, -2.1, False),
+        (0.9 * STRONG, 1.9, -1.1, True),  # both together are overwhelming
+        (0.9 * STRONG, 1.5, -1.1, False),
+        (1.1 * STRONG, -3.0, 1.9, False),
+        (1.1 * STRONG, -3.0, 2.1, True),
+    ],
+)
+def test_on_other_rigs_errors_have_the_last_word(drop: float, gain: float, favour: float, named: bool) -> None:
+    """They veto by a standard error, by two what is overwhelming, and outvote by two windows that contradict."""
+    assert judge(Judges(gain, favour=favour), drop, search=OTHER_RIG, a_coulomb=0.5) is named
 
 
 def test_lopsided_friction_and_a_force_beside_friction_are_one_law() -> None:
@@ -419,6 +433,19 @@ def test_a_suspect_that_does_not_last_is_taken_in_once() -> None:
     assert found.fit.effects == {"a.coulomb", "b.coulomb"}
     assert script.tried == ["a.coulomb", "a.bias", "b.coulomb"]
     assert found.left_out == frozenset()
+
+
+def test_a_cause_that_fades_beside_a_later_one_goes() -> None:
+    """Clear of nothing when it was taken in, a standard error of it in the end."""
+
+    class Fading(Script):
+        def of(self, effects: frozenset[str]) -> Fit:
+            found = super().of(effects)
+            doubt = {key: 0.9 if key[0] == "a.bias" and len(effects) > 1 else 0.1 for key in found.values}
+            return replace(found, std=doubt)
+
+    drops = {"a.bias": 900.0, "b.coulomb": 500.0}
+    assert select_from(Fading(drops, set(drops)), StrictJudges()).fit.effects == {"b.coulomb"}
 
 
 def test_causes_that_predict_other_logs_worse_are_left_out() -> None:

@@ -71,6 +71,11 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             left_out |= fit.effects - lesser.effects
             barred, fit = barred | left_out, lesser
             continue
+        if faint := {e for e in fit.effects if trusts_errors(search) and is_faint(search, fit, e)}:
+            for effect in sorted(faint):
+                fit = search.without(fit, effect)
+            fit, barred = search.reframe(fit) if fit.effects else search.start, barred | faint
+            continue
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
         evidence = {
@@ -171,19 +176,22 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     Beside a cause that looks like it, it must bring a good part of what that cause brought: no law of friction is
     exact, and what one leaves over another of its kind would mop up. `earlier_drops` are each of the frame in
     which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
+    Where errors have the last word, they outvote gains that contradict, and veto by one standard error, or two where
+    evidence of fitted and held-out windows together is overwhelming.
     """
     tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
     kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
     if drop < criteria.bars_fitted * criteria.bar + criteria.kinship * max(kin, default=0.0):
         return False
-    own = [u for u in search.unknowns if u.effect.id == effect]
-    if all(abs(tried.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
-        return False
-    away = abs(tried.values[own[0].key] - own[0].nominal)
-    if trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * tried.std[own[0].key]:
+    if is_faint(search, tried, effect):
         return False
     gain, error = compare(search, held_out, step.before, tried)
-    strong = drop > criteria.bars_strong * criteria.bar
+    favour, together = 0.0, drop
+    if trusts_errors(search):
+        favour = held_out.prefer(step.before.values, tried.values)
+        gain = max(gain, 0.0) if favour > criteria.sigmas_held_out else gain
+        together = drop + float(np.clip(gain, 0.0, drop))
+    strong = together > criteria.bars_strong * criteria.bar
     agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error
     agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
     undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
@@ -192,8 +200,17 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
         return False
     if held_out.worsens(step.before.values, tried.values):
         return False
-    even = -criteria.sigmas_against
-    return not (agreed and trusts_errors(search)) or held_out.prefer(step.before.values, tried.values) > even
+    even = criteria.sigmas_held_out if strong else criteria.sigmas_against
+    return not agreed or favour > -even
+
+
+def is_faint(search: Search, fit: Fit, effect: str) -> bool:
+    """Whether a fit leaves an effect within its build tolerance or, where errors have the last word, near nothing."""
+    own, criteria = [u for u in search.unknowns if u.effect.id == effect], search.criteria
+    if all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
+        return True
+    away = abs(fit.values[own[0].key] - own[0].nominal)
+    return trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * fit.std[own[0].key]
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
