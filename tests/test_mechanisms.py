@@ -11,6 +11,7 @@ import pytest
 
 from tests.mechanisms.families import FAMILIES
 from tests.mechanisms.hidden import Hidden, Scale, hide, list_kinds, name_effect, size_effect
+from tests.mechanisms.measure import Evidence, trace_offset
 from tests.mechanisms.plant import FORMS, STEP, build_drives, build_laws
 from tests.mechanisms.rig import GRAVITY, JITTER, Drive, Link, Rig
 from tests.mechanisms.tree import build_tree, choose_dynamics, find_tree_dynamics, run_tree
@@ -238,12 +239,20 @@ def test_every_hidden_kind_does_something(outside: bool) -> None:
         share = 0.05 if kind in ("delay", "lag") else 0.3
         hidden = Hidden(name_effect(DOUBLE, kind, joint, outside), joint, share, 1.0, int(rng.integers(99)))
         values = size_effect(hidden, DOUBLE, scale)
-        if set(values) & {"sensor_dead", "quantum"}:
+        if set(values) & {"sensor_dead", "quantum", "angle"}:
             continue
         track = drive(DOUBLE, hide(build_world(DOUBLE), hidden, values), "sines")
         moved = np.abs(track.moved[:, 0] - bare.moved[:, 0]).max()
         assert moved > 1e-3, (kind, joint, values)
         assert np.abs(track.lacking[:, joint]).max() > 1e-3, (kind, joint)
+
+
+def test_an_encoder_that_reads_too_much_takes_weight_for_force() -> None:
+    """By hand: the elbow's weight turns with its angle by m g l cos, on both joints; the rig is at rest."""
+    track = drive(DOUBLE, build_world(DOUBLE), "sines")
+    still = replace(track, moved=np.array([0.3, 0.5])[None, None] * np.array([1.0, 0.0, 0.0])[None, :, None])
+    found = trace_offset(DOUBLE, Evidence(still, np.zeros((1, 2))), 1, scale_of(DOUBLE, track))
+    np.testing.assert_allclose(found[0], 0.8 * GRAVITY * 0.15 * np.cos(0.8), rtol=1e-4)
 
 
 def test_what_the_twin_lacks_is_what_is_hidden() -> None:

@@ -40,7 +40,8 @@ provenance: {intervals_90_percent: {slide.coulomb.force: [1.4, 1.6], swing.sprin
 """
 EXACT = (
     "slide.viscous: {damping: 0.4}", "swing.inertia: {inertia: 0.004}", "swing.spring: {stiffness: 0.2, rest: 0.3}",
-    "slide.bias: {force: 0.3}", "motor.gain: {gain: 0.9}", "servo.gain: {gain: 0.8}", "motor.delay: {delay: 0.0063}",
+    "slide.bias: {force: 0.3}", "swing.offset: {angle: 0.1}",
+    "motor.gain: {gain: 0.9}", "servo.gain: {gain: 0.8}", "motor.delay: {delay: 0.0063}",
     "motor.saturation: {limit: 0.2}, motor.gain: {gain: 1.4}", "servo.delay: {delay: 0.02}",
 )  # fmt: skip
 """Effects that MuJoCo holds as they are."""

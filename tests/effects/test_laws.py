@@ -110,7 +110,7 @@ THRUST_LAWS = [
 
 # Constants: what the effect writes, at parameters that differ between two simulations. Body 2, dof 1 and actuator 0 are
 # those that the effect acts on; the craft is body 2, its nominal mass 0.45 kg.
-SITE = Site(dof=1, actuator=0, body=2)
+SITE = Site(dof=1, place=1, actuator=0, body=2)
 G = 9.81
 SIXTH = np.pi / 6  # sin = 1/2
 CONSTANT_LAWS = [
@@ -121,6 +121,11 @@ CONSTANT_LAWS = [
     ("swing.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
     ("slide.inertia", {"inertia": (0.1, -0.1)}, {"dof_armature": [[0, 0.3, 0], [0, 0.1, 0]]}),  # 0.2 besides
     ("swing.inertia", {"inertia": (0.1, -0.1)}, {"dof_armature": [[0, 0.3, 0], [0, 0.1, 0]]}),
+    (
+        "swing.offset",
+        {"angle": (0.1, -0.1)},
+        {"qpos0": [[0, 0.1, 0], [0, -0.1, 0]], "qpos_spring": [[0, 0.4, 0], [0, 0.2, 0]]},  # 0.3 besides
+    ),
     # Raised by 30° along +x, half of gravity pulls back along x; what pulls along z stays.
     ("rail.tilt", {"angle": (SIXTH, -SIXTH)}, {"opt.gravity": [[-G / 2, 0, -G], [G / 2, 0, -G]]}),
     ("carriage.mass", {"mass": (0.05, -0.05)}, {"body_mass": [[0, 0.08, 0.50], [0, 0.08, 0.40]]}),
@@ -179,6 +184,8 @@ def nominal_constants() -> dict[str, np.ndarray]:
     table |= {name: np.ones(2) for name in ("rotor.drag_gain", "gyro.scale", "mocap.scale")}
     return table | {
         "body_mass": rows(0.0, 0.08, 0.45),
+        "qpos0": rows(0.0, 0.0, 0.0),
+        "qpos_spring": rows(0.0, 0.3, 0.0),
         "body_inertia": rows([0.0] * 3, [0.0] * 3, [6e-3] * 3),
         "body_ipos": rows([0.0] * 3, [0.0] * 3, [0.0] * 3),
         "dof_damping": rows(0.0, 0.1, 0.0),

@@ -78,6 +78,8 @@ class Scale:
 FORCES, FREE = (0.02, 0.6), (0.003, 0.1)
 """Shares of a joint's typical force: where a drive keeps it moving, and where friction soon brings it to rest."""
 JOINT_KINDS = ("coulomb", "stiction", "viscous", "bias", "spring", "inertia")
+OFFSET = (0.01, 0.2)
+"""Span of the angle by which a hinge's encoder reads too much [rad]."""
 DRIVE_KINDS = {
     "gain": (0.03, 0.36), "delay": (0.005, 0.06), "lag": (0.005, 0.06), "backlash": (0.05, 0.6),
     "rate_limit": (0.03, 0.5), "saturation": (0.03, 0.5),
@@ -85,7 +87,7 @@ DRIVE_KINDS = {
 """Actuator effects → span: logarithm of the gain, seconds, play over the rms input, share of time at the limit."""
 OUTSIDE = ("ripple", "drag", "place_friction", "hysteresis", "memory", "periodic", "sudden", "cable")
 OUTSIDE_DRIVEN = ("load_friction", "sensor_dead_band", "drive_dead_band", "quantised_torque")
-KINDS, KINDS_OUTSIDE = (*JOINT_KINDS, *DRIVE_KINDS), (*OUTSIDE, *OUTSIDE_DRIVEN, "cross_coupling")
+KINDS, KINDS_OUTSIDE = (*JOINT_KINDS, "offset", *DRIVE_KINDS), (*OUTSIDE, *OUTSIDE_DRIVEN, "cross_coupling")
 EITHER = ("bias", "gain")
 FAINT, FAINTER = 0.2, (0.15, 0.6)
 """Share of effects that are drawn fainter than these spans, and how much."""
@@ -96,7 +98,9 @@ def list_kinds(rig: Rig, outside: bool) -> list[tuple[str, int]]:
     driven = np.flatnonzero(rig.driven)
     joints = range(len(rig.links))
     if not outside:
-        return [(k, j) for k in JOINT_KINDS for j in joints] + [(k, int(j)) for k in DRIVE_KINDS for j in driven]
+        hinges = [("offset", j) for j in joints if rig.links[j].rotary]
+        found = [(k, j) for k in JOINT_KINDS for j in joints] + hinges
+        return found + [(k, int(j)) for k in DRIVE_KINDS for j in driven]
     found = [(k, j) for k in OUTSIDE for j in joints] + [(k, int(j)) for k in OUTSIDE_DRIVEN for j in driven]
     return found + [("cross_coupling", j) for j in joints if len(rig.links) > 1 and set(driven) - {j}]
 
@@ -115,7 +119,7 @@ def draw_hidden(rng: np.random.Generator, rig: Rig, outside: bool = False, turn:
         low = 1.5 * low
     if outside:
         low = 2.5 * low
-    low, high = DRIVE_KINDS.get(kind, (low, high))
+    low, high = OFFSET if kind == "offset" else DRIVE_KINDS.get(kind, (low, high))
     sensor = kind in EITHER and driven and rng.random() < 0.3
     share = spread(rng, low, high) * (spread(rng, *FAINTER) if not outside and rng.random() < FAINT else 1.0)
     return Hidden(
@@ -149,6 +153,7 @@ def size_effect(hidden: Hidden, rig: Rig, scale: Scale) -> Values:
                            "rest": float(np.clip(scale.middle[j] + far * rng.uniform(-1.5, 1.5), -reach, reach))},
         "inertia": lambda: {"inertia": (hidden.sign if share < 0.2 and len(rig.links) == 1 else 1.0)
                             * share * scale.carried[j]},
+        "offset": lambda: {"angle": hidden.sign * share},
         "gain": lambda: {"gain": float(np.exp(hidden.sign * share))},
         "delay": lambda: {"delay": STEP * round(share / STEP)},
         "lag": lambda: {"time_constant": share},

@@ -127,6 +127,7 @@ def list_rivals(rig: Rig, scale: Scale) -> list[tuple[str, str, int, Values]]:
         several: dict[str, list[Values]] = {
             "coulomb": [{}], "stiction": [{"velocity": s * scale.speed[j]} for s in (0.05, 0.2)], "viscous": [{}],
             "bias": [{}], "inertia": [{}], "spring": [{"rest": scale.middle[j] + s * scale.spread[j]} for s in RESTS],
+            **({"offset": [{}]} if rig.links[j].rotary else {}),
         }  # fmt: skip
         found += [(name_effect(rig, kind, j), kind, j, v) for kind, sizes in several.items() for v in sizes]
     for i, drive in enumerate(rig.drives):
@@ -198,6 +199,8 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
             acts = u if kind == "gain" else distort(u, kind, next(iter(values.values())), scale.period) - u
             column[:, joint] = drive.gear * acts
             return column
+    if kind == "offset":
+        return trace_offset(rig, log, joint, scale)
     column[:, joint] = {
         "coulomb": lambda: -sense,
         "stiction": lambda: -sense * np.exp(-((v / values["velocity"]) ** 2)),
@@ -207,6 +210,18 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
         "inertia": lambda: -np.diff(v, append=v[-1:]) / scale.period,
     }[kind]()
     return column
+
+
+def trace_offset(rig: Rig, log: Evidence, joint: int, scale: Scale) -> Column:
+    """Force per rad along a log of a twin that believes an encoder which reads too much."""
+    stride, find, eps = max(round(0.02 / scale.period), 1), choose_dynamics(rig), 1e-5
+    moved, off = log.track.moved, eps * np.eye(len(rig.links))[joint]
+    speed = np.diff(moved[:, 1], axis=0, append=moved[-1:, 1]) / scale.period
+    rows = []
+    for k in range(0, len(moved), stride):
+        (M, h), (M_off, h_off) = (find(q, moved[k, 1]) for q in (moved[k, 0], moved[k, 0] + off))
+        rows.append(((M_off - M) @ speed[k : k + stride].mean(0) + h_off - h) / eps)
+    return np.repeat(rows, stride, axis=0)[: len(moved)]
 
 
 def distort(u: np.ndarray, kind: str, size: float, period: float) -> np.ndarray:

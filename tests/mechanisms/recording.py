@@ -183,10 +183,14 @@ def record(session: Session, folder: Path) -> Recorded:
     )
     (folder / "rig.xml").write_text(session.told.write_mjcf())
     (folder / "rig.yaml").write_text(session.told.write_twin("rig.xml"))
-    paths = []
+    paths, zero = [], np.zeros(len(session.rig.links))
+    for hidden, values in found:
+        if hidden.kind == "offset":
+            zero[hidden.joint] += values["angle"]
     for i, ((track, noise), seen) in enumerate(zip(logs, evidence)):
         rng = np.random.default_rng([session.seed, 6, session.number, i])
-        paths.append(write_log(session, folder / f"{i}_{session.motions[i].kind}.mcap", scale, track, noise, seen, rng))
+        path = folder / f"{i}_{session.motions[i].kind}.mcap"
+        paths.append(write_log(session, path, scale, track, noise + zero, seen, rng))
     return Recorded(paths, folder / "rig.yaml", truth)
 
 

@@ -68,6 +68,19 @@ def test_a_lift_stands_still(tmp_path: Path, rig: str) -> None:
     assert qpos[0, -1, 0] < -0.004  # m in a second, where a servo pulls back; most fall by 0.2 m
 
 
+def test_an_encoder_that_reads_too_much_shifts_its_readings_and_nothing_else(tmp_path: Path) -> None:
+    """0.3 rad on the arm, which hangs on a spring of the MJCF: the same fall, 0.3 rad further on."""
+    sprung = LIFT.replace('name="arm" type="hinge"', 'name="arm" type="hinge" stiffness="0.2" springref="0.1"')
+    (tmp_path / "lift.xml").write_text(sprung.format(**PLAIN))
+    (tmp_path / "twin.yaml").write_text(TWIN)
+    twin = Twin(load_twin(tmp_path / "twin.yaml"), 2, active=["arm.offset"], num_threads=1)
+    twin.set_parameter("arm.offset", "angle", np.array([0.0, 0.3]))
+    start = twin.initial_state(qpos=np.array([[0.0, 0.2], [0.0, 0.5]]))
+    qpos = twin.replay_commands(start, np.full((2, 500, 1), WEIGHT)).qpos
+    assert np.ptp(qpos[0, :, 1]) > 0.3
+    np.testing.assert_allclose(qpos[1] - qpos[0], np.tile([0.0, 0.3], (len(qpos[0]), 1)), atol=1e-9)
+
+
 def test_every_generic_effect_at_once(tmp_path: Path) -> None:
     """All effects of two joints and an unnamed actuator together: they are there, and they do no harm."""
     (tmp_path / "lift.xml").write_text(LIFT.format(**PLAIN))

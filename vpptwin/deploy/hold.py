@@ -28,6 +28,7 @@ OF_ACTUATORS = {
     "actuator.time_constant": "dynprm",
 }  # fmt: skip
 OF_JOINTS = {"dof_damping": "damping", "dof_armature": "armature"}
+OF_PLACES = {"qpos0": "ref", "qpos_spring": "springref"}
 
 
 @dataclass
@@ -117,6 +118,11 @@ def hold_fields(held: Held, effect: Effect, constants: Mapping[str, np.ndarray],
         if name in OF_JOINTS:
             more = np.trim_zeros(model.dof_dampingpoly[site.dof], "b") if name == "dof_damping" else ()
             held.put(effect, "joint", effect.target, **{OF_JOINTS[name]: (constants[name][0, site.dof], *more)})
+        elif name in OF_PLACES:
+            if ("joint", effect.target, OF_PLACES[name]) in held.values:
+                held.lost.append((effect, "beside a spring, for the MJCF's own spring"))
+            else:
+                held.put(effect, "joint", effect.target, **{OF_PLACES[name]: (constants[name][0, site.place],)})
         elif name in OF_BODIES:
             value = tuple(np.atleast_1d(constants[name][0, site.body]))
             held.put(effect, "inertial", model.body(site.body).name, **{OF_BODIES[name]: value})

@@ -146,11 +146,13 @@ class Site:
 
     Attributes:
         dof: index of the degree of freedom it acts on.
+        place: index of its joint's position in qpos.
         actuator: index of the actuator it acts on.
         body: index of the body it acts on: `target` where that is a body, else the craft.
     """
 
     dof: int = -1
+    place: int = -1
     actuator: int = -1
     body: int = -1
 

@@ -72,12 +72,15 @@ GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
     (friction.coulomb, ("viscous", "stiction")),
     (friction.stiction, ("coulomb",)),
     (joint.viscous, ("coulomb",)),
-    (joint.bias, ("spring",)),
-    (joint.spring, ("bias", "inertia")),
+    (joint.bias, ("spring", "offset")),
+    (joint.spring, ("bias", "inertia", "offset")),
     (joint.inertia, ("spring",)),
+    (joint.offset, ("bias", "spring")),
     (flex.lugre, ()),
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
+HINGES_ONLY = "offset"
+"""Where the zero of a slide lies moves nothing."""
 
 GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
@@ -113,11 +116,12 @@ def effects_for_rig(
         actuators: name → a typical control input; 1 where nobody knows.
         room: factor on the bounds of what is in units of such an input.
     """
-    effects = [
-        make(place, tuple(f"{place.joint}.{kind}" for kind in alike))
-        for place in joints
-        for make, alike in GENERIC_JOINT
-    ]
+    effects = []
+    for place in joints:
+        barred = () if place.rotary else (HINGES_ONLY,)
+        for make, alike in GENERIC_JOINT:
+            if make.__name__ not in barred:
+                effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))
     for name, size in actuators.items():
         effects += [actuator.attach(effect, name, size, room) for effect in GENERIC_ACTUATOR]
     return tuple(effects)

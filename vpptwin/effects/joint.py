@@ -1,4 +1,4 @@
-"""Effects on any joint but dry friction: viscous friction, constant force, spring, inertia. On ours and on any rig."""
+"""Effects on any joint but dry friction: viscous friction, constant force, spring, inertia, an encoder's wrong zero."""
 
 from __future__ import annotations
 
@@ -78,6 +78,12 @@ def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> N
     constants["dof_armature"][:, site.dof] += inertia
 
 
+def apply_offset(constants: Constants, site: Site, /, angle: np.ndarray) -> None:
+    """Angle by which an encoder reads too much [rad]; springs stay with the link, end stops with the encoder."""
+    for name in ("qpos0", "qpos_spring"):
+        constants[name][:, site.place] += angle
+
+
 def viscous(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Viscous friction on a joint."""
     unit = "N m s/rad" if place.rotary else "N s/m"
@@ -125,4 +131,16 @@ def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     return Effect(
         f"{place.joint}.inertia", f"a wrong {kind} {place.where}", "M + inertia", (parameter,), Stage.CONSTANT,
         apply_inertia, JOINT_SHOWS, look_alikes, ("dof_armature",), place.joint, follows="command",
+    )  # fmt: skip
+
+
+def offset(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Wrong zero of a hinge's encoder."""
+    angle = Parameter(
+        name="angle", unit="rad", off=0.0, low=-1.0, high=1.0, prior=Prior("normal", 0.0, 0.03), size=0.02,
+        tolerance=0.001, source="assumption: zeroed by hand to 2 degrees",
+    )  # fmt: skip
+    return Effect(
+        f"{place.joint}.offset", f"a wrong zero of the encoder {place.where}", "q + angle", (angle,), Stage.CONSTANT,
+        apply_offset, JOINT_SHOWS, look_alikes, ("qpos0", "qpos_spring"), place.joint, follows="position",
     )  # fmt: skip

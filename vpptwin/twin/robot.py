@@ -241,8 +241,10 @@ class Robot:
         joints |= {model.body(int(model.jnt_bodyid[i])).name: int(model.jnt_dofadr[i]) for i in find_free(model)}
         actuators = {model.actuator(i).name: i for i in range(model.nu)}
         bodies = {model.body(i).name: i for i in range(model.nbody)}
+        places = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
         return Site(
             dof=joints.get(effect.target, -1),
+            place=places.get(effect.target, -1),
             actuator=actuators.get(effect.target, -1),
             body=bodies.get(effect.target, self.body),
         )
