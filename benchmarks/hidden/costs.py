@@ -21,9 +21,9 @@ STAGES = {
     "logs": "reading logs",
     "estimation": "measurements, starting states, windows",
     **dict.fromkeys(("twin", "engine", "effects", "actuators"), ENGINE),
-    **dict.fromkeys(("diagnosis/bench.py", "diagnosis/channels.py", "diagnosis/motor.py"), SENSORS),
-    **{f"diagnosis/{name}.py": FITS for name in ("likelihood", "suspects", "search", "selection", "separation")},
-    **{f"diagnosis/{name}.py": JUDGING for name in ("information", "holdout", "leftover", "noise", "power")},
+    "diagnosis/evidence": SENSORS,
+    "diagnosis/search": FITS,
+    "diagnosis/judgement": JUDGING,
 }
 REST = "everything else"
 Function = tuple[str, int, str]
@@ -35,7 +35,7 @@ def stage_of(file: str) -> str:
     if not path.is_relative_to(PACKAGE):
         return ""
     name = path.relative_to(PACKAGE).as_posix()
-    return STAGES.get(name) or STAGES.get(name.split("/")[0]) or REST
+    return next((stage for folder, stage in STAGES.items() if name.startswith(f"{folder}/")), REST)
 
 
 def share_out(stats: dict[Function, tuple[int, int, float, float, dict]]) -> dict[str, float]:
