@@ -18,6 +18,7 @@ from tests.diagnosis.rigs import (
     LOG_EVERY,
     MASS,
     PENDULA,
+    SERVOS,
     STEP,
     Case,
     drive_cart,
@@ -77,6 +78,23 @@ def test_dry_friction_of_a_cart_is_named(tmp_path: Path) -> None:
 def test_damping_of_a_pendulum_is_named(tmp_path: Path) -> None:
     """A pendulum pushed to and fro by its motor: viscous, not coulomb."""
     check_named(diagnose_rig(PENDULA, DAMPING, tmp_path), "swing.viscous", "damping", DAMPING)
+
+
+def test_a_soft_servo_is_named(tmp_path: Path) -> None:
+    """Targets are its input, its own loop is part of the twin: it has 0.7 of the MJCF's stiffness."""
+    verdict = diagnose_rig(SERVOS, 0.7, tmp_path)
+    (cause,) = verdict["causes"]
+    assert cause["effect"] == "motor.stiffness"
+    assert cause["parameters"]["stiffness"]["value"] == pytest.approx(0.7, rel=0.03)
+    assert verdict["after"]["chi2"] < 0.01 * verdict["before"]["chi2"]
+
+
+@pytest.mark.slow
+def test_a_servo_as_it_should_be_is_not_accused(tmp_path: Path) -> None:
+    """Nothing is named and there is no gap."""
+    verdict = diagnose_rig(SERVOS, 1.0, tmp_path)
+    assert verdict["causes"] == []
+    assert not verdict["gap"]
 
 
 def test_a_cart_without_friction_is_not_accused(tmp_path: Path) -> None:

@@ -43,6 +43,10 @@ PENDULUM = """<mujoco>
   </worldbody>
   <actuator><motor name="motor" joint="swing" gear="1"/></actuator>
 </mujoco>"""
+SERVO = re.sub(r"<motor .*/>", '<position name="motor" joint="swing" kp="6" kv="0.4"/>', PENDULUM).replace(
+    "0.002", "0.001"
+)
+"""At 2 ms MuJoCo's integrator would be off by twice the sensors' noise."""
 UNDRIVEN = re.sub(r"  <actuator>.*\n", "", PENDULUM)
 TWIN = """model: rig.xml
 signals:
@@ -93,11 +97,24 @@ def let_swing(damping: float, seed: int, duration: float = 12.0) -> Track:
     return angle, rate, torque[:, None][:, :0]
 
 
-def swing(damping: float, torques: np.ndarray, angle: float) -> Track:
-    """The bob from rest at an angle [rad], under torques [N m] held between samples, by Runge and Kutta."""
+def serve(share: float, seed: int) -> Track:
+    """The same bob held by a position servo of so much of the stiffness in `SERVO`, after targets held for 0.7 s."""
+    rng = np.random.default_rng(seed)
+    count = round(DURATION / STEP / LOG_EVERY)
+    targets = np.repeat(rng.uniform(-1.0, 1.0, count // 140 + 1), 140)[:count]
+    return swing(0.0, targets, 0.0, (6.0 * share, 0.4))
+
+
+def swing(damping: float, torques: np.ndarray, angle: float, servo: tuple[float, float] | None = None) -> Track:
+    """The bob from rest at an angle [rad], under torques [N m] held between samples, by Runge and Kutta.
+
+    With a servo of some stiffness [N m/rad] and damping [N m s/rad] they are its targets [rad].
+    """
     inertia, weight = BOB * LENGTH**2, BOB * 9.81 * LENGTH
 
     def slope(state: np.ndarray, torque: float) -> np.ndarray:
+        if servo is not None:
+            torque = servo[0] * (torque - state[0]) - servo[1] * state[1]
         return np.array([state[1], (torque - damping * state[1] - weight * np.sin(state[0])) / inertia])
 
     step = LOG_EVERY * STEP / 10.0
@@ -126,6 +143,7 @@ class Case:
 
 CARTS = Case(CART, "slide", drive_cart, (3e-4, 3e-3))
 PENDULA = Case(PENDULUM, "swing", swing_pendulum, (1e-3, 2e-2))
+SERVOS = Case(SERVO, "swing", serve, (1e-3, 2e-2))
 DECAYS = Case(UNDRIVEN, "swing", let_swing, (1e-3, 2e-2))
 
 

@@ -123,6 +123,12 @@ def hold_fields(held: Held, effect: Effect, constants: Mapping[str, np.ndarray],
                 held.lost.append((effect, "beside a spring, for the MJCF's own spring"))
             else:
                 held.put(effect, "joint", effect.target, **{OF_PLACES[name]: (constants[name][0, site.place],)})
+        elif name == "actuator_gainprm":
+            held.put(effect, "actuator", effect.target, gainprm=list(constants[name][0, site.actuator, :3]))
+        elif name == "actuator_biasprm":
+            known = held.values.get(("actuator", effect.target, "biasprm"), model.actuator_biasprm[site.actuator])
+            loop = constants[name][0, site.actuator, 1:3]  # a force on the joint may be in the first already
+            held.put(effect, "actuator", effect.target, biasprm=(known[0], *loop))
         elif name in OF_BODIES:
             value = tuple(np.atleast_1d(constants[name][0, site.body]))
             held.put(effect, "inertial", model.body(site.body).name, **{OF_BODIES[name]: value})
@@ -163,7 +169,8 @@ def hold_actuator(held: Held, model: mujoco.MjModel, i: int, constants: Mapping[
     name, gain, limit = model.actuator(i).name, constants["gain"], constants["limit"]
     put: dict[str, tuple[float, ...]] = {}
     if gain != 1.0:
-        put["gainprm"] = tuple(gain * model.actuator_gainprm[i, :3])
+        known = held.values.get(("actuator", name, "gainprm"), model.actuator_gainprm[i, :3])
+        put["gainprm"] = tuple(gain * np.array(known))
     if model.actuator_ctrllimited[i] or limit < NO_LIMIT:
         low, high = model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else (-np.inf, np.inf)
         put["ctrlrange"] = (max(low, -limit) / gain, min(high, limit) / gain)

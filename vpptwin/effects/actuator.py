@@ -1,4 +1,6 @@
-"""Effects on any actuator: gain, delay, lag, limited rate, play, saturation. Those of the drone's rotors are its own.
+"""Effects on any actuator: gain, delay, lag, limited rate, play, saturation; a servo's own stiffness and damping.
+
+Those of the drone's rotors are its own.
 
 Control inputs are in MuJoCo's `ctrl`, whatever unit that has; sizes are for inputs of the order of one (`attach`).
 """
@@ -45,6 +47,36 @@ def apply_saturation(constants: Constants, site: Site, /, limit: np.ndarray) -> 
     """The output stays within ±limit [ctrl]."""
     bound = constants["actuator.limit"][:, site.actuator]
     bound[:] = np.minimum(bound, limit)
+
+
+def apply_stiffness(constants: Constants, site: Site, /, stiffness: np.ndarray) -> None:
+    """Stiffness of a position servo times this."""
+    constants["actuator_gainprm"][:, site.actuator, 0] *= stiffness
+    constants["actuator_biasprm"][:, site.actuator, 1] *= stiffness
+
+
+def apply_damping(constants: Constants, site: Site, /, damping: np.ndarray) -> None:
+    """Damping of a position servo times this."""
+    constants["actuator_biasprm"][:, site.actuator, 2] *= damping
+
+
+def apply_tracking(constants: Constants, site: Site, /, damping: np.ndarray) -> None:
+    """Force of a velocity servo times this."""
+    constants["actuator_gainprm"][:, site.actuator, 0] *= damping
+    constants["actuator_biasprm"][:, site.actuator, 2] *= damping
+
+
+def list_servo_effects(gain: float, stiffness: float, damping: float) -> tuple[Effect, ...]:
+    """What a servo may have besides what every actuator may; nothing for what is none.
+
+    Args:
+        gain: force per input.
+        stiffness: force per position, as MuJoCo's `biasprm`; that of a position servo is -gain.
+        damping: force per velocity, likewise; that of a velocity servo is -gain.
+    """
+    if gain and stiffness == -gain:
+        return (STIFFNESS, DAMPING) if damping else (STIFFNESS,)
+    return (TRACKING,) if gain and damping == -gain else ()
 
 
 def attach(effect: Effect, actuator: str, typical: float = 1.0, room: float = 1.0) -> Effect:
@@ -124,3 +156,22 @@ SATURATION = Effect(
     stage=Stage.CONSTANT, apply=apply_saturation, shows=ACTUATOR_SHOWS, look_alikes=("gain",),
     writes=("actuator.limit",), follows="command",
 )  # fmt: skip
+STIFFNESS = Effect(
+    id="stiffness", summary="a wrong stiffness of the servo", equation="kp × stiffness",
+    parameters=(
+        Parameter(name="stiffness", unit="", off=1.0, low=0.05, high=20.0, prior=Prior("normal", 1.0, 0.3), size=0.05,
+                  tolerance=0.01, source="assumption: gains of servos are set by hand, and known by a third"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_stiffness, shows=ACTUATOR_SHOWS, look_alikes=(),
+    writes=("actuator_gainprm", "actuator_biasprm"), follows="command",
+)  # fmt: skip
+DAMPING = Effect(
+    id="damping", summary="a wrong damping of the servo", equation="kv × damping",
+    parameters=(
+        Parameter(name="damping", unit="", off=1.0, low=0.0, high=20.0, prior=Prior("normal", 1.0, 0.3), size=0.05,
+                  tolerance=0.01, source="assumption: as of its stiffness"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_damping, shows=ACTUATOR_SHOWS, look_alikes=(),
+    writes=("actuator_biasprm",), follows="command change",
+)  # fmt: skip
+TRACKING = replace(DAMPING, apply=apply_tracking, writes=STIFFNESS.writes, follows="command")

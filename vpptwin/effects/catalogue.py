@@ -107,7 +107,8 @@ def generic_place(
 
 
 def effects_for_rig(
-    joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM
+    joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
+    servos: Mapping[str, tuple[Effect, ...]] | None = None,
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -115,6 +116,7 @@ def effects_for_rig(
         joints: as `generic_place` makes them.
         actuators: name → a typical control input; 1 where nobody knows.
         room: factor on the bounds of what is in units of such an input.
+        servos: name → what that one may have besides what every actuator may, as `actuator.list_servo_effects` tells.
     """
     effects = []
     for place in joints:
@@ -123,7 +125,8 @@ def effects_for_rig(
             if make.__name__ not in barred:
                 effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))
     for name, size in actuators.items():
-        effects += [actuator.attach(effect, name, size, room) for effect in GENERIC_ACTUATOR]
+        own = (*GENERIC_ACTUATOR, *(servos or {}).get(name, ()))
+        effects += [actuator.attach(effect, name, size, room) for effect in own]
     return tuple(effects)
 
 

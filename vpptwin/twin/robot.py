@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Effect, FreeBody, Site, effects_for_body, effects_for_rig, generic_place
+from vpptwin.effects.actuator import list_servo_effects
 from vpptwin.errors import InputError
 from vpptwin.twin.manifold import FREE
 from vpptwin.twin.model import compile_model, describe_joints, find_free, tell_rotary, typical_forces
@@ -198,16 +199,18 @@ class Robot:
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
         of_bodies = (effect for body in self.list_free() for effect in effects_for_body(body))
+        loops = np.column_stack([model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3]])
+        servos = {name: list_servo_effects(*map(float, loop)) for name, loop in zip(names, loops)}
         if loads is None:
             unit = {name: 1.0 for name in names if name}
-            return (*effects_for_rig([generic_place(*joint) for joint in joints], unit), *of_bodies)
+            return (*effects_for_rig([generic_place(*joint) for joint in joints], unit, servos=servos), *of_bodies)
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return (*effects_for_rig(places, controls, 1.0), *of_bodies)
+        return (*effects_for_rig(places, controls, 1.0, servos), *of_bodies)
 
     def list_free(self) -> list[FreeBody]:
         """The bodies that nothing holds, with what is typical of them."""
