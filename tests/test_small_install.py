@@ -43,6 +43,7 @@ WORKING = {
     "layouts": ["layouts", "layouts"],
     "diagnose": ["diagnose", "--help"],
     "identify": ["identify", "--help"],
+    "history": ["history", "--help"],
     "demo": ["demo", "--help"],
 }
 REFUSED = {

@@ -54,6 +54,16 @@ def run_compare(options: argparse.Namespace) -> None:
     compare_logs(options.logs, twins, options.json, options.topic_map, options.effects)
 
 
+def run_history(options: argparse.Namespace) -> int:
+    """`vpptwin history`."""
+    from vpptwin.identification.history import follow_logs
+    from vpptwin.jobs import read_jobs
+
+    jobs, (twin, *_) = read_jobs(options.jobs), choose_twin(options, [options.twin])
+    given = (options.parameters, options.band, jobs, options.topic_map, options.json, options.effects, options.force)
+    return follow_logs(options.logs, twin, options.out, *given)
+
+
 def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[str]:
     """The twins that are named, or one made for a model."""
     if options.model is None:

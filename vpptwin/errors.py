@@ -55,6 +55,10 @@ class InputError(ValueError):
         line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
         super().__init__(escape_text(" ".join(line.split())))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """From one process to another it stays what it is."""
+        return type(self), (self.found, self.expected, self.action)
+
 
 def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") -> str:
     """What to do about a name that is unknown: the known one that is closest to it, if one is close."""
