@@ -46,7 +46,7 @@ def test_work_by_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert dict(share_out(math.sqrt, [1.0, 4.0, 9.0], "ray")) == {0: 1.0, 1: 2.0, 2: 3.0}
     mine = tmp_path / "mine.json"
     mine.write_text("mine")
-    with pytest.raises(InputError, match="mine.json is there, and vpptwin did not write it"):
+    with pytest.raises(InputError, match=r"mine\.json is there, and vpptwin did not write it"):
         dict(share_out(check_own, [[mine]], "ray"))
     children = psutil.Process().children(recursive=True)
     _, alive = psutil.wait_procs([child for child in children if "ray" in " ".join(child.cmdline())], 10.0)

@@ -181,7 +181,9 @@ def describe_play(parser: argparse.ArgumentParser) -> None:
     add("log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording")
     add_beside(parser)
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
-    add("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
+    add("--video", type=Path, help="write an animation, .gif, .webp or .mp4, instead of opening a server")
+    viewers = "what shows it: meshcat in the browser (default), or a window of MuJoCo's own viewer"
+    add("--viewer", choices=["meshcat", "mujoco"], default="meshcat", help=viewers)
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
     add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
 
