@@ -41,7 +41,8 @@ def check_video(out: Path) -> None:
         InputError: naming the formats, or the extra that brings what one takes.
     """
     if out.suffix.lower() not in FORMATS:
-        raise InputError(f"--video {out}", f"a name that ends in {' or '.join(FORMATS)}", "e.g. --video flip.gif")
+        expected = f"a name that ends in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
+        raise InputError(f"--video {out}", expected, "e.g. --video flip.gif")
     if out.suffix.lower() == MP4:
         load_extra("imageio_ffmpeg", f"--video {out}")
 
@@ -109,7 +110,8 @@ def encode_film(frames: Iterable[np.ndarray], size: tuple[int, int]) -> bytes:
                     writer.send(np.ascontiguousarray(frame))
             return film.read_bytes()
         except (OSError, RuntimeError) as error:
-            found = f"ffmpeg does not write MP4 ({str(error).strip().splitlines()[-1:] or 'no word'})"
+            told = str(error).strip().splitlines() or ["it does not say why"]
+            found = f"ffmpeg does not write MP4: {told[-1]}"
             advice = "pip install --force-reinstall imageio-ffmpeg, or write .webp"
             raise InputError(found, "that of imageio-ffmpeg, or one with libx264", advice) from error
 

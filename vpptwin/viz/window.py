@@ -168,8 +168,9 @@ def place(show: Show, at: float, data: mujoco.MjData, ghost: mujoco.MjData, scen
         return
     ghost.qpos[:] = show.twin.qpos[row]
     mujoco.mj_forward(show.model, ghost)
-    moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
-    mujoco.mjv_addGeoms(show.model, ghost, mujoco.MjvOption(), mujoco.MjvPerturb(), moving, scene)
+    option, moving = mujoco.MjvOption(), mujoco.mjtCatBit.mjCAT_DYNAMIC
+    option.sitegroup[:] = 0
+    mujoco.mjv_addGeoms(show.model, ghost, option, mujoco.MjvPerturb(), moving, scene)
     for geom in scene.geoms[: scene.ngeom]:
         geom.rgba[:] = GHOST
         geom.matid = -1  # whose texture would cover the colour
