@@ -71,7 +71,7 @@ def test_it_is_told_in_plain_words(found: History) -> None:
     """What left its band first, then what it does."""
     left, grows = str(found).splitlines()
     assert left.startswith("Dry friction on joint slide (slide.coulomb.force) left its band of 0 to 0.42 N in 2 of 5")
-    assert "first in 2000-01-22" in left
+    assert "first on 2000-01-22" in left
     assert grows.startswith("Dry friction on joint slide (slide.coulomb.force) grows steadily by 0.")
     assert "over all 5 flights" in grows
 

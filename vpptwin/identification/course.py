@@ -132,12 +132,16 @@ class Record:
         same = [other for other in self.flights if other.date.date() == flight.date.date()]
         return f"{flight.date:%Y-%m-%d %H:%M}" if len(same) > 1 else f"{flight.date:%Y-%m-%d}"
 
+    def tell_when(self, number: int) -> str:
+        """A flight as sentences have it."""
+        return f"on {self.label(number)}" if self.dated else f"in {self.label(number)}"
+
     def tell_left(self, course: Course) -> str:
         """That a parameter left its band, how often and when first."""
         low, high = course.band or (-math.inf, math.inf)
         first, number = course.left[0], len(course.left)
         value, unit = course.values[first], find_unit(course)
-        often = f"in {number} of {len(course.shown)} flights, first in {self.label(first)}"
+        often = f"in {number} of {len(course.shown)} flights, first {self.tell_when(first)}"
         assert value is not None
         return (
             f"{sentence(course.meaning)} ({course.name}) left its band of {low:g} to {high:g}{unit} {often}: "

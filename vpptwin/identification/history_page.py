@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 
-from vpptwin.diagnosis.report.page import open_templates
+from vpptwin.diagnosis.report.page import open_templates, tie_units
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.diagnosis.report.words import format_value
 from vpptwin.effects import SIGMAS_90
@@ -36,7 +36,9 @@ def render_history(record: Record, origin: Provenance) -> str:
         for course in record.courses
         if course.trend is not None
     ]  # fmt: skip
-    return open_templates("vpptwin.identification").get_template("history.html.j2").render(
+    environment = open_templates("vpptwin.identification")
+    environment.filters["tie"] = tie_units
+    return environment.get_template("history.html.j2").render(
         record=record, sentences=record.sentences, rows=rows, weighed=weighed, clear=CLEAR, origin=origin,
         banded=any(course.band is not None for course in record.courses),
         figures=[draw_course(record, course) for course in record.courses if course.shown],
