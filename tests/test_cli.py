@@ -29,7 +29,7 @@ FLIGHTS = ROOT / "demo" / "flights"
 DIAGNOSED = [str(FLIGHTS / f"{name}.mcap") for name in demo.DIAGNOSED]
 UNSEEN = FLIGHTS / "flip.mcap"
 HORIZONS = [0.05, 0.1, 0.25, 0.5, 1.0]  # s, SPEC 7
-COMMANDS = ("effects", "diagnose", "compare", "play", "fly", "identify", "train", "evaluate")
+COMMANDS = ("effects", "diagnose", "compare", "history", "play", "fly", "identify", "train", "evaluate")
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ WORKING = {
     "layouts": ["layouts", "layouts"],
     "diagnose": ["diagnose", "--help"],
     "identify": ["identify", "--help"],
+    "history": ["history", "--help"],
     "demo": ["demo", "--help"],
 }
 REFUSED = {
@@ -52,6 +53,7 @@ REFUSED = {
     "live": (["play", "--live", "flip"], "train"),
     "onnx": (["export", "flip", "--format", "onnx"], "deploy"),
     "rrd": (["diagnose", "flip.mcap", "--out", "out", "--rrd"], "rerun"),
+    "mp4": (["play", "flip.mcap", "--video", "flip.mp4"], "video"),
     "csv": (["inspect", "flight.csv"], "logs"),
     "menagerie": (["inspect", "flip.mcap", "--model", "ur10e"], "menagerie"),
     "fly onnx": (["fly", "--policy", "empty.onnx", "--out", "a.mcap"], "deploy"),

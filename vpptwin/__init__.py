@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from vpptwin.diagnosis.report.result import Result as Result
     from vpptwin.diagnosis.report.result import diagnose as diagnose
     from vpptwin.errors import InputError as InputError
+    from vpptwin.identification.history import History as History
+    from vpptwin.identification.history import history as history
     from vpptwin.logs import Flight as Flight
     from vpptwin.logs import read_flight as read_log
     from vpptwin.train.env import make_task_env as make_env
@@ -22,13 +24,14 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Comparison", "Flight", "InputError", "Result", "Twin", "TwinSpec", "Verdict", "__version__", "compare",
-    "diagnose", "load_twin", "make_env", "read_log",
+    "Comparison", "Flight", "History", "InputError", "Result", "Twin", "TwinSpec", "Verdict", "__version__", "compare",
+    "diagnose", "history", "load_twin", "make_env", "read_log",
 ]  # fmt: skip
 
 _PLACES = {
     "Comparison": "vpptwin.diagnosis.report.compare:Comparison",
     "Flight": "vpptwin.logs:Flight",
+    "History": "vpptwin.identification.history:History",
     "InputError": "vpptwin.errors:InputError",
     "Result": "vpptwin.diagnosis.report.result:Result",
     "Twin": "vpptwin.twin:Twin",
@@ -36,6 +39,7 @@ _PLACES = {
     "Verdict": "vpptwin.diagnosis.judgement.verdict:Verdict",
     "compare": "vpptwin.diagnosis.report.compare:compare",
     "diagnose": "vpptwin.diagnosis.report.result:diagnose",
+    "history": "vpptwin.identification.history:history",
     "load_twin": "vpptwin.twin:load_twin",
     "make_env": "vpptwin.train.env:make_task_env",
     "read_log": "vpptwin.logs:read_flight",

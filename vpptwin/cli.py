@@ -40,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Returns:
-        Exit code: 0, 2 with one line on stderr for bad input, or 130 and the like with one for a signal.
+        Exit code: 0, 3 where `history` finds that something left its band, 2 with one line on stderr for bad input, or
+        130 and the like with one for a signal.
     """
     parser = build_parser()
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -57,20 +58,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return guard(lambda: run(options, given))
 
 
-def run(options: argparse.Namespace, given: Sequence[str]) -> None:
-    """Run what was asked for, if its words can be shown."""
+def run(options: argparse.Namespace, given: Sequence[str]) -> int | None:
+    """Run what was asked for, if its words can be shown; returns its exit code, if it has one of its own."""
     for word in given:
         check_name(word)
     if not getattr(options, "force", True):
         check_own(path for name in options.written if (path := getattr(options, name)) is not None)
-    options.run(options)
+    code: int | None = options.run(options)
+    return code
 
 
-def guard(action: Callable[[], object]) -> int:
-    """Run an action; bad input becomes one line on stderr and exit code 2, a signal one line and its code."""
+def guard(action: Callable[[], int | None]) -> int:
+    """Run an action, which may have a code; bad input becomes one line on stderr and 2, a signal one and its own."""
     with show_plainly(), heed_signals() as heard:
         try:
-            action()
+            code = action()
             sys.stdout.flush()
         except BaseException as error:
             if heard or isinstance(error, KeyboardInterrupt):  # whatever a library made of it
@@ -86,7 +88,7 @@ def guard(action: Callable[[], object]) -> int:
                 raise
             say(str(problem))
             return 2
-    return 0
+    return code or 0
 
 
 def say(text: str) -> None:
@@ -160,13 +162,28 @@ def describe_compare(parser: argparse.ArgumentParser) -> None:
     add("--json", type=Path, help="write the figures here as well; - prints them instead")
 
 
+def describe_history(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `vpptwin history`."""
+    add_logs(parser)
+    add = parser.add_argument
+    add("--twin", default="nominal", help="twin YAML whose named causes are followed; or `nominal`, `typical`")
+    add("--parameters", metavar="IDS", help="effects to follow instead, e.g. rail_x.coulomb,battery.sag")
+    band = "EFFECT.PARAMETER=LOW:HIGH, where a parameter belongs: exit code 3 if it is not; may be repeated"
+    add("--band", action="append", default=[], metavar="BAND", help=band)
+    add("--jobs", default="1", help="processes that share the flights, or `ray` for a cluster's (default 1)")
+    add("--out", type=Path, metavar="DIR", required=True, help="folder for history.html and history.json")
+    add("--json", type=Path, help="write the data here as well; - prints it instead of the sentences")
+
+
 def describe_play(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin play`."""
     add = parser.add_argument
     add("log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording")
     add_beside(parser)
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
-    add("--video", type=Path, help="write an animation, .gif or .webp, instead of opening a server")
+    add("--video", type=Path, help="write an animation, .gif, .webp or .mp4, instead of opening a server")
+    viewers = "what shows it: meshcat in the browser (default), or a window of MuJoCo's own viewer"
+    add("--viewer", choices=["meshcat", "mujoco"], default="meshcat", help=viewers)
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
     add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
 
@@ -292,11 +309,12 @@ def add_topic_map(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
 
 
-COMMANDS: dict[str, tuple[str, Callable[..., None], Callable[[argparse.ArgumentParser], None]]] = {
+COMMANDS: dict[str, tuple[str, Callable[..., int | None], Callable[[argparse.ArgumentParser], None]]] = {
     "demo": ("diagnose the flights that ship with vpptwin", commands.run_demo, describe_demo),
     "effects": ("list the catalogue of effects", commands.run_effects, describe_effects),
     "diagnose": ("find what a twin gets wrong, from flight logs", commands.run_diagnose, describe_diagnose),
     "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),
+    "history": ("tell what changes from flight to flight", commands.run_history, describe_history),
     "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
     "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
     "convert": ("write a log of any kind as MCAP", commands.run_convert, describe_convert),

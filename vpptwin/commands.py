@@ -54,6 +54,16 @@ def run_compare(options: argparse.Namespace) -> None:
     compare_logs(options.logs, twins, options.json, options.topic_map, options.effects)
 
 
+def run_history(options: argparse.Namespace) -> int:
+    """`vpptwin history`."""
+    from vpptwin.identification.history import follow_logs
+    from vpptwin.jobs import read_jobs
+
+    jobs, (twin, *_) = read_jobs(options.jobs), choose_twin(options, [options.twin])
+    given = (options.parameters, options.band, jobs, options.topic_map, options.json, options.effects, options.force)
+    return follow_logs(options.logs, twin, options.out, *given)
+
+
 def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[str]:
     """The twins that are named, or one made for a model."""
     if options.model is None:
@@ -69,12 +79,16 @@ def run_play(options: argparse.Namespace) -> None:
     """`vpptwin play`."""
     from vpptwin.viz.command import play_log
 
+    elsewhere = {"--live": options.live, "--html": options.html, "--video": options.video}
+    other = next((name for name, value in elsewhere.items() if value is not None), None)
+    if options.viewer == "mujoco" and other is not None:
+        raise InputError(f"--viewer mujoco and {other} {elsewhere[other]}", "one of them", "leave one out")
     if options.live is not None:
         play_policy(options.live, options.log, options.host)
         return
     restart = None if options.free else options.restart
     given = (options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
-    play_log(*given, options.host)
+    play_log(*given, options.host, options.viewer == "mujoco")
 
 
 def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:

@@ -19,6 +19,7 @@ EXTRAS = {
     "logs": ("pyarrow", "pyulog", "pymavlink", "rosbags"),
     "menagerie": ("mujoco_menagerie", "robot_descriptions"),
     "rerun": ("rerun",),
+    "video": ("imageio_ffmpeg",),
 }
 """Modules that come with no plain `pip install vpptwin`, by the extra that brings them."""
 
@@ -54,6 +55,10 @@ class InputError(ValueError):
         parts = (found, f"expected {expected}", action)
         line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
         super().__init__(escape_text(" ".join(line.split())))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """From one process to another it stays what it is."""
+        return type(self), (self.found, self.expected, self.action)
 
 
 def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") -> str:

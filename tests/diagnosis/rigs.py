@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.write import FlightWriter
+from vpptwin.logs.write import START_NS, FlightWriter
 
 STEP = 1e-4
 """Step of the independent simulation [s]: a twentieth of the twin's."""
@@ -147,19 +147,24 @@ SERVOS = Case(SERVO, "swing", serve, (1e-3, 2e-2))
 DECAYS = Case(UNDRIVEN, "swing", let_swing, (1e-3, 2e-2))
 
 
-def record(case: Case, size: float, folder: Path, seed: int) -> tuple[Path, Path]:
-    """Move a rig with that much friction, log it through noisy sensors; the log and the twin, which has no friction."""
+def record(
+    case: Case, size: float, folder: Path, seed: int, name: str = "log", start_ns: int = START_NS, part: float = 1.0
+) -> tuple[Path, Path]:
+    """Move a rig with that much friction, log it through noisy sensors; the log and the twin, which has no friction.
+
+    Of its motion a `part` is logged, from its beginning on.
+    """
     position, velocity, control = case.move(size, seed)
     rng = np.random.default_rng(seed + 1000)
     position = position + case.noise[0] * rng.standard_normal(len(position))
     velocity = velocity + case.noise[1] * rng.standard_normal(len(velocity))
-    with FlightWriter(folder / "log.mcap") as writer:
-        for i, (q, v, u) in enumerate(zip(position, velocity, control)):
+    with FlightWriter(folder / f"{name}.mcap", start_ns) as writer:
+        for i, (q, v, u) in enumerate(zip(position[: round(part * len(position))], velocity, control)):
             time = i * LOG_EVERY * STEP
             writer.write_joints("/joint_states", time, {case.joint: {"position": q, "velocity": v}})
             if np.size(u):
                 writer.write_joints("/actuator_command", time, {"motor": {"effort": u}})
-    return folder / "log.mcap", write_rig(case, folder)
+    return folder / f"{name}.mcap", write_rig(case, folder)
 
 
 def write_rig(case: Case, folder: Path) -> Path:

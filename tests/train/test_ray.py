@@ -19,6 +19,7 @@ from tensordict import TensorDictBase
 from tests.train.conftest import TINY
 from vpptwin.cli import main
 from vpptwin.errors import InputError
+from vpptwin.jobs import connect, explain_failures
 from vpptwin.train import run as running
 from vpptwin.train import workers
 from vpptwin.train.checkpoint import read_checkpoint
@@ -180,7 +181,7 @@ def test_no_cluster_at_the_address(address: str, found: str, monkeypatch: pytest
     """An address at which no Ray answers is told at once."""
     monkeypatch.setenv("RAY_ADDRESS", address)
     with pytest.raises(InputError, match=re.escape(found)) as caught:
-        workers.connect(2)
+        connect(2)
     assert "\n" not in str(caught.value)
 
 
@@ -202,7 +203,7 @@ def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_what_ended_a_worker_is_told_in_a_line(text: str, told: str) -> None:
     """The last line of an exception, the first of a description, never a traceback."""
-    with pytest.raises(InputError) as caught, workers.explain_failures():
+    with pytest.raises(InputError) as caught, explain_failures("see why"):
         raise ray.exceptions.RayError(text)
     assert str(caught.value).startswith(f"a Ray worker ended: {told};")
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -16,6 +18,7 @@ from tests.train.conftest import tiny_env
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
+from vpptwin.files import is_own
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.train.stored import find_checkpoint
 from vpptwin.twin.spec import load_twin
@@ -24,7 +27,7 @@ from vpptwin.viz.camera import View
 from vpptwin.viz.frames import BACKDROP, Painter
 from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
-from vpptwin.viz.video import write_video
+from vpptwin.viz.video import encode_film, write_video
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
 SIZE, VIEW = (480, 300), View(np.array([0.0, 0.0, 1.2]), 0.75)  # 200 pixels a metre
@@ -152,13 +155,46 @@ def test_an_animation_plays_in_real_time(flight: Flight, prediction: Prediction,
     assert out.stat().st_size < 1e6
 
 
+def test_a_film_plays_in_real_time(flight: Flight, prediction: Prediction, tmp_path: Path) -> None:
+    """100 frames at 25 a second as MP4, in the colours of the animations; it is known as ours."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    out = write_video(flight, prediction, tmp_path / "flight.mp4", spec=load_twin(), size=(320, 200))
+    reader = ffmpeg.read_frames(str(out))
+    told = next(reader)
+    frames = [np.frombuffer(frame, np.uint8).reshape(200, 320, 3).astype(int) for frame in reader]
+    assert (told["size"], told["fps"], told["codec"], len(frames)) == ((320, 200), 25.0, "h264", 100)
+    assert told["pix_fmt"].startswith("yuv420p")
+    assert np.count_nonzero(np.abs(frames[30] - frames[80]).max(axis=-1) > 60) > 300
+    green = np.array([255 * c for c in to_rgb(POSITIVE_THRUST)])
+    assert np.count_nonzero(np.abs(frames[30] - green).max(axis=-1) < 60) > 10
+    assert is_own(out)
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.mp4"]
+
+
+def test_films_take_an_extra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which is said before any work; so is an ffmpeg that does not do."""
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    assert main(["play", str(tmp_path / "none.mcap"), "--video", str(tmp_path / "flip.mp4")]) == 2
+    assert "pip install 'vpptwin[video]'" in capsys.readouterr().err
+
+    def fail(*given: object, **options: object) -> Iterator[None]:
+        raise OSError("Unknown encoder 'libx264'")
+        yield
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(write_frames=fail))
+    with pytest.raises(InputError, match="ffmpeg does not write MP4: Unknown encoder 'libx264'"):
+        encode_film([np.zeros((4, 4, 3), np.uint8)], (4, 4))
+
+
 def test_bad_videos(flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Another format, a log of minutes, a place that cannot be written: told so, nothing left."""
     time = np.linspace(0.0, 300.0, 3001)
     endless = {"/mocap/pose": Stream(time, {"x": 0 * time, "z": 0 * time + 1.2, "theta": 0 * time})}
     with pytest.raises(InputError, match="300 s"):
         write_video(replace(flight, streams=endless), None, tmp_path / "long.gif", spec=load_twin())
-    for name, hint in (("flip.mp4", ".gif or .webp"), ("/proc/flip.gif", "cannot write")):
+    for name, hint in (("flip.avi", ".gif, .webp or .mp4"), ("/proc/flip.gif", "cannot write")):
         assert main(["play", str(FLIP), "--video", str(tmp_path / name)]) == 2
         assert hint in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

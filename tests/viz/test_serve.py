@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import http.client
+import re
 import signal
 import socket
 import subprocess
 import sys
 import time
+import urllib.request
+import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -24,8 +28,10 @@ from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import websocket_connect
 
 from tests.bad_files import DEMO
+from tests.viz.page_reader import read_paths
 from vpptwin.cli import main
 from vpptwin.errors import InputError
+from vpptwin.viz.browse import tell_address
 from vpptwin.viz.live import Panel
 from vpptwin.viz.serve import Server
 
@@ -127,6 +133,72 @@ def watch(server: Server, count: int, **headers: str) -> list[dict[str, object]]
         return [umsgpack.unpackb(message) for message in messages]
 
     return asyncio.run(read())
+
+
+def test_an_invitation_holds_once(panel: Panel) -> None:
+    """It leads to the page, for whoever comes first, and from no other page."""
+    invitation = panel.server.invite()
+    assert panel.server.secret not in invitation
+    assert ask(invitation, Host="evil.example:80") == 403
+    with urllib.request.urlopen(invitation, timeout=10.0) as answer:
+        assert answer.url == panel.address
+    assert ask(invitation) == 404
+    assert ask(panel.server.invite() + "x") == 404
+
+
+def test_a_flight_is_served_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`play` and `play --html` are one page, but for meshcat's random names of shapes; one address is printed."""
+    assert main(["play", str(DEMO), "--html", str(tmp_path / "flight.html")]) == 0
+    served = []
+
+    def look(seconds: float) -> None:
+        address = capsys.readouterr().out.splitlines()[-1].split()[0]
+        with urllib.request.urlopen(address, timeout=10.0) as answer:
+            served.append(answer.read())
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vpptwin.viz.playback.time", SimpleNamespace(sleep=look))
+        assert main(["play", str(DEMO)]) == 0
+    written, (page,) = tmp_path / "flight.html", served
+    (tmp_path / "served.html").write_bytes(page)
+    assert read_paths(tmp_path / "served.html") == read_paths(written)
+    drawing = re.compile(rb'<script id="commands".*?</script>', re.DOTALL)
+    assert drawing.sub(b"", page) == drawing.sub(b"", written.read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("terminal", "screen", "named", "opened"),
+    [
+        (True, ":0", None, True), (False, ":0", None, False), (True, "", None, False), (True, ":0", "mine", True),
+        (True, ":0", "lynx", False), (True, ":0", "none", False),
+    ],
+)  # fmt: skip
+def test_a_browser_is_opened_if_there_is_one(
+    panel: Panel, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    terminal: bool, screen: str, named: str | None, opened: bool,
+) -> None:  # fmt: skip
+    """Where somebody sits before a terminal and a screen, not one in that terminal; without the secret on its line."""
+    addresses: list[str] = []
+    graphical, text = webbrowser.BackgroundBrowser("firefox"), webbrowser.GenericBrowser("lynx")
+    found = text if named in ("lynx", "mine") else graphical
+    monkeypatch.setattr(found, "open", addresses.append, raising=False)
+
+    def get() -> webbrowser.BaseBrowser:
+        if named == "none":
+            raise webbrowser.Error("could not locate runnable browser")
+        return found
+
+    monkeypatch.setattr(webbrowser, "get", get)
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: terminal, raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", screen)
+    monkeypatch.setenv("BROWSER", "mine %s" if named == "mine" else "")
+    tell_address(panel.server, "shows it.")
+    assert capsys.readouterr().out == f"{panel.address} shows it.\n"
+    assert bool(addresses) == opened
+    assert not [address for address in addresses if panel.server.secret in address]
 
 
 def test_who_comes_late_sees_the_scene_as_it_is() -> None:

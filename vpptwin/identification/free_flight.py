@@ -48,7 +48,7 @@ class FlightFit:
     """What flights tell of chosen parameters.
 
     Attributes:
-        values: (effect id, parameter) → estimate.
+        values: (effect id, parameter) → estimate; not of effects that nothing shows.
         alike: pairs whose errors correlate, with their correlation, the worst first.
         vague: parameters that were hardly seen.
         before: errors on held-out windows of the twin as it was.
@@ -121,11 +121,12 @@ def fit_flights(
     freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
     own = [search.unknowns[i] for i in freed]
+    asked = [unknown for unknown in search.unknowns if unknown.effect.id in effects]
     logs = list(zip(flights, material.measurements))
     return FlightFit(
         values={unknown.key: estimate(unknown, fit) for unknown in own},
         alike=pair_up([unknown.key for unknown in own], solution.covariance[np.ix_(freed, freed)]),
-        vague=[unknown.key for unknown in own if fit.std[unknown.key] > VAGUE * unknown.width / 3.0],
+        vague=[u.key for u in asked if u.key not in fit.std or fit.std[u.key] > VAGUE * u.width / 3.0],
         before=before,
         after=after,
         windows=(len(search.bench.windows), len(material.held_out.short.windows)),

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,22 +16,13 @@ from torchrl.collectors.distributed import RayCollector
 
 from vpptwin.errors import InputError
 from vpptwin.installed import locate_effects
+from vpptwin.jobs import connect, explain_failures
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.memory import check_share
 from vpptwin.trust import trust, trusted
 from vpptwin.twin.spec import locate_twin
 
-ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
-SETTINGS = {
-    "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-    "RAY_worker_register_timeout_seconds": "600",
-}
-"""Of Ray, if not set otherwise: no reports to its makers, no warnings about GPUs, ten minutes instead of one to start a
-process, as on a busy machine Ray waits for ever for one that took longer."""
-PATIENCE = 10.0
-"""Time that a cluster's head has to answer, s."""
 CONTINUE = "see that they have the memory and files they need; `vpptwin train resume=RUN` goes on from the checkpoint"
 OPTIONS = {"auto_register_policy_transforms": False}
 """Of every collector: the policy holds no state that an environment would have to reset."""
@@ -115,7 +103,7 @@ class RayWorkers(RayCollector):
         Raises:
             InputError: if a worker ends.
         """
-        with explain_failures():
+        with explain_failures(CONTINUE):
             for batch in super().iterator():
                 self.faults = sum(self.get_distant_attr("env.faults"))
                 yield batch
@@ -167,46 +155,12 @@ def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder
         if started:
             connect(config.workers * config.sim_threads)
         check_cores(config)
-        with explain_failures():
+        with explain_failures(CONTINUE):
             return RayWorkers(config, actor, makers, started)
     except BaseException:
         if started:
             ray.shutdown()
         raise
-
-
-def connect(cores: int) -> None:
-    """Connect to Ray without a word.
-
-    Args:
-        cores: that a Ray of this machine alone has to offer; oversubscribing them is up to the user.
-
-    Raises:
-        InputError: if the Ray that RAY_ADDRESS names does not answer, or none can be started.
-    """
-    import ray
-
-    for name, value in SETTINGS.items():
-        os.environ.setdefault(name, value)
-    quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False}
-    address = os.environ.get("RAY_ADDRESS") or "local"
-    if address == "local":
-        try:
-            ray.init(address, num_cpus=max(cores, os.cpu_count() or 1), include_dashboard=False, **quiet)
-        except Exception as error:  # Ray raises just that if its processes take longer than half a minute
-            found = f"Ray does not start on this machine: {str(error).splitlines()[0]}"
-            raise InputError(found, "its processes to start", "try again when the machine is less busy") from error
-        return
-    host, _, port = address.rpartition(":")
-    if address != "auto" and ("://" in address or not port.isdigit()):
-        expected = "auto, or host:port of the cluster that this machine belongs to"
-        raise InputError(f"RAY_ADDRESS={address}", expected, ALONE)
-    try:
-        if address != "auto":
-            socket.create_connection((host, int(port)), PATIENCE).close()  # Ray itself would try for minutes
-        ray.init(address, **quiet)
-    except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"no Ray at RAY_ADDRESS={address}", "the address of a running Ray", ALONE) from error
 
 
 def check_cores(config: TrainConfig) -> None:
@@ -225,21 +179,3 @@ def check_cores(config: TrainConfig) -> None:
         raise InputError(f"Ray has {total} cores", wanted, advice)
     if free < needed:
         print(f"Ray has {free} cores free of {total}; training starts when {wanted} are", file=sys.stderr)
-
-
-@contextmanager
-def explain_failures() -> Iterator[None]:
-    """Turn what Ray reports of a failed worker into one line.
-
-    Raises:
-        InputError: in place of Ray's errors.
-    """
-    import ray
-
-    try:
-        yield
-    except ray.exceptions.RayError as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-        # An exception in a worker comes as a traceback, whose last line tells; a lost worker as a description.
-        told = lines[-1].partition("InputError: ")[2] or (lines[-1] if "Traceback" in str(error) else lines[0])
-        raise InputError(f"a Ray worker ended: {told}", "workers that last as long as the run", CONTINUE) from error

@@ -15,6 +15,7 @@ AZIMUTH, ELEVATION = np.radians(-8.0), np.radians(10.0)  # of the camera, seen f
 MARGIN = 0.55  # m around what moves: the arm, a rotor and an arrow
 SMALLEST_HALF_HEIGHT = 0.85  # m
 SCREEN_ASPECT = 1.5  # width over height that the view is made for
+BACKDROP_TOP, BACKDROP_BOTTOM = [0.96, 0.97, 0.98], [0.80, 0.84, 0.88]
 CAMERA = "/Cameras/default/rotated/<object>"
 
 
@@ -53,5 +54,5 @@ def set_backdrop(vis: Visualizer) -> None:
     """A pale backdrop without meshcat's own grid and axes."""
     vis["/Grid"].set_property("visible", False)
     vis["/Axes"].set_property("visible", False)
-    vis["/Background"].set_property("top_color", [0.96, 0.97, 0.98])
-    vis["/Background"].set_property("bottom_color", [0.80, 0.84, 0.88])
+    vis["/Background"].set_property("top_color", BACKDROP_TOP)
+    vis["/Background"].set_property("bottom_color", BACKDROP_BOTTOM)

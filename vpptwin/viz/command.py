@@ -15,7 +15,7 @@ from vpptwin.twin.spec import TwinSpec, load_twin
 def play_log(
     logs: Sequence[Path], twin: str | None, html: Path | None, restart: float | None = 0.5,
     topic_map: Path | None = None, effects: Sequence[Path] = (), video: Path | None = None,
-    host: str = "127.0.0.1",
+    host: str = "127.0.0.1", in_window: bool = False,
 ) -> None:  # fmt: skip
     """Play one recording.
 
@@ -26,8 +26,9 @@ def play_log(
         restart: seconds between the twin's restarts; None lets it run freely.
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own.
-        video: the animation to write, .gif or .webp; None for none.
+        video: the animation to write, .gif, .webp or .mp4; None for none.
         host: address of this machine to serve on.
+        in_window: show it in MuJoCo's own viewer instead of serving it.
     """
     from vpptwin.viz.playback import play_live, play_page  # neither of the two commands waits for the other's
 
@@ -35,7 +36,14 @@ def play_log(
         from vpptwin.viz.video import check_video, write_video
 
         check_video(video)
+    if in_window:
+        from vpptwin.viz.window import check_screen, play_window
+
+        check_screen()
     flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
+    if in_window:
+        play_window(flight, prediction, spec)
+        return
     if video is not None:
         print(write_video(flight, prediction, video, spec=spec))
     if html is not None:

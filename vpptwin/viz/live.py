@@ -17,6 +17,7 @@ from meshcat import Visualizer
 from vpptwin.actuators.blade import compute_thrust, max_thrust
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz import rotors
+from vpptwin.viz.browse import tell_address
 from vpptwin.viz.camera import View, set_backdrop
 from vpptwin.viz.page import TEMPLATES
 from vpptwin.viz.scene import ROOT, draw_bodies, draw_surroundings, find_craft, fit_craft, make_matrix, name_body
@@ -139,7 +140,7 @@ def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
     try:
         stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
-        print(f"{panel.address} {about}", flush=True)
+        tell_address(panel.server, about)
         angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
         for _ in keep_going():
             while not panel.asked.empty():  # only this loop takes from it

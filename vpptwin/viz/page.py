@@ -14,7 +14,6 @@ import meshcat
 import numpy as np
 import umsgpack
 
-from vpptwin.files import write_whole
 from vpptwin.viz import palette
 from vpptwin.viz.camera import View, frame_view
 from vpptwin.viz.motion import TRAIL_DURATION
@@ -124,13 +123,12 @@ def split_path(path: str) -> list[str]:
     return [name for name in path.split("/") if name]
 
 
-def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
-    """Write the page beside its place and move it there whole.
+def render_page(commands: list[bytes], text: PageText) -> str:
+    """The page as HTML.
 
     Args:
         commands: packed meshcat commands in the order of drawing.
         text: what the page says around the scene.
-        out: the page.
     """
     readout: dict[str, object] = {
         "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
@@ -139,4 +137,4 @@ def write_page(commands: list[bytes], text: PageText, out: Path) -> Path:
     drawing = json.dumps([base64.b64encode(command).decode() for command in commands])
     viewer = VIEWER.read_text(encoding="utf-8")
     page = TEMPLATES.get_template("play.html")
-    return write_whole(out, page.render(text=text, viewer=viewer, commands=drawing, readout=readout))
+    return page.render(text=text, viewer=viewer, commands=drawing, readout=readout)

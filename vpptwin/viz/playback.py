@@ -10,8 +10,10 @@ import numpy as np
 from meshcat import Visualizer
 from meshcat.commands import SetAnimation
 
+from vpptwin.files import write_whole
 from vpptwin.twin.spec import TwinSpec, load_twin
-from vpptwin.viz.page import Recorder, describe_show, write_page
+from vpptwin.viz.browse import tell_address
+from vpptwin.viz.page import Recorder, describe_show, render_page
 from vpptwin.viz.serve import LOOPBACK, Server, keep_going
 from vpptwin.viz.show import prepare_show
 from vpptwin.viz.stage import draw_show
@@ -45,13 +47,17 @@ def play_page(
     Raises:
         InputError: if the log has nothing to draw or the page cannot be written.
     """
-    spec = spec or load_twin()
+    return write_whole(Path(out), draw_page(flight, prediction, spec or load_twin()))
+
+
+def draw_page(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> str:
+    """The page of `play_page` as HTML."""
     show = prepare_show(flight, prediction, spec)
     recorder = Recorder()
     tracks = draw_show(Visualizer(window=recorder), show)
     recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
     caption = "" if prediction is None else name_twin(spec, prediction)
-    return write_page(recorder.commands, describe_show(show, flight.path.name, caption), Path(out))
+    return render_page(recorder.commands, describe_show(show, flight.path.name, caption))
 
 
 def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
@@ -65,20 +71,17 @@ def name_twin(spec: TwinSpec, prediction: Prediction) -> str:
 def play_live(
     flight: Flight, prediction: Prediction | None = None, *, spec: TwinSpec | None = None, host: str = LOOPBACK
 ) -> None:
-    """Serve a flight on an address of this machine, print where, and play it in a loop until Ctrl-C.
+    """Serve the page of `play_page` on an address of this machine, print where, open it, until Ctrl-C.
 
     The other arguments are those of play_page.
 
     Raises:
         InputError: if the log has nothing to draw, or there is no such address.
     """
-    show = prepare_show(flight, prediction, spec or load_twin())
-    server = Server(host)
+    page = draw_page(flight, prediction, spec or load_twin()).encode()
+    server = Server(host, {"": lambda body: ("text/html; charset=utf-8", page)})
     try:
-        tracks = draw_show(Visualizer(window=server), show)
-        about = "Open Controls > Animations there to pause, scrub and change the speed. Ctrl-C here to end."
-        print(f"{server.address}scene/ shows the flight. {about}", flush=True)
-        server.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
+        tell_address(server, "shows the flight. Ctrl-C here to end.")
         for _ in keep_going():
             time.sleep(0.5)
     except KeyboardInterrupt:

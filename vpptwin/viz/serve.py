@@ -63,6 +63,7 @@ class Server:
         answers = {"GET": shown, "POST": dict(posts or {})}
         self._kept: dict[tuple[object, ...], bytes] = {}
         self._viewers: dict[Any, int] = {}
+        self._invitations: set[str] = set()
         kept, viewers = self._kept, self._viewers
 
         class Page(_Guarded):
@@ -95,8 +96,18 @@ class Server:
             def on_message(self, message: str | bytes) -> None:
                 """A viewer has nothing to say."""
 
+        class Invited(_Guarded):
+            server = self
+
+            def get(self, token: str) -> None:
+                if token not in self.server._invitations:
+                    raise HTTPError(404)
+                self.server._invitations.remove(token)
+                self.redirect(where)
+
         where = f"/{self.secret}/"
-        self._app = Application([(f"{where}socket", Viewer), (f"{where}(.*)", Page)], log_function=lambda handler: None)
+        rules = [(f"{where}socket", Viewer), (f"{where}(.*)", Page), ("/once/(.*)", Invited)]
+        self._app = Application(rules, log_function=lambda handler: None)
         self._loop = asyncio.new_event_loop()
         self._ready = threading.Event()
         threading.Thread(target=self._run, daemon=True).start()
@@ -105,7 +116,17 @@ class Server:
     @property
     def address(self) -> str:
         """Where the pages are, the secret included."""
-        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/{self.secret}/"
+        return f"{self._origin}/{self.secret}/"
+
+    @property
+    def _origin(self) -> str:
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
+    def invite(self) -> str:
+        """An address that leads to the pages once: everybody on a machine can read with what a browser was opened."""
+        token = secrets.token_urlsafe(16)
+        self._invitations.add(token)
+        return f"{self._origin}/once/{token}"
 
     def send(self, command: Command) -> None:
         """Show a command to who watches, and keep it for who comes later; the last of its kind replaces it."""

@@ -1,9 +1,11 @@
-"""A flight as an animation that README files and chats show: GIF or WebP."""
+"""A flight as an animation that README files and chats show: GIF, WebP or MP4."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, load_extra
 from vpptwin.files import write_whole
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz import palette
@@ -25,9 +27,10 @@ if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
     from vpptwin.logs.flight import Flight
 
-FORMATS = (".gif", ".webp")
+MP4 = ".mp4"
+FORMATS = (".gif", ".webp", MP4)
 RATE = 25.0  # frames a second; a GIF's frames last multiples of 10 ms
-LONGEST = 120.0  # s; longer ones are not what anybody loads
+LONGEST = 120.0  # s; longer ones are not what anybody loads, other than as MP4
 MARGIN, SMALLEST_HALF_HEIGHT = 0.4, 0.55  # m; nearer than a page, which can be turned and zoomed
 
 
@@ -35,10 +38,13 @@ def check_video(out: Path) -> None:
     """Refuse what is no animation's name.
 
     Raises:
-        InputError: naming the formats.
+        InputError: naming the formats, or the extra that brings what one takes.
     """
     if out.suffix.lower() not in FORMATS:
-        raise InputError(f"--video {out}", f"a name that ends in {' or '.join(FORMATS)}", "e.g. --video flip.gif")
+        expected = f"a name that ends in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
+        raise InputError(f"--video {out}", expected, "e.g. --video flip.gif")
+    if out.suffix.lower() == MP4:
+        load_extra("imageio_ffmpeg", f"--video {out}")
 
 
 def write_video(
@@ -49,7 +55,7 @@ def write_video(
     Args:
         flight: the log.
         prediction: the twin's answer to the log's commands, drawn translucent; None for the log alone.
-        out: .gif or .webp.
+        out: .gif, .webp, or .mp4, which does not repeat by itself.
         spec: the twin whose rig is drawn.
         size: of a frame, width and height in pixels.
 
@@ -58,13 +64,16 @@ def write_video(
     """
     check_video(out)
     show = prepare_show(flight, prediction, spec)
-    if show.time[-1] > LONGEST:
+    film = out.suffix.lower() == MP4
+    if show.time[-1] > LONGEST and not film:
         found = f"{flight.path}: {show.time[-1]:.0f} s"
-        raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html")
+        raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html, or .mp4")
     view = view_flight(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
     painter = Painter(show.model, show.rotorcraft, view, size)
     times = np.arange(0.0, show.time[-1], 1.0 / RATE)
     bar = tqdm(paint_show(painter, show, times), total=len(times), leave=False, disable=None, desc="video")
+    if film:
+        return write_whole(out, encode_film(bar, size))
     frames = [Image.fromarray(frame) for frame in bar]
     content = io.BytesIO()
     options: dict[str, object] = {"save_all": True, "duration": round(1000 / RATE), "loop": 0}
@@ -77,6 +86,34 @@ def write_video(
         options["xmp"] = b"vpptwin"
     frames[0].save(content, format=out.suffix[1:].upper(), append_images=frames[1:], **options)
     return write_whole(out, content.getvalue())
+
+
+def encode_film(frames: Iterable[np.ndarray], size: tuple[int, int]) -> bytes:
+    """Frames (height, width, 3) as MP4 that every browser and chat plays: H.264.
+
+    Raises:
+        InputError: if imageio-ffmpeg finds no ffmpeg that can.
+    """
+    ffmpeg = load_extra("imageio_ffmpeg", "an MP4")
+    # Width and height even, colours at half the resolution, what a player needs first at the beginning.
+    options = ["-movflags", "+faststart", "-metadata", "comment=vpptwin"]
+    with tempfile.TemporaryDirectory(prefix="vpptwin-") as folder:
+        film = Path(folder) / "film.mp4"
+        try:
+            writer = ffmpeg.write_frames(
+                str(film), size, fps=RATE, codec="libx264", pix_fmt_out="yuv420p", macro_block_size=2, quality=8,
+                output_params=options,
+            )  # fmt: skip
+            with closing(writer):
+                writer.send(None)
+                for frame in frames:
+                    writer.send(np.ascontiguousarray(frame))
+            return film.read_bytes()
+        except (OSError, RuntimeError) as error:
+            told = str(error).strip().splitlines() or ["it does not say why"]
+            found = f"ffmpeg does not write MP4: {told[-1]}"
+            advice = "pip install --force-reinstall imageio-ffmpeg, or write .webp"
+            raise InputError(found, "that of imageio-ffmpeg, or one with libx264", advice) from error
 
 
 def choose_palette(frames: Sequence[Image.Image]) -> Image.Image:

@@ -19,6 +19,7 @@ from vpptwin.diagnosis.judgement.selection import (
     confirms,
     evidence_against_rival,
     find_better,
+    fit_together,
     is_cause,
     look_alike,
     select_causes,
@@ -343,6 +344,13 @@ def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
     assert find("a.coulomb", "a.stiction", -1.05 * near) == ("a.coulomb", "a.stiction")
     assert find("a.stiction", "b.coulomb", 0.0) is None
     assert find("a.stiction", "a.viscous", -1.1 * CRITERIA.better) == ("a.stiction", "a.viscous")
+
+
+def test_what_nothing_shows_is_not_fitted() -> None:
+    """An effect without any start is left out, instead of ending the fit of the others."""
+    start = guess({})
+    search = SimpleNamespace(start=start, rank=lambda fit: [])
+    assert fit_together(search, ["motor.rate_limit"]) is start  # type: ignore[arg-type]
 
 
 def test_costs_of_two_frames_are_not_compared() -> None:

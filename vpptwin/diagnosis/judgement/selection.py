@@ -116,10 +116,15 @@ def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
 
 
 def fit_together(search: Search, effects: Sequence[str]) -> Fit:
-    """Free these effects one after the other, each from its best starts, all of them fitted together in the end."""
+    """Free these effects one after the other, each from its best starts, all of them fitted together in the end.
+
+    Those that the windows do not show at all, as limits that nothing comes near, have no start and are left out.
+    """
     fit = search.start
     for effect in effects:
         starts = [start for start in search.rank(fit) if start.effect == effect]
+        if not starts:
+            continue
         freed = fit.effects | {effect}
         found = [search.judge_alone(search.fit(freed, s.values, fit.about)) for s in starts[: search.criteria.starts]]
         fit = search.reframe(find_cheapest(found))
