@@ -20,6 +20,7 @@ from vpptwin.fields import SignalEntry
 from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import open_recording
+from vpptwin.logs.survey import survey
 from vpptwin.logs.tables import Wish
 from vpptwin.logs.transcribe import transcribe
 
@@ -413,6 +414,57 @@ def test_bad_conversions_are_refused(
     Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(5)).write()
     assert main(["convert", str(tmp_path / source), str(tmp_path / out)]) == 2
     assert part in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap"])
+def test_columns_of_no_interest_cost_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """Only what a twin names is converted and held, once, whatever pieces it comes in; other columns may be broken."""
+    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 1000)
+    monkeypatch.setattr("vpptwin.logs.columnar._ROWS", 7)
+    log = write_csv(tmp_path / "state.csv", compose("time,other,q,text", "{t},{q},{q},A"))
+    if kind == "csv":
+        log.write_text(log.read_text().replace("0.35,17.5,", "0.35,broken,"))
+    elif kind == "parquet":
+        times, places = zip(*ROWS)
+        table = pa.table({"time": times, "other": places, "q": places, "text": ["A"] * len(ROWS)})
+        parquet.write_table(table, log := tmp_path / "state.parquet")
+    else:
+        transcribe(log, log := tmp_path / "state.mcap")
+    if kind != "mcap":
+        recording = open_recording(log, Wish(lambda channel: True, {"/state": {"q", "header.stamp"}}))
+        (rows,) = recording.files[0].channels[0].rows
+        assert list(rows.columns) == ["q"]
+        assert len(rows.time) == len(ROWS)
+    found = read_joint(log, "state", position="q").joints["/joint_states"]["j"]["position"]
+    assert found.tolist() == [q for _, q in ROWS]
+
+
+@pytest.mark.parametrize("kind", ["csv", "mcap"])
+def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """What is said of a log is the same whether it was looked at whole or in stretches, the first of which is kept."""
+    time = np.arange(3000) * 0.001
+    time[1500:] += 0.2
+    place = np.sin(time)
+    place[[1000, 2500]] += 9.0
+    text = "".join(f"{t:.3f},{q:.6f},A\n" for t, q in zip(time, place)).replace("0.700,0.644218", "0.700,")
+    log = write_csv(tmp_path / "state.csv", "time,q,text\n" + text)
+    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 1000)
+    if kind == "mcap":
+        transcribe(log, log := tmp_path / "state.mcap")
+    whole = survey(log)[1]
+    monkeypatch.setattr("vpptwin.logs.tables.LARGE", 20_000)
+    monkeypatch.setattr("vpptwin.logs.container.LARGE", 20_000)
+    monkeypatch.setattr("vpptwin.logs.container._MANY", 300)
+    parts = survey(log)[1]
+    assert len(whole[1].stretches) == 1
+    assert len(parts[1].stretches) > 2
+    assert len(parts[1].time) == len(parts[1].values) < 1500 < len(whole[1].time) == 3000
+    for one, several in zip(whole, parts, strict=True):
+        assert list(one.list_oddities()) == list(several.list_oddities()), one.title
+        assert several.rate == pytest.approx(one.rate)
+        assert (several.whole.start, several.whole.end) == (one.whole.start, one.whole.end)
+        assert (several.whole.low, several.whole.high) == (one.whole.low, one.whole.high)
+    assert list(parts[1].list_oddities()) == ["1 missing", "1 gaps, longest 0.201 s", "4 jumps, up to 9"]
 
 
 def test_files_of_one_flight_are_joined(shared_data: Path) -> None:

@@ -70,14 +70,13 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
 
 def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -> None:
     """One row a signal."""
-    end = max(float(signal.time[-1]) for signal in signals)
+    end = (max(s.whole.end for s in signals) - min(s.whole.start for s in signals)) / 1e9
     table = RichTable(title=f"{title}: {len(signals)} signals over {end:.4g} s", title_justify="left")
     for head in ("signal", "type", "rate", "range", "unit", "odd"):
         table.add_column(head, justify="right" if head == "rate" else "left", overflow="fold")
     for signal in signals:
-        some = signal.finite
-        span = f"{some.min():.4g} to {some.max():.4g}" if len(some) else "no number"
-        span = f"{some[0]:.6g}" if len(some) and signal.is_constant else span
+        low, high = signal.whole.low, signal.whole.high
+        span = f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" if low < high else "no number"
         rate = f"{signal.rate:.4g} Hz" if np.isfinite(signal.rate) else ""
         table.add_row(signal.title, signal.kind, rate, span, signal.unit, "; ".join(signal.list_oddities()))
     console = open_console()

@@ -39,6 +39,8 @@ def read_clock(samples: Samples) -> Clock | None:
     """The clock of one topic, from samples in order of stamps; None where log times tell nothing of it."""
     if len(samples.stamp) < 2 * BLOCKS:
         return None
+    if samples.log_time is samples.stamp:
+        return Clock(0.0, 0.0, 0.0)
     since, logged = ((times - times[0]) * 1e-9 for times in (samples.stamp, samples.log_time))
     if abs(logged[-1] - since[-1]) > ALIKE * since[-1] + MAX_OFFSET:
         return None
@@ -74,9 +76,9 @@ def check_steps(samples: Samples, path: str) -> None:
     Raises:
         InputError: with the time and size of the step.
     """
-    stamp, logged = ((times - times[:1]) * 1e-9 for times in (samples.stamp, samples.log_time))
-    if len(stamp) < 2 * STEADY:
+    if len(samples.stamp) < 2 * STEADY or samples.log_time is samples.stamp:
         return
+    stamp, logged = ((times - times[:1]) * 1e-9 for times in (samples.stamp, samples.log_time))
     between, apart = np.diff(stamp), np.diff(logged)
     period = float(np.median(between))
     told = (

@@ -12,23 +12,23 @@ import numpy as np
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
 from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
-from vpptwin.logs.tables import Table, name_topic
+from vpptwin.logs.tables import Table, Wish
 
 _ROWS = 1 << 16  # rows converted at once
 _ROWS_OF_SETS = ("index", "frame_index", "episode_index", "task_index")  # bookkeeping of LeRobot
 
 
-def read_parquet(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_parquet(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Rows of a Parquet file, in pieces.
 
     Raises:
         InputError: if it is damaged, or has no column with the time.
     """
-    yield from read_rows(path, path, name_topic(path), stamp, notes, None, {})
+    yield from read_rows(path, path, topic, wish.stamps.get(topic), wish, notes, None, {})
 
 
 def read_rows(
-    path: Path, file: Path, topic: str, stamp: Stamp | None, notes: list[str], episode: int | None,
+    path: Path, file: Path, topic: str, stamp: Stamp | None, wish: Wish, notes: list[str], episode: int | None,
     names: Mapping[str, list[str]],
 ) -> Iterator[Table]:  # fmt: skip
     """Rows of a Parquet file, those of one episode if it has several; `names` are those of elements of lists."""
@@ -37,25 +37,36 @@ def read_rows(
     try:
         content = parquet.ParquetFile(file)
         unit: str | None = None
-        for batch in content.iter_batches(batch_size=_ROWS):
+        units: dict[str, str] = {}
+        given = dict(zip(part_units(content.schema_arrow.names, units), content.schema_arrow.names))
+        clock = find_clock(path, list(given), stamp)
+        fields: dict[str, str] | None = None
+        for first in content.iter_batches(batch_size=_ROWS):  # only rows tell whether lists have one length
+            held = {n: read_arrow(pa, n, first.column(k), units, names) for k, n in enumerate(given)}
+            held = {n: columns for n, columns in held.items() if episode is None or n not in _ROWS_OF_SETS}
+            if not held[clock] or held[clock][clock].dtype.kind not in "iuf":
+                raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
+            fields = wish.choose(topic, [column for columns in held.values() for column in columns])
+            given = {n: given[n] for n, columns in held.items() if n == clock or not fields.keys().isdisjoint(columns)}
+            break
+        wanted = [*given.values(), *(["episode_index"] if episode is not None else [])]
+        for batch in content.iter_batches(batch_size=_ROWS, columns=wanted):
             if episode is not None:
                 batch = batch.filter(pa.array(np.asarray(batch.column("episode_index")) == episode))
             if not batch.num_rows:
                 continue
-            units: dict[str, str] = {}
-            plain = part_units(batch.schema.names, units)
-            clock = find_clock(path, plain, stamp)
             columns: dict[str, np.ndarray] = {}
-            for place, name in enumerate(plain):
-                columns |= read_arrow(path, pa, name, batch.column(place), units, names)
-            if clock not in columns or columns[clock].dtype.kind not in "iuf":
-                raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
+            for name, source in given.items():
+                columns |= read_arrow(pa, name, batch.column(source), units, names)
+            if lost := (fields or {}).keys() - columns.keys():
+                found = f"{path}: {min(lost)} holds lists of several lengths"
+                raise InputError(found, "one length", "leave the column out")
             time = columns[clock]
             if not np.isfinite(time).all():
                 row = int(np.argmin(np.isfinite(time)))
                 raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
             unit = unit or (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
-            yield Table(topic, count_ns(time, unit), columns, units)
+            yield Table(topic, count_ns(time, unit), columns, units, fields)
         if unit is None:
             raise InputError(f"{path} has no rows", "a table with rows", "check what wrote it")
         if unit not in ("s", units.get(clock)) and stamp is None:
@@ -66,7 +77,6 @@ def read_rows(
 
 
 def read_arrow(
-    path: Path,
     pa: Any,  # noqa: ANN401
     name: str,
     column: Any,  # noqa: ANN401
@@ -128,7 +138,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def read_lerobot(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_lerobot(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Rows of one episode of a LeRobot data set, named FOLDER#EPISODE.
 
     Raises:
@@ -146,11 +156,10 @@ def read_lerobot(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[
     found = False
     for file in files:
         try:
-            for table in read_rows(path, file, "/episode", stamp or Stamp(path="timestamp", unit="s"), notes,
-                                   episode, names):  # fmt: skip
+            clock = wish.stamps.get(topic) or Stamp(path="timestamp", unit="s")
+            for table in read_rows(path, file, topic, clock, wish, notes, episode, names):
                 found = True
-                columns = {name: data for name, data in table.columns.items() if name not in _ROWS_OF_SETS}
-                yield Table(table.topic, table.time, columns, table.units)
+                yield table
         except InputError as error:
             if "has no rows" not in error.found:
                 raise

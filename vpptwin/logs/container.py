@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import mmap
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +27,8 @@ _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _MANY = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
 _READ = 1 << 25  # bytes of a file held in memory at once
+LARGE = 1 << 27
+"""What is held of a log at once where it is looked at as it comes [bytes]."""
 # What mcap and the decompressors raise on records whose content makes no sense.
 _BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
 
@@ -40,9 +42,18 @@ class Block:
     payload: np.ndarray
 
 
+@dataclass(frozen=True)
+class Rows:
+    """Rows of a table in the place of messages: number of the first, time [ns] (n,), field -> (n,) or (n, k)."""
+
+    number: int
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+
+
 @dataclass
 class RawChannel:
-    """One channel of a file with its payloads. type and definition are those of its schema; count: messages seen."""
+    """One channel of a file with its payloads or rows. type and definition: of its schema; count: of messages seen."""
 
     topic: str
     message_type: str
@@ -51,6 +62,12 @@ class RawChannel:
     definition: str
     count: int = 0
     blocks: list[Block] = field(default_factory=list)
+    rows: list[Rows] = field(default_factory=list)
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it holds messages, or rows."""
+        return bool(self.blocks or self.rows)
 
 
 @dataclass(frozen=True)
@@ -62,6 +79,17 @@ class RawFile:
     channels: list[RawChannel]
     log_time: tuple[int, int]
     notes: list[str] = field(default_factory=list)
+
+
+Take = Callable[[RawChannel], None]
+
+
+def hand_over(channels: Iterable[RawChannel], take: Take) -> None:
+    """Let all that is held of channels be looked at, and forget it."""
+    for channel in channels:
+        if channel.is_kept:
+            take(channel)
+            channel.rows, channel.blocks = [], []
 
 
 class _DamageError(Exception):
@@ -86,9 +114,11 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(self, wanted: Callable[[RawChannel], bool], unpacker: Unpacker, mapped: mmap.mmap) -> None:
-        self.wanted, self.unpacker, self.mapped = wanted, unpacker, mapped
-        self.forgotten = 0
+    def __init__(
+        self, wanted: Callable[[RawChannel], bool], take: Take | None, unpacker: Unpacker, mapped: mmap.mmap
+    ) -> None:
+        self.wanted, self.take, self.unpacker, self.mapped = wanted, take, unpacker, mapped
+        self.forgotten = self.held = 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -172,14 +202,19 @@ class _Scan:
                 windows = sliding_window_view(content, max(size, 1))
                 payload = windows[start[rows].astype(np.intp) - (size == 0), :size]
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
+                self.held += payload.nbytes
+        if self.take is not None and self.held > LARGE:
+            hand_over(self.channels.values(), self.take)
+            self.held = 0
 
 
-def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
+def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take | None = None) -> RawFile:
     """Take an MCAP file apart.
 
     Args:
         path: the file.
         wanted: tells whether a channel's payloads are to be kept.
+        take: looks at the payloads of a large file as they come; those are forgotten.
 
     Returns:
         All channels; those wanted with their payloads.
@@ -188,7 +223,7 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool]) -> RawFile:
         InputError: if the file is damaged or ends early, or unpacks to more than a log can honestly hold.
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        scan = _Scan(wanted, Unpacker(path, path.stat().st_size), mapped)
+        scan = _Scan(wanted, take, Unpacker(path, path.stat().st_size), mapped)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:

@@ -40,7 +40,7 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
     if source.polynomial:
         values = np.polynomial.polynomial.polyval(values, source.polynomial)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
-    values = values * scale
+    values = values * scale if (scale != 1.0).any() else values
     return values + source.offset if source.offset else values
 
 

@@ -13,7 +13,17 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from vpptwin.logs.container import Block, RawChannel
-from vpptwin.logs.layout import LITTLE_ENDIAN, Definitions, Layout, LayoutError, Leaf, locate_fields, parse_definition
+from vpptwin.logs.layout import (
+    LITTLE_ENDIAN,
+    STAMP,
+    Definitions,
+    Layout,
+    LayoutError,
+    Leaf,
+    describe_columns,
+    locate_fields,
+    parse_definition,
+)
 
 MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
 MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each
@@ -54,6 +64,7 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
     Raises:
         DecodeError: if a message does not fit its definition, or has no such field.
     """
+    yield from _take_rows(channel, paths)
     reference = _ReferenceDecoder(channel)
     try:
         definitions = parse_definition(channel.message_type, channel.definition)
@@ -61,6 +72,21 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         definitions = None
     for block in _merge_blocks(channel.blocks):
         yield from _decode_block(channel.message_type, definitions, block, paths, texts, reference)
+
+
+def _take_rows(channel: RawChannel, paths: Sequence[str]) -> Iterator[Batch]:
+    """The rows of a table, as messages with these fields would be."""
+    for rows in channel.rows:
+        layout = describe_columns(rows.columns)
+        known = {STAMP: rows.time, **rows.columns}
+        values = {}
+        for path in paths:
+            leaf = find_leaf(layout, path)
+            data = known[path] if path in known else known[path.rpartition("[")[0]][:, leaf.offset // int(leaf.code[1])]
+            values[path] = data.view(np.uint8) if data.dtype == bool else data
+        number = np.arange(rows.number, rows.number + len(rows.time), dtype=np.uint64)
+        log_time = rows.time if rows.time.min() >= 0 else np.maximum(rows.time, 0)
+        yield Batch(number, log_time.view(np.uint64), values, {})
 
 
 def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:

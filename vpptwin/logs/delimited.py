@@ -16,7 +16,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.tables import Table, list_names, name_topic
+from vpptwin.logs.tables import Table, Wish, list_names
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -62,12 +62,13 @@ class Format:
     first: list[str] = field(default_factory=list)
 
 
-def read_csv(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Rows of a CSV file, in pieces.
 
     Args:
         path: of the file, which may be gzipped.
-        stamp: column of the time and its unit, where somebody says; otherwise it is found by its name.
+        topic: what it is called.
+        wish: says which columns are wanted, and may say which one is the time; otherwise it is found by its name.
         notes: warnings are added to it.
 
     Raises:
@@ -75,12 +76,14 @@ def read_csv(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Tabl
     """
     pa = load_extra("pyarrow", path)
     form = sniff(path, notes)
-    topic = name_topic(path)
+    stamp = wish.stamps.get(topic)
     clock = find_clock(path, form.names, stamp)
+    fields = wish.choose(topic, form.names)
+    wanted = [name for name in form.names if name in fields or name == clock]
     unit = stamp.unit if stamp is not None else form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
     number = 0
-    for batch in convert_batches(path, form, clock, pa):
-        columns = {name: read_column(path, form, batch, name, number, pa) for name in form.names}
+    for batch in convert_batches(path, form, clock, wanted, pa):
+        columns = {name: read_column(path, form, batch.column(name), name, number, pa) for name in wanted}
         time = columns[clock]
         blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
         if blank.any():
@@ -96,7 +99,7 @@ def read_csv(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Tabl
             if unit != "s":
                 notes.append(f"{topic}: {clock} is taken to count {unit}")
         number += batch.num_rows
-        yield Table(topic, count_ns(time, unit or "s"), columns, form.units)
+        yield Table(topic, count_ns(time, unit or "s"), columns, form.units, fields)
     if not number:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
 
@@ -290,8 +293,14 @@ def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
     return np.where(wild, np.int64(2**62), counted)
 
 
-def convert_batches(path: Path, form: Format, clock: str, pa: Any) -> Iterator[pa.RecordBatch]:  # noqa: ANN401
-    """Rows as Arrow has them: numbers, except for the columns whose first row holds none."""
+def convert_batches(
+    path: Path,
+    form: Format,
+    clock: str,
+    wanted: Sequence[str],
+    pa: Any,  # noqa: ANN401
+) -> Iterator[pa.RecordBatch]:
+    """The columns wanted as Arrow has them: numbers, except for those whose first row holds none."""
     from pyarrow import csv as arrow_csv
 
     types = {}
@@ -310,7 +319,7 @@ def convert_batches(path: Path, form: Format, clock: str, pa: Any) -> Iterator[p
                 ),
                 arrow_csv.ParseOptions(delimiter=form.delimiter),
                 arrow_csv.ConvertOptions(
-                    column_types=types, decimal_point=form.decimal,
+                    column_types=types, decimal_point=form.decimal, include_columns=wanted,
                     null_values=["", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-nan"],
                 ),
             )  # fmt: skip
@@ -318,13 +327,13 @@ def convert_batches(path: Path, form: Format, clock: str, pa: Any) -> Iterator[p
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise refuse_damaged(path, error) from None
         except (pa.ArrowInvalid, UnicodeError) as error:
-            raise blame_line(path, form, types, error) from None
+            raise blame_line(path, form, {name: str(types[name]) for name in wanted}, error) from None
 
 
-def blame_line(path: Path, form: Format, types: dict[str, Any], error: Exception) -> InputError:
-    """Which line it was that did not convert."""
+def blame_line(path: Path, form: Format, types: dict[str, str], error: Exception) -> InputError:
+    """Which line it was that did not convert, of the columns with these types."""
     expected = f"{len(form.names)} cells a line, each with a number where the first has one"
-    kinds = {i: str(types[name]) for i, name in enumerate(form.names)}
+    kinds = [types.get(name) for name in form.names]
     with open_bytes(path) as file:
         reader = csv.reader(io.TextIOWrapper(file, form.encoding, "replace", newline=None), delimiter=form.delimiter)
         for line, row in enumerate(reader, 1):
@@ -345,9 +354,8 @@ def blame_line(path: Path, form: Format, types: dict[str, Any], error: Exception
     return InputError(f"{path}: {error}", "a CSV file", "correct it")
 
 
-def read_column(path: Path, form: Format, batch: Any, name: str, number: int, pa: Any) -> np.ndarray:  # noqa: ANN401
+def read_column(path: Path, form: Format, column: Any, name: str, number: int, pa: Any) -> np.ndarray:  # noqa: ANN401
     """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
-    column = batch.column(form.names.index(name))
     if not pa.types.is_string(column.type):
         if pa.types.is_int64(column.type) and column.null_count == 0:
             return np.asarray(column.to_numpy(zero_copy_only=False))

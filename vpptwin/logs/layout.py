@@ -7,6 +7,8 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from vpptwin.logs.messages import shorten_type
 
 CODES = {
@@ -15,6 +17,8 @@ CODES = {
 }  # fmt: skip
 HEADER_BYTES = 4
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
+STAMP = "header.stamp"
+"""Of rows: a field of whole ns."""
 
 
 class LayoutError(ValueError):
@@ -170,6 +174,16 @@ def locate_fields(definitions: Definitions, name: str, payload: bytes) -> Layout
     layout = arrange_fields(definitions, name, read_length)
     if layout.size > len(payload):
         raise LayoutError(f"{len(payload)} bytes where its fields take {layout.size}")
+    return layout
+
+
+def describe_columns(columns: Mapping[str, np.ndarray]) -> Layout:
+    """Layout of rows of a table that has these columns, (n,) or (n, k); what is text has no leaf."""
+    layout = Layout({STAMP: Leaf(0, "i8", None)})
+    for name, data in columns.items():
+        if data.dtype.kind in "biuf":
+            code = "u1" if data.dtype == bool else data.dtype.str[1:]
+            layout.leaves[name] = Leaf(0, code, data.shape[1] if data.ndim > 1 else None)
     return layout
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 
 from vpptwin.errors import InputError, escape_text
@@ -14,7 +15,7 @@ from vpptwin.logs.container import RawChannel
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
-from vpptwin.logs.streams import build_joint_stream, build_stream
+from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time
 from vpptwin.logs.tables import Wish
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
@@ -148,10 +149,15 @@ def _assemble_flight(
     clocks = {item.label: clock for item in every if (clock := read_clock(item)) is not None}
     check_offsets(clocks, path)
     start = min(int(item.stamp[0]) for item in every)
-    streams = {topic: build_stream(item, start, path, warnings) for topic, item in samples.items()}
+    for file in recording.files:
+        for channel in file.channels:
+            channel.blocks, channel.rows = [], []  # logs of gigabytes leave no room for what is not needed any more
+    stamps = {id(item.stamp): item.stamp for item in every}  # which all that was read of a topic may share
+    times = {key: measure_time(stamp, start) for key, stamp in stamps.items()}
+    streams = {topic: build_stream(item, times[id(item.stamp)], path, warnings) for topic, item in samples.items()}
     streams = {topic: stream for topic, stream in streams.items() if stream.values}
     built = {
-        topic: {name: build_joint_stream(item, start, path) for name, item in names.items()}
+        topic: {name: build_joint_stream(item, times[id(item.stamp)], path) for name, item in names.items()}
         for topic, names in joints.items()
     }
     pose, imu = streams.get("/mocap/pose"), streams.get("/imu/data")
@@ -159,7 +165,7 @@ def _assemble_flight(
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
     _add_new(warnings, _list_gaps(streams, built))
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
-    placed = {topic: build_joint_stream(item, start, path) for topic, item in spatial.items()}
+    placed = {topic: build_joint_stream(item, times[id(item.stamp)], path) for topic, item in spatial.items()}
     return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed)
 
 
@@ -168,7 +174,7 @@ def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, 
     for topic, names in joints.items():
         together: dict[bytes, list[str]] = {}  # joints that come in the same messages have the same gaps
         for name, stream in names.items():
-            together.setdefault(stream.time.tobytes(), []).append(name)
+            together.setdefault(sha256(stream.time.data).digest(), []).append(name)
         steady += [(escape_text(f"{topic} {', '.join(group)}"), names[group[0]]) for group in together.values()]
     return [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
 

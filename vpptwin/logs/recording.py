@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import yaml
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
@@ -19,12 +20,12 @@ from vpptwin.logs.container import RawChannel, RawFile, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.tables import Table, Wish, find_field, name_topic, pack_tables
+from vpptwin.logs.tables import Table, Wish, find_field, keep_tables, name_topic
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.plain import read_yaml
 
 PathLike = str | os.PathLike[str]
-TableReader = Callable[[Path, Stamp | None, list[str]], Iterator[Table]]
+TableReader = Callable[[Path, str, Wish, list[str]], Iterator[Table]]
 _EXPECTED = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
 _SIGNATURES = {
     b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
@@ -48,10 +49,14 @@ _LOGS = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ENDINGS)
 
 @dataclass(frozen=True)
 class Recording:
-    """The files of one recording in the order of their log time, all with ROS 2 messages."""
+    """The files of one recording in the order of their log time, all with ROS 2 messages or tables.
+
+    times: topic and clock -> log times and stamps (n,) ns in record order, which whatever is read of the topic shares.
+    """
 
     path: Path
     files: tuple[RawFile, ...]
+    times: dict[tuple[str, Stamp], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def find_topic(self, topic: str) -> str | None:
         """A topic's name in the log, of which people leave out the slash; None if it lacks it."""
@@ -61,6 +66,10 @@ class Recording:
     def list_topics(self) -> dict[str, str]:
         """Topic -> message type, of all channels."""
         return {channel.topic: channel.message_type for file in self.files for channel in file.channels}
+
+    def is_table(self, topic: str) -> bool:
+        """Whether a topic has rows, in place of messages."""
+        return any(channel.rows for _, channel in self._find_channels(topic))
 
     def check_type(self, topic: str) -> str:
         """Message type of a topic.
@@ -82,35 +91,33 @@ class Recording:
         name = self.find_topic(topic)
         return [(i, c) for i, file in enumerate(self.files) for c in file.channels if c.topic == name]
 
-    def decode(self, topic: str, paths: Sequence[str], texts: Sequence[str] = ()) -> list[Batch]:
-        """Decode fields of all messages of a topic.
+    def decode(self, topic: str, paths: Sequence[str], texts: Sequence[str] = ()) -> Iterator[Batch]:
+        """Decode fields of all messages of a topic, or of all rows of a table.
 
         Args:
             topic: name in the log.
             paths: fields wanted.
             texts: string sequences wanted.
 
-        Returns:
+        Yields:
             Batches whose record numbers count across all files.
 
         Raises:
             InputError: if messages are no ROS 2 messages, or do not decode.
         """
-        batches = []
         for index, channel in self._find_channels(topic):
             refuse_encoding(self.path, [channel])
             names = {path: find_field(channel, path) for path in paths}
             try:
                 for batch in decode_channel(channel, list(names.values()), texts):
                     values = {path: batch.values[name] for path, name in names.items()}
-                    batches.append(Batch(batch.number + (index << 40), batch.log_time, values, batch.texts))
+                    yield Batch(batch.number + (index << 40), batch.log_time, values, batch.texts)
             except DecodeError as error:
                 raise InputError(
                     f"{self.path}: {topic} ({channel.message_type}) has {error}",
                     f"messages with {', '.join(paths)} as the definition in the file says",
                     "check the field names and the program that wrote it",
                 ) from None
-        return batches
 
 
 def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
@@ -234,12 +241,10 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
         called = wish.name_table(own) if alone and kind in ("csv", "parquet") else own
         if called != own:
             notes.append(f"{path.name} is read as {called.removeprefix('/')}")
-        tables = _TABLES[kind](path, wish.stamps.get(called), notes)
-        tables = (replace(table, topic=called) if table.topic == own else table for table in tables)
-        return pack_tables(path, tables, wish, notes)
+        return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
-    raw = read_container(path, wish.channel)
+    raw = read_container(path, wish.channel, wish.take)
     if raw.profile not in ("ros2", ""):
         found = f"{path} has the MCAP profile '{raw.profile}'"
         raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import NANOSECONDS, Stamp
 from vpptwin.logs.channels import JOINT_COLUMNS, SPATIAL, Column
 from vpptwin.logs.convert import convert_column, list_fields
+from vpptwin.logs.layout import STAMP
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
 from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
@@ -24,7 +26,7 @@ class Samples:
     Attributes:
         label: canonical topic, and name of the joint.
         stamp: (n,) ns.
-        log_time: when each was recorded, (n,) ns.
+        log_time: when each was recorded, (n,) ns; the array of stamps itself where they are equal, as in tables.
         fields: message field -> (n,) or (n, k).
         columns: what to make of the fields, for topics of the channel table.
     """
@@ -40,7 +42,9 @@ class Samples:
         if len(rows) == len(self.stamp) and (rows == np.arange(len(rows))).all():
             return self
         fields = {path: values[rows] for path, values in self.fields.items()}
-        return Samples(self.label, self.stamp[rows], self.log_time[rows], fields, self.columns)
+        stamp = self.stamp[rows]
+        log_time = stamp if self.log_time is self.stamp else self.log_time[rows]
+        return Samples(self.label, stamp, log_time, fields, self.columns)
 
 
 def read_samples(recording: Recording, route: Route) -> Samples:
@@ -63,20 +67,33 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
     Raises:
         InputError: if messages do not decode, or stamps are no times.
     """
-    stamp_paths = _list_stamp_fields(clock)
-    batches = recording.decode(topic, [*stamp_paths, *paths])
-    if not batches:
+    told = recording.is_table(topic) and clock == Stamp()
+    stamp_paths = [STAMP] if told else _list_stamp_fields(clock)
+    parts: dict[str, list[np.ndarray]] = {path: [] for path in paths}
+    numbers, stamps, log_times = [], [], []
+    for batch in recording.decode(topic, [*stamp_paths, *paths]):
+        numbers.append(batch.number)
+        log_times.append(batch.log_time.view(np.int64))
+        label_of = f"{recording.path}: {topic}"
+        stamps.append(batch.values[STAMP] if told else _read_stamps(label_of, clock, batch.values, log_times[-1]))
+        for path, held in parts.items():
+            held.append(batch.values[path])
+    if not numbers:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    number = np.concatenate([batch.number for batch in batches])
-    order = slice(None) if (number[1:] > number[:-1]).all() else np.argsort(number, kind="stable")
-    del number  # logs of gigabytes leave no room for what is not needed any more
-    log_time = np.concatenate([batch.log_time for batch in batches])[order].view(np.int64)
-    fields = {path: np.concatenate([batch.values[path] for batch in batches])[order] for path in stamp_paths}
-    stamp = _read_stamps(f"{recording.path}: {topic}", clock, fields, log_time)
-    wanted = {
-        path: np.concatenate([batch.values.pop(path) for batch in batches])[order] for path in dict.fromkeys(paths)
-    }
-    return Samples(label, stamp, log_time, wanted)
+    rising = all((n[1:] > n[:-1]).all() for n in numbers) and all(a[-1] < b[0] for a, b in pairwise(numbers))
+    order = slice(None) if rising else np.argsort(np.concatenate(numbers), kind="stable")
+    del numbers  # logs of gigabytes leave no room for what is not needed any more
+    log_time, stamp = _join(log_times, order), _join(stamps, order)
+    log_time = stamp if np.array_equal(log_time, stamp) else log_time
+    log_time, stamp = recording.times.setdefault((topic, clock), (log_time, stamp))
+    return Samples(label, stamp, log_time, {path: _join(parts[path], order) for path in parts})
+
+
+def _join(parts: list[np.ndarray], order: slice | np.ndarray) -> np.ndarray:
+    """Parts as one array in this order; the list is emptied."""
+    joined = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    parts.clear()
+    return joined[order]
 
 
 def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:

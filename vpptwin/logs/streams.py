@@ -12,8 +12,8 @@ from vpptwin.logs.flight import Stream
 from vpptwin.logs.samples import Samples
 
 
-def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]) -> Stream:
-    """Stream of a topic of the channel table, from samples in order of time; time zero is `start_ns` [ns].
+def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[str]) -> Stream:
+    """Stream of a topic of the channel table, from samples in order of time, (n,) s.
 
     Warnings found are appended to `warnings`.
 
@@ -21,7 +21,6 @@ def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]
         InputError: if values are not finite, not planar, or in the wrong unit.
     """
     label = f"{path}: {samples.label}"
-    time = measure_time(samples, start_ns)
     values: dict[str, np.ndarray] = {}
     wild = np.zeros(len(time), dtype=bool)
     for column in samples.columns:
@@ -43,21 +42,20 @@ def build_stream(samples: Samples, start_ns: int, path: str, warnings: list[str]
     return Stream(time, values)
 
 
-def build_joint_stream(samples: Samples, start_ns: int, path: str) -> Stream:
-    """Stream of one joint, from samples in order of time; time zero is `start_ns` [ns].
+def build_joint_stream(samples: Samples, time: np.ndarray, path: str) -> Stream:
+    """Stream of one joint, from samples in order of time, (n,) s.
 
     Raises:
         InputError: if values are not finite.
     """
-    time = measure_time(samples, start_ns)
     for column, data in samples.fields.items():
         check_finite(f"{path}: {samples.label}", time, column, data)
     return Stream(time, samples.fields)
 
 
-def measure_time(samples: Samples, start_ns: int) -> np.ndarray:
-    """Time since `start_ns`, (n,) s."""
-    return np.asarray((samples.stamp - start_ns) / 1e9)  # a division rounds correctly: 1000000 ns is exactly 0.001
+def measure_time(stamp: np.ndarray, start_ns: int) -> np.ndarray:
+    """Time of stamps (n,) ns since `start_ns`, (n,) s."""
+    return np.asarray((stamp - start_ns) / 1e9)  # a division rounds correctly: 1000000 ns is exactly 0.001
 
 
 def _build_column(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from mcap.well_known import MessageEncoding
@@ -13,8 +15,8 @@ from mcap.well_known import MessageEncoding
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import Stamp
 from vpptwin.logs.channels import is_joint_state
-from vpptwin.logs.container import RawChannel
-from vpptwin.logs.layout import LayoutError, locate_fields, parse_definition
+from vpptwin.logs.container import RawChannel, RawFile
+from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fields, parse_definition
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
 from vpptwin.logs.tables import Wish
@@ -23,6 +25,71 @@ _WIDEST = 64  # elements of a list that are signals of their own
 _DULL = re.compile(r"header\.|(^|\.)stamp\.|covariance|(^|\.)sequence$")
 _GAP = 5.0  # median periods
 _JUMP = 20.0  # times the step that 99 of 100 stay below
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What a signal does for some time.
+
+    Attributes:
+        start, end: stamps of its first and last sample [ns].
+        first, last, low, high: of its values; NaN if it has none.
+        missing: samples without a value.
+        period: median time between samples [s]; NaN for a single one.
+        gaps, longest: how many steps of time are over `_GAP` periods; the longest of all [s].
+        jumps, highest: how many steps of values are over `reach`; the highest of all.
+        reach: beyond which a step is a jump.
+    """
+
+    start: int
+    end: int
+    first: float
+    last: float
+    low: float
+    high: float
+    missing: int
+    period: float
+    gaps: int
+    longest: float
+    jumps: int
+    highest: float
+    reach: float
+
+
+def look(stamp: np.ndarray, values: np.ndarray) -> Stretch:
+    """A stretch of samples: stamps (n,) ns, increasing; values (n,), NaN where there was none."""
+    steps = np.diff(stamp) / 1e9
+    period = float(np.median(steps)) if len(steps) else np.nan
+    some = values[np.isfinite(values)]
+    moves = np.abs(np.diff(some))
+    moves = moves[moves > 0.0]
+    reach = _JUMP * float(np.quantile(moves, 0.99)) if len(moves) > 100 else np.inf
+    none = len(some) == 0
+    return Stretch(
+        int(stamp[0]), int(stamp[-1]), *((np.nan, np.nan) if none else (float(some[0]), float(some[-1]))),
+        float(np.nan if none else some.min()), float(np.nan if none else some.max()), len(values) - len(some), period,
+        int(np.count_nonzero(steps > _GAP * period)), float(steps.max(initial=0.0)),
+        int(np.count_nonzero(moves > reach)), float(moves.max(initial=0.0)), reach,
+    )  # fmt: skip
+
+
+def join(stretches: Sequence[Stretch]) -> Stretch:
+    """Stretches that follow one another, as one; periods and reaches are each stretch's own."""
+    if len(stretches) == 1:
+        return stretches[0]
+    told = [s for s in stretches if np.isfinite(s.low)] or list(stretches[:1])
+    steps = [((b.start - a.end) / 1e9, a.period) for a, b in pairwise(stretches)]
+    moves = [(abs(b.first - a.last), a.reach) for a, b in pairwise(told)]
+    return Stretch(
+        stretches[0].start, stretches[-1].end, told[0].first, told[-1].last,
+        min(s.low for s in told), max(s.high for s in told), sum(s.missing for s in stretches),
+        float(np.nanmedian([s.period for s in stretches])),
+        sum(s.gaps for s in stretches) + sum(step > _GAP * period for step, period in steps),
+        max(max(s.longest for s in stretches), *(step for step, _ in steps)),
+        sum(s.jumps for s in told) + sum(move > reach for move, reach in moves),
+        max([s.highest for s in told] + [move for move, _ in moves]),
+        max(s.reach for s in told),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +104,7 @@ class Signal:
         unit: as the log says, "" where it doesn't.
         time: (n,) s since the log's first sample, increasing.
         values: (n,), NaN where there was none.
+        stretches: all of it, where time and values hold but the first of several.
     """
 
     topic: str
@@ -47,6 +115,7 @@ class Signal:
     unit: str
     time: np.ndarray
     values: np.ndarray
+    stretches: tuple[Stretch, ...] = ()
 
     @property
     def title(self) -> str:
@@ -58,80 +127,101 @@ class Signal:
         """Values without NaN and infinities, (m,)."""
         return self.values[np.isfinite(self.values)]
 
+    @cached_property
+    def whole(self) -> Stretch:
+        """What it does from beginning to end."""
+        return join(self.stretches or [look(np.rint(self.time * 1e9).astype(np.int64), self.values)])
+
     @property
     def rate(self) -> float:
         """Samples a second while it is sampled; NaN for fewer than two."""
-        return 1.0 / float(np.median(np.diff(self.time))) if len(self.time) > 1 else float("nan")
+        return 1.0 / self.whole.period
 
-    @cached_property
+    @property
     def is_constant(self) -> bool:
         """Whether it never changes."""
-        return not len(self.finite) or bool((self.finite == self.finite[0]).all())
+        return not self.whole.low < self.whole.high
 
     def list_oddities(self) -> Iterator[str]:
         """What looks odd: gaps, jumps, what is missing."""
-        if len(self.finite) < len(self.values):
-            yield f"{len(self.values) - len(self.finite)} missing"
+        whole = self.whole
+        if whole.missing:
+            yield f"{whole.missing} missing"
         if self.is_constant:
             yield "constant"
             return
-        steps = np.diff(self.time)
-        gaps = int(np.count_nonzero(steps > _GAP * np.median(steps)))
-        if gaps:
-            yield f"{gaps} gaps, longest {steps.max():.3g} s"
-        moves = np.abs(np.diff(self.finite))
-        moves = moves[moves > 0.0]
-        jumps = int(np.count_nonzero(moves > _JUMP * np.quantile(moves, 0.99))) if len(moves) > 100 else 0
-        if jumps:
-            yield f"{jumps} jumps, up to {moves.max():.3g}"
+        if whole.gaps:
+            yield f"{whole.gaps} gaps, longest {whole.longest:.3g} s"
+        if whole.jumps:
+            yield f"{whole.jumps} jumps, up to {whole.highest:.3g}"
 
 
 def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
-    """Everything that a log holds as numbers.
+    """Everything that a log holds as numbers; of large logs stretch by stretch, the first of which is kept.
 
     Raises:
         InputError: if it cannot be read, or holds no numbers.
     """
-    recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR))
-    channels = {channel.topic: channel for file in recording.files for channel in file.channels if channel.blocks}
-    found: list[tuple[np.ndarray, Signal]] = []
-    for topic, channel in channels.items():
+    first: dict[tuple[str, ...], Signal] = {}
+    stretches: dict[tuple[str, ...], list[Stretch]] = {}
+
+    def note(recording: Recording, channel: RawChannel) -> None:
+        joints = is_joint_state(channel.message_type)
+        rows: slice | np.ndarray = slice(None)
+        last = stamp = np.zeros(0, np.int64)
         try:
-            joints = is_joint_state(channel.message_type)
-            found += list(list_joints(recording, topic) if joints else list_columns(recording, channel))
+            found = list(list_joints(recording, channel.topic) if joints else list_columns(recording, channel))
         except (InputError, LayoutError):  # messages of many shapes, of which no twin names a field
-            continue
-    if not found:
+            return
+        for signal in found:
+            if signal.time is not last:  # signals of one topic share their time
+                last = stamp = signal.time
+                if not (last[1:] > last[:-1]).all():
+                    stamp, rows = np.unique(last, return_index=True)
+                else:
+                    rows = slice(None)
+            values = signal.values[rows].astype(float, copy=False)
+            key = signal.topic, signal.field, signal.name
+            stretches.setdefault(key, []).append(look(stamp, values))
+            first.setdefault(key, replace(signal, time=stamp, values=values))
+
+    def take(channel: RawChannel) -> None:
+        note(Recording(Path(channel.topic), (RawFile(Path(channel.topic), "ros2", [channel], (0, 0)),)), channel)
+
+    recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR, take=take))
+    for channel in {c.topic: c for file in recording.files for c in file.channels if c.is_kept}.values():
+        note(recording, channel)
+    if not first:
         raise InputError(f"{recording.path} holds no numbers over time", "a log with signals", "check what recorded it")
-    start = min(int(stamp.min()) for stamp, _ in found)
-    return recording, [place(signal, stamp, start) for stamp, signal in found]
+    start = min(int(signal.time[0]) for signal in first.values())
+    times: dict[int, np.ndarray] = {}
+    signals = []
+    for key, signal in first.items():
+        time = times.setdefault(id(signal.time), (signal.time - start) / 1e9)
+        signals.append(replace(signal, time=time, stretches=tuple(stretches[key])))
+    return recording, signals
 
 
-def place(signal: Signal, stamp: np.ndarray, start: int) -> Signal:
-    """A signal in order of time, stamps (n,) ns once each."""
-    _, rows = np.unique(stamp, return_index=True)
-    time = (stamp[rows] - start) / 1e9
-    parts = signal.topic, signal.field, signal.label, signal.name, signal.kind, signal.unit
-    return Signal(*parts, time, signal.values[rows].astype(float))
-
-
-def list_joints(recording: Recording, topic: str) -> Iterator[tuple[np.ndarray, Signal]]:
-    """Signals of a JointState topic, with their stamps [ns]."""
+def list_joints(recording: Recording, topic: str) -> Iterator[Signal]:
+    """Signals of a JointState topic in record order, over their stamps [ns]."""
     for name, samples in read_joints(recording, topic, topic)[0].items():
         for column, values in samples.fields.items():
-            yield samples.stamp, Signal(topic, column, column, escape_text(name), "float64", "", samples.stamp, values)
+            yield Signal(topic, column, column, escape_text(name), "float64", "", samples.stamp, values)
 
 
-def list_columns(recording: Recording, channel: RawChannel) -> Iterator[tuple[np.ndarray, Signal]]:
-    """Signals of any other topic, with their stamps [ns]."""
-    definitions = parse_definition(channel.message_type, channel.definition)
-    layout = locate_fields(definitions, channel.message_type, channel.blocks[0].payload[0].tobytes())
+def list_columns(recording: Recording, channel: RawChannel) -> Iterator[Signal]:
+    """Signals of any other topic in record order, over their stamps [ns]."""
+    if channel.rows:
+        layout = describe_columns(channel.rows[0].columns)
+    else:
+        definitions = parse_definition(channel.message_type, channel.definition)
+        layout = locate_fields(definitions, channel.message_type, channel.blocks[0].payload[0].tobytes())
     comments = dict(re.findall(r"^\S+ (\w+)  # (.*)$", channel.definition, flags=re.MULTILINE))
     paths = {}
     for path, leaf in layout.leaves.items():
         if not _DULL.search(path) and (leaf.count is None or 0 < leaf.count <= _WIDEST):
             paths[path] = leaf
-    stamped = Stamp() if "header.stamp.sec" in layout.leaves else Stamp(path="log_time")
+    stamped = Stamp() if layout.leaves.keys() & {STAMP, f"{STAMP}.sec"} else Stamp(path="log_time")
     samples = read_fields(recording, channel.topic, stamped, list(paths), channel.topic)
     for path, leaf in paths.items():
         said = re.fullmatch(r"(.*?)(?: \[([^\[\]]*)\])?", comments.get(path, path))
@@ -140,16 +230,5 @@ def list_columns(recording: Recording, channel: RawChannel) -> Iterator[tuple[np
         for index in range(leaf.count or 1):
             suffix = "" if leaf.count is None else f"[{index}]"
             values = data if leaf.count is None else data[:, index]
-            yield (
-                samples.stamp,
-                Signal(
-                    channel.topic,
-                    label + suffix,
-                    label + suffix,
-                    "",
-                    np.dtype(leaf.code).name,
-                    unit,
-                    samples.stamp,
-                    values,
-                ),
-            )
+            kind = np.dtype(leaf.code).name
+            yield Signal(channel.topic, label + suffix, label + suffix, "", kind, unit, samples.stamp, values)

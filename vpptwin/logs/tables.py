@@ -1,9 +1,9 @@
-"""Named columns over time, as logs of other kinds hold them, packed as ROS 2 messages and then read as those are."""
+"""Named columns over time, as logs of other kinds hold them: kept as they are, and packed as ROS 2 messages."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,14 +12,13 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import Stamp
-from vpptwin.logs.container import Block, RawChannel, RawFile
+from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, Rows, Take, hand_over
 from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.progress import open_bar
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31
-_LARGE = 1 << 27  # bytes
 
 
 @dataclass(frozen=True)
@@ -31,12 +30,14 @@ class Table:
         time: (n,) ns, int64.
         columns: name as in the log -> numbers, bool or text, (n,) or (n, k).
         units: of columns that have one.
+        fields: column wanted -> its name in messages; None where nobody has chosen yet.
     """
 
     topic: str
     time: np.ndarray
     columns: Mapping[str, np.ndarray]
     units: Mapping[str, str] = field(default_factory=dict)
+    fields: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -47,24 +48,26 @@ class Wish:
         channel: tells whether a channel's messages are.
         fields: topic -> the fields that are enough; all of those that it leaves out.
         stamps: topic -> where its time lies, where somebody says.
+        take: what looks at a large log's numbers channel by channel as they come, before they are forgotten.
     """
 
     channel: Callable[[RawChannel], bool]
     fields: Mapping[str, Collection[str]] = field(default_factory=dict)
     stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    take: Take | None = None
 
     def name_table(self, topic: str) -> str:
         """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
         return next(iter(self.fields)) if len(self.fields) == 1 else topic
 
-    def choose(self, topic: str, names: Mapping[str, str]) -> list[str]:
-        """Which columns, named as in the log and in messages, are wanted."""
-        paths = self.fields.get(topic)
+    def choose(self, topic: str, columns: Iterable[str]) -> dict[str, str]:
+        """Which of all columns of a topic are wanted -> what messages call them."""
+        paths, names = self.fields.get(topic), name_fields(columns)
         if paths is None:
-            return list(names)
+            return names
         wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
-        found = [column for column, name in names.items() if column in wanted or name in wanted]
-        return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else list(names)
+        found = {column: name for column, name in names.items() if column in wanted or name in wanted}
+        return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else names
 
 
 def name_topic(path: Path) -> str:
@@ -105,8 +108,8 @@ def name_fields(columns: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def pack_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
-    """The tables of a log as channels of messages.
+def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
+    """The tables of a log as channels, each with a definition of messages that would hold its rows.
 
     Args:
         path: of the log.
@@ -115,19 +118,18 @@ def pack_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         notes: warnings, which may still grow while tables are read.
 
     Raises:
-        InputError: if a time is none that a message can bear, or a topic changes its columns midway.
+        InputError: if a time is none that a message can bear.
     """
     channels: dict[str, RawChannel] = {}
-    chosen: dict[str, dict[str, str]] = {}
-    first, last, number = 2**63, -1, 0
+    fields: dict[str, Mapping[str, str]] = {}
+    first, last, number, held = 2**63, -1, 0, 0
     for table in show_progress(path, tables):
         count = len(table.time)
         if table.topic not in channels:
-            names = name_fields(table.columns)
-            chosen[table.topic] = {column: names[column] for column in wish.choose(table.topic, names)}
-            kept = {column: table.columns[column] for column in chosen[table.topic]}
+            names = table.fields if table.fields is not None else wish.choose(table.topic, table.columns)
+            fields[table.topic] = {column: name for column, name in names.items() if column in table.columns}
             kind = f"vpptwin_msgs/msg/{_name_type(table.topic)}"
-            text = define_message(kept, chosen[table.topic], table.units)
+            text = define_message(table.columns, fields[table.topic], table.units)
             channels[table.topic] = RawChannel(table.topic, kind, MessageEncoding.CDR, SchemaEncoding.ROS2, text)
         channel = channels[table.topic]
         channel.count += count
@@ -136,19 +138,37 @@ def pack_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         if not (table.time.min() >= -_MOST_S * 10**9 and table.time.max() < _MOST_S * 10**9):
             found = f"{path}: {table.topic} has times {table.time.min() / 1e9:.4g} to {table.time.max() / 1e9:.4g} s"
             raise InputError(found, "times within 68 years of 1970", "say which unit the time has")
-        log_time = np.maximum(table.time, 0).astype(np.uint64)
-        first, last = min(first, int(log_time.min())), max(last, int(log_time.max()))
+        first, last = min(first, max(int(table.time.min()), 0)), max(last, int(table.time.max()), 0)
         if wish.channel(channel):
-            kept = {column: table.columns[column] for column in chosen[table.topic]}
-            for rows, payload in pack_rows(channel, table.time, kept, chosen[table.topic]):
-                channel.blocks.append(Block((number + rows).astype(np.uint64), log_time[rows], payload))
+            kept = {name: table.columns[column] for column, name in fields[table.topic].items()}
+            if wish.take is not None:
+                kept = {name: data for name, data in kept.items() if not is_text(data)}
+            append_rows(channel.rows, Rows(number, table.time, kept))
+            held += table.time.nbytes + sum(data.nbytes for data in kept.values())
+            if wish.take is not None and held > LARGE:
+                hand_over(channels.values(), wish.take)
+                held = 0
         number += count
     return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
 
 
+def append_rows(pieces: list[Rows], rows: Rows) -> None:
+    """Put rows behind those held: into the last piece where they follow it, which keeps no log of gigabytes twice."""
+    last = pieces[-1] if pieces else rows
+    pairs = [(last.time, rows.time), *((last.columns[name], data) for name, data in rows.columns.items())]
+    alike = all(held.dtype == new.dtype and held.shape[1:] == new.shape[1:] for held, new in pairs)
+    if last.number + len(last.time) != rows.number or not alike:
+        own = {name: np.array(data) for name, data in rows.columns.items()}
+        pieces.append(Rows(rows.number, np.array(rows.time), own))
+        return
+    for held, new in pairs:
+        held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
+        held[-len(new) :] = new
+
+
 def show_progress(path: Path, tables: Iterable[Table]) -> Iterable[Table]:
     """The tables, counted on standard error while a large file is read."""
-    if not path.is_file() or path.stat().st_size < _LARGE:
+    if not path.is_file() or path.stat().st_size < LARGE:
         yield from tables
         return
     with open_bar(desc=f"read {path.name}", unit=" rows") as bar:
@@ -164,9 +184,9 @@ def _name_type(topic: str) -> str:
 
 
 def define_message(columns: Mapping[str, np.ndarray], names: Mapping[str, str], units: Mapping[str, str]) -> str:
-    """ros2msg text of rows with these columns, texts last; a comment has each column's name in the log and its unit."""
+    """ros2msg text of rows with the columns of `names`, texts last; comments have their names in the log and units."""
     lines = ["std_msgs/Header header"]
-    for column in sorted(columns, key=lambda column: is_text(columns[column])):
+    for column in sorted(names, key=lambda column: is_text(columns[column])):
         data = columns[column]
         base = "string" if is_text(data) else "bool" if data.dtype == bool else _TYPES[data.dtype.str[1:]]
         array = f"[{data.shape[1]}]" if data.ndim > 1 else ""
@@ -183,19 +203,16 @@ def is_text(data: np.ndarray) -> bool:
     return bool(data.dtype.kind in "OUS")
 
 
-def pack_rows(
-    channel: RawChannel, time: np.ndarray, columns: Mapping[str, np.ndarray], names: Mapping[str, str]
-) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-    """Rows as little-endian CDR, those of one length together: rows (n,) and payload (n, length)."""
+def pack_rows(channel: RawChannel, rows: Rows) -> Iterator[Block]:
+    """Rows of a channel as little-endian CDR, those of one length together."""
     definitions = parse_definition(channel.message_type, channel.definition)
-    texts = {n: [str(t).encode() + b"\0" for t in columns[c]] for c, n in names.items() if is_text(columns[c])}
+    texts = {n: [str(t).encode() + b"\0" for t in data] for n, data in rows.columns.items() if is_text(data)}
     lengths = np.array([[len(text) for text in column] for column in texts.values()], dtype=int).T
-    lengths = lengths.reshape(len(time), len(texts))
-    shapes, which = (
-        np.unique(lengths, axis=0, return_inverse=True) if texts else (lengths[:1], np.zeros(len(time), int))
-    )
+    lengths = lengths.reshape(len(rows.time), len(texts))
+    one = lengths[:1], np.zeros(len(rows.time), int)
+    shapes, which = np.unique(lengths, axis=0, return_inverse=True) if texts else one
     for index, shape in enumerate(shapes):
-        rows = np.flatnonzero(which.reshape(-1) == index)
+        own = np.flatnonzero(which.reshape(-1) == index)
         sizes = dict(zip(texts, shape.tolist()))
         counters: dict[int, int] = {}
 
@@ -204,19 +221,17 @@ def pack_rows(
             return c[offset]
 
         layout = arrange_fields(definitions, channel.message_type, choose)
-        payload = np.zeros((len(rows), layout.size), dtype=np.uint8)
+        payload = np.zeros((len(own), layout.size), dtype=np.uint8)
         payload[:, 1] = LITTLE_ENDIAN
         for offset, size in counters.items():
             payload[:, offset : offset + 4] = np.frombuffer(np.array(size, "<u4").tobytes(), np.uint8)
         for path, (offset, length) in layout.strings.items():
             if path in texts:
-                data = b"".join(texts[path][row] for row in rows)
-                payload[:, offset : offset + length] = np.frombuffer(data, np.uint8).reshape(len(rows), length)
-        seconds = time[rows] // 10**9
-        parts = {"header.stamp.sec": seconds, "header.stamp.nanosec": time[rows] - seconds * 10**9}
-        parts |= {name: columns[column][rows] for column, name in names.items() if not is_text(columns[column])}
-        for path, values in parts.items():
+                data = b"".join(texts[path][row] for row in own)
+                payload[:, offset : offset + length] = np.frombuffer(data, np.uint8).reshape(len(own), length)
+        parts = {"header.stamp.sec": rows.time // 10**9, "header.stamp.nanosec": rows.time % 10**9}
+        for path, values in (parts | {n: data for n, data in rows.columns.items() if n not in texts}).items():
             leaf = layout.leaves[path]
-            raw = np.ascontiguousarray(values.astype(f"<{leaf.code}").reshape(len(rows), -1)).view(np.uint8)
+            raw = np.ascontiguousarray(values[own].astype(f"<{leaf.code}").reshape(len(own), -1)).view(np.uint8)
             payload[:, leaf.offset : leaf.offset + raw.shape[1]] = raw
-        yield rows, payload
+        yield Block((rows.number + own).astype(np.uint64), np.maximum(rows.time[own], 0).astype(np.uint64), payload)

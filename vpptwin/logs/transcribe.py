@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,9 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files
-from vpptwin.logs.container import RawChannel, RawFile
+from vpptwin.logs.container import Block, RawChannel, RawFile
 from vpptwin.logs.recording import PathLike, Recording, open_recording
-from vpptwin.logs.tables import Wish
+from vpptwin.logs.tables import Wish, pack_rows
 from vpptwin.progress import open_bar
 
 
@@ -70,7 +70,14 @@ def write_messages(recording: Recording, writer: Writer) -> None:
 
 def list_messages(raw: RawFile) -> Iterator[tuple[int, int, bytes]]:
     """Place of the channel, log time [ns] and content of every message that was kept, in record order."""
-    blocks = [(place, block) for place, channel in enumerate(raw.channels) for block in channel.blocks]
+    channels = list(enumerate(raw.channels))
+    yield from _merge([(place, block) for place, channel in channels for block in channel.blocks])
+    pieces = [(rows.number, place, rows) for place, channel in channels for rows in channel.rows]
+    for _, place, rows in sorted(pieces, key=lambda piece: piece[0]):
+        yield from _merge([(place, block) for block in pack_rows(raw.channels[place], rows)])
+
+
+def _merge(blocks: Sequence[tuple[int, Block]]) -> Iterator[tuple[int, int, bytes]]:
     if not blocks:
         return
     which = np.concatenate([np.full(len(block.number), i) for i, (_, block) in enumerate(blocks)])
@@ -82,4 +89,4 @@ def list_messages(raw: RawFile) -> Iterator[tuple[int, int, bytes]]:
 
 def list_kept(recording: Recording) -> list[RawChannel]:
     """The channels whose messages are written."""
-    return [channel for file in recording.files for channel in file.channels if channel.blocks]
+    return [channel for file in recording.files for channel in file.channels if channel.is_kept]

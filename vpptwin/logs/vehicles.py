@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.errors import InputError, load_extra
-from vpptwin.fields import Stamp
-from vpptwin.logs.tables import Table
+from vpptwin.logs.tables import Table, Wish
 
 _USD_CODES = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4",
               "d": "f8", "e": "f2"}  # fmt: skip
 _ROWS = 1 << 16  # messages gathered before they are packed
 
 
-def read_ulog(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Topics of a PX4 ULog; a topic's second instance is called TOPIC_1.
 
     Raises:
@@ -56,7 +55,7 @@ def join_arrays(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: v if v.dtype.kind in "iufb" else v.astype(str) for name, v in arrays.items()}
 
 
-def read_dataflash(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_dataflash(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Messages of an ArduPilot DataFlash log by their names; those of an instance I of several are called NAME_I.
 
     Raises:
@@ -112,7 +111,7 @@ def gather(topic: str, times: list[int], rows: list[list[object]], names: list[s
     return Table(f"/{topic}", np.array(times, dtype=np.int64), columns, {"TimeUS": "us"})
 
 
-def read_usd(path: Path, stamp: Stamp | None, notes: list[str]) -> Iterator[Table]:
+def read_usd(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Events of a Crazyflie's SD-card log, versions 1 and 2 of Bitcraze's documentation.
 
     Raises:
