@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
+from functools import reduce
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -48,6 +50,49 @@ def test_links_lead_somewhere(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
     missing = [link for link in links if "://" not in link and not (page.parent / link).exists()]
     assert missing == []
+
+
+def find_name(name: str) -> object:
+    """A module, or what it holds: a function, a class, a value.
+
+    Raises:
+        AttributeError: if there is none.
+    """
+    module, rest = name, ""
+    while True:
+        try:
+            found: object = import_module(module)
+            break
+        except ModuleNotFoundError:
+            module, _, last = module.rpartition(".")
+            rest = f"{last}.{rest}" if rest else last
+    return reduce(getattr, rest.split(".") if rest else [], found)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_that_pages_name_exists(page: Path) -> None:
+    """Names of the package, files of the repository, scripts and their options."""
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"`(vpptwin(?:\.\w+)*\.\w{2,})`", text):  # a file `vpptwin.h` is none
+        find_name(name)
+    paths = re.findall(r"`((?:vpptwin|models|benchmarks|tests|demo)/[\w./-]+\.\w+)`", text)
+    scripts = re.findall(r"\b(?:python|pytest) ((?:benchmarks|tests|examples)/[\w/]+\.py)([^`\n]*)", text)
+    assert [path for path in [*paths, *(script for script, _ in scripts)] if not (ROOT / path).exists()] == []
+    for script, options in scripts:
+        known = "".join(p.read_text() for p in [ROOT / script, *(ROOT / script).parent.glob("*/*.py")])
+        assert [o for o in re.findall(r"--[a-z][\w-]*", options.split("#")[0]) if f'"{o}"' not in known] == [], script
+
+
+def test_the_whole_paper_is_on_its_page() -> None:
+    """Every equation, figure and table that the paper labels."""
+    paper = ROOT.parent / "shared/paper.tex"
+    if not paper.exists():
+        pytest.skip("needs ../shared/paper.tex")
+    labels = set(re.findall(r"\\label\{(\w+)\}", paper.read_text(encoding="utf-8")))
+    labels = {label for label in labels if not label.startswith("sec_")} - {"Adaptive_Actuator_Controller"}
+    told = (ROOT / "docs/paper.md").read_text(encoding="utf-8")
+    assert len(labels) == 18
+    assert {label for label in labels if f"`{label}`" not in told} == set()
 
 
 def test_the_citation_is_of_this_version() -> None:

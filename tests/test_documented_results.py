@@ -56,11 +56,15 @@ def test_a_picture_is_the_one_that_its_record_draws(picture: str, folder: Path) 
     assert (ROOT / "docs/pictures" / picture).read_text() == (folder / picture).read_text(), RECORDED[PICTURES[picture]]
 
 
-def test_the_picture_of_a_flight_is_the_one_that_its_command_draws(tmp_path: Path) -> None:
+@pytest.mark.parametrize("picture", ["flight.svg", "policy_flip.svg"])
+def test_the_picture_of_a_flight_is_the_one_that_its_commands_draw(tmp_path: Path, picture: str) -> None:
     """The same words, and lines within a hundredth of its size: another machine rounds otherwise."""
-    log = str(ROOT / "demo/flights/flip.mcap")
-    assert main(["plot", log, "--twin", "nominal", "--out", str(tmp_path / "flight.svg")]) == 0
-    texts = [path.read_text(encoding="utf-8") for path in (tmp_path / "flight.svg", ROOT / "docs/pictures/flight.svg")]
+    log = ROOT / "demo/flights/flip.mcap"
+    if picture == "policy_flip.svg":
+        log = tmp_path / "flip.mcap"
+        assert main(["fly", "flip", "--out", str(log)]) == 0
+    assert main(["plot", str(log), "--twin", "nominal", "--out", str(tmp_path / picture)]) == 0
+    texts = [path.read_text(encoding="utf-8") for path in (tmp_path / picture, ROOT / "docs/pictures" / picture)]
     words, lines = zip(*((re.findall(r">([^<>]+)</text>", text), re.findall(r' d="([^"]+)"', text)) for text in texts))
     assert words[0] == words[1]
     drawn, kept = (np.array([float(n) for n in re.findall(r"-?[\d.]+", " ".join(found))]) for found in lines)
