@@ -15,6 +15,7 @@ from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
 from vpptwin.logs.tables import Table, Wish
 
 _ROWS = 1 << 16  # rows converted at once
+_BUFFER = 1 << 16  # bytes of a column read at once
 _ROWS_OF_SETS = ("index", "frame_index", "episode_index", "task_index")  # bookkeeping of LeRobot
 
 
@@ -35,7 +36,7 @@ def read_rows(
     pa = load_extra("pyarrow", path)
     parquet = load_extra("pyarrow.parquet", path)
     try:
-        content = parquet.ParquetFile(file)
+        content = parquet.ParquetFile(file, pre_buffer=False, buffer_size=_BUFFER)  # else all of it is held
         unit: str | None = None
         units: dict[str, str] = {}
         given = dict(zip(part_units(content.schema_arrow.names, units), content.schema_arrow.names))

@@ -167,20 +167,18 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
 
     def note(recording: Recording, channel: RawChannel) -> None:
         joints = is_joint_state(channel.message_type)
-        rows: slice | np.ndarray = slice(None)
-        last = stamp = np.zeros(0, np.int64)
+        last, rising = np.zeros(0, np.int64), False
+        stamp = rows = last
         try:
             found = list(list_joints(recording, channel.topic) if joints else list_columns(recording, channel))
         except (InputError, LayoutError):  # messages of many shapes, of which no twin names a field
             return
         for signal in found:
             if signal.time is not last:  # signals of one topic share their time
-                last = stamp = signal.time
-                if not (last[1:] > last[:-1]).all():
-                    stamp, rows = np.unique(last, return_index=True)
-                else:
-                    rows = slice(None)
-            values = signal.values[rows].astype(float, copy=False)
+                last = signal.time
+                rising = bool((last[1:] > last[:-1]).all())
+                stamp, rows = (last, rows) if rising else np.unique(last, return_index=True)
+            values = (signal.values if rising else signal.values[rows]).astype(float, copy=False)
             key = signal.topic, signal.field, signal.name
             stretches.setdefault(key, []).append(look(stamp, values))
             first.setdefault(key, replace(signal, time=stamp, values=values))
@@ -194,12 +192,10 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
     if not first:
         raise InputError(f"{recording.path} holds no numbers over time", "a log with signals", "check what recorded it")
     start = min(int(signal.time[0]) for signal in first.values())
-    times: dict[int, np.ndarray] = {}
-    signals = []
-    for key, signal in first.items():
-        time = times.setdefault(id(signal.time), (signal.time - start) / 1e9)
-        signals.append(replace(signal, time=time, stretches=tuple(stretches[key])))
-    return recording, signals
+    stamps = {id(signal.time): signal.time for signal in first.values()}
+    times = {key: (stamp - start) / 1e9 for key, stamp in stamps.items()}
+    told = {key: tuple(parts) for key, parts in stretches.items()}
+    return recording, [replace(s, time=times[id(s.time)], stretches=told[key]) for key, s in first.items()]
 
 
 def list_joints(recording: Recording, topic: str) -> Iterator[Signal]:
