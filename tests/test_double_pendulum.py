@@ -141,9 +141,10 @@ def test_the_lower_link_is_heavier_than_identified(logs: dict[str, Log]) -> None
     assert fit["late"] < 0.0
 
 
-@pytest.mark.parametrize("name", ["00", pytest.param("13", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["00", "13"])
 def test_the_verdict_says_nothing_that_is_excluded(folder: Path, tmp_path: Path, name: str) -> None:
-    """About 20 s each: there is a gap, and no cause is sure that the fit by hand excludes."""
+    """One to two minutes each: there is a gap, and no cause is sure that the fit by hand excludes."""
     convert(folder / f"design_A_{name}.csv", tmp_path / "log.mcap")
     assert main(["diagnose", str(tmp_path / "log.mcap"), "--twin", str(TWIN), "--out", str(tmp_path / "out")]) == 0
     verdict = json.loads((tmp_path / "out/verdict.json").read_text())

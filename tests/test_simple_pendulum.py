@@ -139,6 +139,7 @@ def verdict(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
     return json.loads((out / "out/verdict.json").read_text())
 
 
+@pytest.mark.slow
 def test_dry_friction_is_named(verdict: dict) -> None:
     """It is there, with its size, and in a log in which somebody pushed it is suggested, not sure."""
     named = {cause["effect"]: cause for cause in verdict["causes"]}
@@ -146,6 +147,7 @@ def test_dry_friction_is_named(verdict: dict) -> None:
     assert named["pendulum.coulomb"]["confidence"] < SURE
 
 
+@pytest.mark.slow
 def test_the_push_is_not_explained(verdict: dict) -> None:
     """No law of a joint or motor gives 12 J: there is a gap, something is left, and nothing excluded is sure."""
     assert verdict["gap"]

@@ -359,7 +359,7 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
 def test_costs_go_to_whoever_called() -> None:
     """The 2 s of numpy count where it was called from: 1.5 s in the likelihood, 0.5 s in the reader of logs."""
     costs = load("costs")
-    algebra = (str(costs.PACKAGE / "diagnosis/likelihood.py"), 1, "whiten")
+    algebra = (str(costs.PACKAGE / "diagnosis/search/likelihood.py"), 1, "whiten")
     reading = (str(costs.PACKAGE / "logs/read.py"), 1, "read")
     numpy = ("~", 0, "<built-in method numpy>")
     stats = {
