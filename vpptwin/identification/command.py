@@ -166,10 +166,7 @@ def compose_twin_file(spec: TwinSpec, found: FlightFit, origin: Provenance, out:
     """The twin with the fitted values, as YAML's plain data."""
     content = name_twin(spec, out.parent)
     content["effects"] = extend_effects(spec, {key: e.value for key, e in found.values.items()})
-    intervals = {
-        ".".join(key): [round_digits(e.value + side * SIGMAS_90 * e.std) for side in (-1.0, 1.0)]
-        for key, e in found.values.items()
-    }
+    intervals = {".".join(key): [round_digits(end) for end in e.interval] for key, e in found.values.items()}
     content["provenance"] = {
         "command": origin.command, "date": origin.date, "versions": origin.versions, "logs": origin.logs,
         "intervals_90_percent": intervals,
@@ -182,7 +179,7 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
     console = open_console(110)
     table = Table("parameter", "value", "90 % interval", "in the twin", "unit", box=None)
     for key, e in found.values.items():
-        low, high = e.value - SIGMAS_90 * e.std, e.value + SIGMAS_90 * e.std
+        low, high = e.interval
         table.add_row(".".join(key), f"{e.value:.4g}", f"{low:.4g} to {high:.4g}", f"{e.nominal:.4g}", e.unit)
     console.print(table)
     for first, second, likeness in found.alike:

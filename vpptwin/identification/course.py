@@ -14,7 +14,6 @@ from vpptwin import __version__
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.diagnosis.report.words import format_value, join_words
-from vpptwin.effects import SIGMAS_90
 from vpptwin.identification.free_flight import FlightFit
 from vpptwin.identification.trend import LEAST, STAYS, Trend
 
@@ -74,13 +73,8 @@ class Course:
         """Numbers of the flights whose whole 90 % interval is outside of the band."""
         if self.band is None:
             return []
-        ends = {i: interval(value) for i, value in enumerate(self.values) if value is not None}
+        ends = {i: value.interval for i, value in enumerate(self.values) if value is not None}
         return [i for i, (low, high) in ends.items() if high < self.band[0] or low > self.band[1]]
-
-
-def interval(value: Estimate) -> tuple[float, float]:
-    """Its 90 % interval."""
-    return value.value - SIGMAS_90 * value.std, value.value + SIGMAS_90 * value.std
 
 
 @dataclass(frozen=True)
@@ -213,7 +207,7 @@ class Record:
             "effect": course.effect, "parameter": course.parameter, "meaning": course.meaning,
             "unit": find_unit(course).strip(),
             "values": [
-                None if v is None else {"value": v.value, "std": v.std, "interval_90": list(interval(v))}
+                None if v is None else {"value": v.value, "std": v.std, "interval_90": list(v.interval)}
                 for v in course.values
             ],
             "trend": trend, "band": course.band and list(course.band),

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.effects import SIGMAS_90
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,11 @@ class Estimate:
     unit: str
     std: float
     nominal: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its 90 % interval."""
+        return self.value - SIGMAS_90 * self.std, self.value + SIGMAS_90 * self.std
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import yaml
 from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.provenance import Provenance
-from vpptwin.effects import SIGMAS_90, find_effect
+from vpptwin.effects import find_effect
 from vpptwin.installed import list_installed
 from vpptwin.resources import models_dir
 from vpptwin.twin.signals import NO_SIGNALS
@@ -32,7 +32,7 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
     """The diagnosed twin with the effects of the extended one as YAML, which names its files from `folder`."""
     content = name_twin(spec, folder) | {"effects": effects}
     intervals = {
-        f"{cause.effect}.{name}": [round_digits(e.value + side * SIGMAS_90 * e.std) for side in (-1.0, 1.0)]
+        f"{cause.effect}.{name}": [round_digits(end) for end in e.interval]
         for cause in verdict.causes
         for name, e in cause.parameters.items()
     }
