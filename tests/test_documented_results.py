@@ -20,7 +20,7 @@ RECORDED = {
     "loop": f"close_the_loop.py --report {LOOP} --picture OUT/loop.svg",
     "hidden_8001": "hidden_effects.py --report benchmarks/results/hidden_8001.json --pictures OUT",
     "hidden_52716": "hidden_effects.py --report benchmarks/results/hidden_52716.json",
-    "other_81580": "hidden_effects.py --rigs other --report benchmarks/results/other_81580.json",
+    "other_94414": "hidden_effects.py --rigs other --report benchmarks/results/other_94414.json",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
 }
 """What prints a record's tables and draws its pictures."""
@@ -84,7 +84,7 @@ def read_section(page: str, words: str) -> str:
     return section
 
 
-@pytest.mark.parametrize("name", ["hidden_8001", "hidden_52716", "other_81580"])
+@pytest.mark.parametrize("name", ["hidden_8001", "hidden_52716", "other_94414"])
 def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
     """Every `a of b` that README and docs/benchmarks.md claim for it is one that its command prints."""
     printed = set(re.findall(r"\d+ of \d+", replay_record(name, folder)))

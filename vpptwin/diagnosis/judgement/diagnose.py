@@ -36,7 +36,6 @@ from vpptwin.diagnosis.search.information import choose_judges, measure_informat
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
-from vpptwin.effects import Stage as EffectStage
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, read_measurements
@@ -285,18 +284,8 @@ def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Mis
 
 
 def estimate(unknown: Unknown, fit: Fit) -> Estimate:
-    """A fitted parameter with its unit and uncertainty.
-
-    The standard deviation is that of the fit, tempered as evidence is, and for the strength of an effect what its law
-    may be wrong by.
-    """
-    criteria = fit.frame.criteria
-    value, std = fit.values[unknown.key], np.sqrt(criteria.temper) * fit.std[unknown.key]
-    if unknown.parameter is unknown.effect.parameters[0]:
-        friction = unknown.effect.stage is EffectStage.FRICTION
-        share = criteria.inexact_friction if friction else criteria.inexact
-        std = np.hypot(std, share * abs(value if unknown.is_limit else value - unknown.nominal))
-    return Estimate(float(value), unknown.parameter.unit, float(std), float(unknown.nominal))
+    """A fitted parameter with its unit and uncertainty."""
+    return Estimate(fit.values[unknown.key], unknown.parameter.unit, fit.stated_std(unknown), float(unknown.nominal))
 
 
 def rank_first(selection: Selection, search: Search) -> list[tuple[str, float]]:

@@ -215,7 +215,7 @@ def is_faint(search: Search, fit: Fit, effect: str) -> bool:
     if all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return True
     away = abs(fit.values[own[0].key] - own[0].nominal)
-    return trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * fit.std[own[0].key]
+    return trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * fit.stated_std(own[0])
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:

@@ -60,6 +60,16 @@ class Fit:
         """Every parameter where it is likeliest: those of the effects, the others within their tolerance."""
         return self.tolerated | self.values
 
+    def stated_std(self, unknown: Unknown) -> float:
+        """Standard deviation as reported: tempered as evidence is; of a strength also what its law may be wrong by."""
+        criteria = self.frame.criteria
+        std = float(np.sqrt(criteria.temper)) * self.std[unknown.key]
+        if unknown.parameter is not unknown.effect.parameters[0]:
+            return std
+        share = criteria.inexact_friction if unknown.effect.stage is Stage.FRICTION else criteria.inexact
+        value = self.values[unknown.key]
+        return float(np.hypot(std, share * abs(value if unknown.is_limit else value - unknown.nominal)))
+
     def evidence_against(self, other: Fit) -> float:
         """By how much the other costs more: twice the log of how much likelier this one is.
 
