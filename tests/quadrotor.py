@@ -39,10 +39,7 @@ signals:
   sites: {imu: /imu}
   actuators: {m1: /motors, m2: /motors, m3: /motors, m4: /motors}
 effects:
-  m1.lag: {time_constant: 0.03}
-  m2.lag: {time_constant: 0.03}
-  m3.lag: {time_constant: 0.03}
-  m4.lag: {time_constant: 0.03}
+  m1+m2+m3+m4.lag: {time_constant: 0.03}
 """
 Hidden = Mapping[str, Mapping[str, float]]
 """Effect -> parameter -> value, in the catalogue's terms."""

@@ -213,11 +213,14 @@ def test_predictions_and_the_extended_twin_know_the_body(spec: TwinSpec, tmp_pat
     assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
 
 
-def test_a_weak_motor_is_named(spec: TwinSpec) -> None:
-    """7 % less thrust of motor 2 on three flights of 12 s: first, with its size; held-out errors fall to a third."""
-    hidden = {"m2.gain": {"gain": 0.93}}
+@pytest.mark.parametrize(
+    ("weak", "named"), [((2,), "m2.gain"), pytest.param((1, 2, 3, 4), "m1+m2+m3+m4.gain", marks=pytest.mark.slow)]
+)
+def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str) -> None:
+    """7 % less thrust of one motor or of all of them on three flights of 12 s: first, with its size."""
+    hidden = {f"m{i}.gain": {"gain": 0.93} for i in weak}
     verdict = diagnose(spec, [fly(hidden, 12.0, 100 + i) for i in range(3)]).verdict
-    assert verdict.causes[0].effect == "m2.gain"
+    assert verdict.causes[0].effect == named
     gain = verdict.causes[0].parameters["gain"]
     assert abs(gain.value - 0.93) < max(3.0 * gain.std, 0.01)
     assert verdict.before.angle_rmse_rad is not None

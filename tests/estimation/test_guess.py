@@ -111,9 +111,9 @@ def test_guesses_of_flying_bodies_are_never_wrong(shared_data: Path, name: str, 
     """Attitude, position, angles, gyro and accelerometer of a Crazyflie, with their units and signs."""
     total = [0, 0, 0]
     for log in sorted((shared_data / name).glob(pattern)):
-        for line, sure in tell_body("cf2", survey(log)[1]):
-            good = any(re.match(rf"cf2 {known}", line) for known in TRUE_OF_BODIES)
-            total[(0 if good else 2) if sure else 1] += 1
+        for told in tell_body(survey(log)[1]):
+            good = any(re.match(known, told.text) for known in TRUE_OF_BODIES)
+            total[(0 if good else 2) if told.sure else 1] += 1
     assert total[2] == 0
     assert tuple(total) == read_table()[name]
 

@@ -86,7 +86,9 @@ def hold(spec: TwinSpec) -> Held:
             hold_bias(held, model, effect, site.dof, values["force"])
         elif effect.stage is not Stage.CONSTANT:
             held.lost.append((effect, "a law that MuJoCo lacks"))
-        elif any(name.startswith("actuator.") for name in effect.writes) and effect.target not in names:
+        elif any(name.startswith("actuator.") for name in effect.writes) and not {effect.target, *effect.members} & set(
+            names
+        ):
             held.lost.append((effect, "ctrl is thrust there, not blade pitch"))
         elif any(name in ("actuator.rate_limit", "actuator.gap") for name in effect.writes):
             held.lost.append((effect, "no actuator of MuJoCo has it"))
@@ -96,7 +98,8 @@ def hold(spec: TwinSpec) -> Held:
             for name in set(effect.writes) - set(constants):
                 owner = model.opt if name.startswith("opt.") else model
                 constants[name] = np.array(getattr(owner, name.removeprefix("opt.")))[None]
-            effect.apply(constants, site, **{name: np.array([value]) for name, value in values.items()})
+            for place in spec.robot.list_sites(effect):
+                effect.apply(constants, place, **{name: np.array([value]) for name, value in values.items()})
             hold_fields(held, effect, constants, spec)
     for i, name in enumerate(names):
         if any(("actuator", name, attribute) in held.reasons for attribute in OF_ACTUATORS.values()):
@@ -135,7 +138,8 @@ def hold_fields(held: Held, effect: Effect, constants: Mapping[str, np.ndarray],
         elif name == "opt.gravity":
             held.put(effect, "option", "", gravity=constants[name][0])
         elif name.startswith("actuator."):
-            held.reasons["actuator", effect.target, OF_ACTUATORS[name]] = [effect]
+            for actuator in effect.members or (effect.target,):
+                held.reasons.setdefault(("actuator", actuator, OF_ACTUATORS[name]), []).append(effect)
         else:
             held.lost.append((effect, f"{name} of a compiled model"))
 

@@ -121,6 +121,8 @@ class Criteria:
     sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "issue 20")
     least_seen: float = assumed(0.4, "", "share of a cause's force that inverse dynamics must see", "issue 20")
     most_seen: float = assumed(2.5, "", "share of it that it may see at most", "issue 20")
+    obeyed: float = assumed(0.25, "", "share of what moves a joint below which inputs in the log do not explain it",
+        "issue 22, a quadrotor's PWM at a fifth of its controller's rate")
     late: float = assumed(0.01, "s", "by which a log's accelerations may be late", "issue 20: a low pass at 16 Hz")
     distorted: float = assumed(0.03, "", "share by which they may be too small or too large", "issue 20")
     blurred: float = assumed(0.7, "", "share of a force's square left in its mean over 75 ms; below, it is blurred",

@@ -28,8 +28,8 @@ def apply_delay(constants: Constants, site: Site, /, delay: np.ndarray) -> None:
 
 
 def apply_lag(constants: Constants, site: Site, /, time_constant: np.ndarray) -> None:
-    """First-order lag of the actuator, replacing its nominal time constant [s]."""
-    constants["actuator.time_constant"][:, site.actuator] = time_constant
+    """First-order lag of the actuator [s]."""
+    constants["actuator.time_constant"][:, site.actuator] += time_constant
 
 
 def apply_rate_limit(constants: Constants, site: Site, /, rate: np.ndarray) -> None:
@@ -79,15 +79,20 @@ def list_servo_effects(gain: float, stiffness: float, damping: float) -> tuple[E
     return (TRACKING,) if gain and damping == -gain else ()
 
 
-def attach(effect: Effect, actuator: str, typical: float = 1.0, room: float = 1.0) -> Effect:
+def attach(
+    effect: Effect, actuator: str, typical: float = 1.0, room: float = 1.0, members: tuple[str, ...] = ()
+) -> Effect:  # fmt: skip
     """An effect below, which any actuator may have, as that of one whose inputs are about `typical` [ctrl].
 
-    So are its look-alikes. What is in units of the input is scaled, with `room` times as much between its bounds.
+    So are its look-alikes. What is in units of the input is scaled, with `room` times as much between its bounds. With
+    `members` it is that of all of these alike: their battery, their make.
     """
     parameters = tuple(scale_input(p, typical, room) if p.unit.startswith("ctrl") else p for p in effect.parameters)
+    whose = f"all of {', '.join(members)} alike" if members else f"actuator {actuator}"
     return replace(
-        effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of actuator {actuator}", target=actuator,
+        effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of {whose}", members=members,
         look_alikes=tuple(f"{actuator}.{kind}" for kind in effect.look_alikes), parameters=parameters,
+        target="" if members else actuator,
     )  # fmt: skip
 
 

@@ -191,6 +191,7 @@ class Effect:
         look_alikes: ids that are hard to tell from it.
         writes: names of the constants it changes (CONSTANT effects declare every one).
         target: the joint, actuator or body it acts on, "" for the craft.
+        members: names of the actuators that a CONSTANT effect acts on alike, all in the place of one `target`.
         needs: joints and bodies that the model must have besides those of the planar craft.
         dissipative: it can only take energy out.
         modifies: ids of effects that it only modifies: without any of them it does nothing.
@@ -210,6 +211,7 @@ class Effect:
     look_alikes: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     target: str = ""
+    members: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     dissipative: bool = False
     modifies: tuple[str, ...] = ()

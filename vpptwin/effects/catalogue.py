@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 from vpptwin.effects import actuator, air, airframe, flex, friction, joint, motor, rail, rotor, sensing, servo, timing
 from vpptwin.effects.base import Effect
@@ -96,6 +97,9 @@ GENERIC_ACTUATOR: tuple[Effect, ...] = (
 )  # fmt: skip
 """What becomes a.gain, a.delay and so on of actuator a of any rig."""
 
+GENERIC_GROUP = tuple(replace(effect, look_alikes=()) for effect in (actuator.GAIN, actuator.DELAY, actuator.LAG))
+"""What becomes a+b+c.gain and so on of rotors that are alike: one battery and one make may be off for all of them."""
+
 
 def generic_place(
     name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, **known: float
@@ -108,7 +112,7 @@ def generic_place(
 
 def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
-    servos: Mapping[str, tuple[Effect, ...]] | None = None,
+    servos: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -117,6 +121,7 @@ def effects_for_rig(
         actuators: name → a typical control input; 1 where nobody knows.
         room: factor on the bounds of what is in units of such an input.
         servos: name → what that one may have besides what every actuator may, as `actuator.list_servo_effects` tells.
+        groups: names of actuators that are alike; what one has of its own comes after what all have.
     """
     effects = []
     for place in joints:
@@ -124,6 +129,9 @@ def effects_for_rig(
         for make, alike in GENERIC_JOINT:
             if make.__name__ not in barred:
                 effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))
+    for group in groups:
+        size = max(actuators[name] for name in group)
+        effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(servos or {}).get(name, ()))
         effects += [actuator.attach(effect, name, size, room) for effect in own]

@@ -4,19 +4,80 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
-from vpptwin.estimation.guess import SLOPE, compare_lag, compare_slope, is_commanded, resample, split_words
+from vpptwin.estimation.guess import (
+    SLOPE,
+    Guess,
+    compare_lag,
+    compare_slope,
+    is_commanded,
+    is_derived,
+    resample,
+    split_words,
+)
 from vpptwin.fields import UNITS
 from vpptwin.logs.survey import Signal
+from vpptwin.twin.model import find_free
 
 AXES = ("x", "y", "z")
 REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
 GRAVITIES = (("m/s^2", 1.0), ("g", UNITS["g"][1]), ("mg", UNITS["mg"][1]))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What signals of a body are: `quantity`, in `unit` ("" for SI or none), in words, and whether that is sure."""
+
+    quantity: str
+    text: str
+    sure: bool
+    signals: tuple[Signal, ...]
+    unit: str = ""
+
+
+def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess]:
+    """The likeliest signals of every free body, and of the IMU that is a site on it.
+
+    What a tracker saw comes before what an estimator made of it.
+    """
+    guesses = []
+    for joint in find_free(model):
+        index = int(model.jnt_bodyid[joint])
+        told = list(tell_body(signals))
+        sites = [model.site(i).name for i in range(model.nsite) if model.site_bodyid[i] == index]
+        imus = [name for name in sites if "imu" in split_words(name)] or sites[: len(sites) == 1]
+        body = Guess(model.body(index).name, "bodies")
+        take(body, [each for each in told if each.quantity in ("position", "attitude")])
+        missing = {"position", "attitude"} - set(body.vectors)
+        body.doubts += [f"no {kind} in the log looks like its" for kind in sorted(missing)]
+        guesses.append(body)
+        for name in imus[:1]:
+            guess = Guess(name, "sites")
+            take(guess, [each for each in told if each.quantity == "rate"])
+            guesses += [guess] * bool(guess.vectors)
+        body.reasons += [f"{'also' if each.sure else 'perhaps'} {each.text}" for each in told if not each.quantity]
+    for guess in guesses:
+        guess.sure = not guess.doubts
+    return guesses
+
+
+def take(guess: Guess, told: Sequence[Told]) -> None:
+    """Give a body or an IMU the likeliest of what its signals may be, all from one topic."""
+    ranked = sorted(told, key=lambda each: (not each.sure, any(is_derived(signal) for signal in each.signals)))
+    for each in ranked:
+        topics = {signals[0].topic for signals in guess.vectors.values()}
+        if each.quantity in guess.vectors or topics - {each.signals[0].topic}:
+            continue
+        guess.vectors[each.quantity] = each.signals
+        (guess.reasons if each.sure else guess.doubts).append(each.text)
+        if each.unit:
+            guess.units[each.quantity] = each.unit
 
 
 def find_groups(signals: Sequence[Signal], axes: Sequence[str]) -> dict[str, list[Signal]]:
@@ -29,29 +90,30 @@ def find_groups(signals: Sequence[Signal], axes: Sequence[str]) -> dict[str, lis
     return {stem: [group[axis] for axis in axes] for stem, group in groups.items() if len(group) == len(axes)}
 
 
-def tell_body(body: str, signals: Sequence[Signal]) -> Iterator[tuple[str, bool]]:
-    """Lines on what a body's signals are, and whether each is sure."""
+def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
+    """What a body's signals are: position, attitude and rate, and, without a quantity, what shows the same."""
     attitudes = {}
     for stem, group in find_groups([s for s in signals if not is_commanded(s)], (*AXES, "w")).items():
         norms = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
         off = float(np.nanmax(np.abs(norms - 1.0)))
         if off < 0.02:
             attitudes[stem] = group
-            yield f"{body} attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)", True
+            text = f"attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)"
+            yield Told("attitude", text, True, (group[3], *group[:3]))
     triples = find_groups([s for s in signals if not is_commanded(s)], AXES)
-    yield from tell_positions(body, {stem: g for stem, g in triples.items() if stem + "q" not in attitudes})
+    yield from tell_positions({stem: g for stem, g in triples.items() if stem + "q" not in attitudes})
     for stem, group in find_groups(signals, ("roll", "pitch", "yaw")).items():
         if attitudes and not any(is_commanded(signal) for signal in group):
-            yield tell_angles(body, stem, group, next(iter(attitudes.values())))
+            yield tell_angles(stem, group, next(iter(attitudes.values())))
     for stem, group in triples.items():
         words = set(split_words(stem.split(" ", 1)[1]))
         if words & {"gyro", "gyr"} and attitudes:
-            yield tell_gyro(body, stem, group, next(iter(attitudes.values())))
+            yield tell_gyro(stem, group, next(iter(attitudes.values())))
         elif words & {"acc", "accel", "acceleration"} and words & {"imu", "accel", "accelerometer"}:
-            yield tell_gravity(body, stem, group)
+            yield tell_gravity(stem, group)
 
 
-def tell_positions(body: str, triples: Mapping[str, list[Signal]]) -> Iterator[tuple[str, bool]]:
+def tell_positions(triples: Mapping[str, list[Signal]]) -> Iterator[Told]:
     """Positions, each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
@@ -64,16 +126,17 @@ def tell_positions(body: str, triples: Mapping[str, list[Signal]]) -> Iterator[t
         base = name[:-1] if name.endswith("p") else name
         velocity = triples.get(f"{topic} {base}v")
         if velocity is None:
-            yield f"{body} position: {stem}x, y, z by name alone", False
+            yield Told("position", f"position: {stem}x, y, z by name alone", False, tuple(group))
             continue
         tests = [compare_slope(p, v) for p, v in zip(group, velocity)]
         shares = [share for r, share in tests if np.isfinite(r) and r > SLOPE]
         good = len(shares) >= 2 and all(0.6 < share < 1.6 for share in shares)
         numbers = ", ".join(f"{share:.2f} (r {r:.2f})" for r, share in tests)
-        yield f"{body} position: {stem}x, y, z, velocity {base}vx, vy, vz; shares of the slope {numbers}", good
+        text = f"position: {stem}x, y, z, velocity {base}vx, vy, vz; shares of the slope {numbers}"
+        yield Told("position", text, good, tuple(group))
 
 
-def tell_gyro(body: str, stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> tuple[str, bool]:
+def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> Told:
     """In which unit a gyro turns with the attitude."""
     time = attitude[0].time
     period = float(np.median(np.diff(time)))
@@ -98,11 +161,12 @@ def tell_gyro(body: str, stem: str, group: Sequence[Signal], attitude: Sequence[
     unit = next((u for u, one in TURNS if strong and all(0.6 < share * one < 1.6 for share in strong)), "")
     numbers = ", ".join(f"{share:.3g} (r {r:.2f})" for r, share in results)
     sure = bool(unit) and len(strong) == 3
-    told = f"{body} gyro: {stem}x, y, z in {unit or 'no known unit'}; shares of the turning {numbers}"
-    return told + (f", {1e3 * lag:.0f} ms after the attitude" if lag else ""), sure
+    text = f"gyro: {stem}x, y, z in {unit or 'no known unit'}; shares of the turning {numbers}"
+    text += f", {1e3 * lag:.0f} ms after the attitude" if lag else ""
+    return Told("rate", text, sure, tuple(group), "" if unit == "rad/s" else unit)
 
 
-def tell_angles(body: str, stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> tuple[str, bool]:
+def tell_angles(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) -> Told:
     """In which unit roll, pitch and yaw show the attitude, and which of them with the other sign."""
     x, y, z, w = (signal.values for signal in attitude)
     euler = (
@@ -124,12 +188,12 @@ def tell_angles(body: str, stem: str, group: Sequence[Signal], attitude: Sequenc
     )
     turned = [name for name, (r, _) in zip(("roll", "pitch", "yaw"), shares) if r < -SLOPE]
     numbers = ", ".join(f"{share:.3g} (r {r:.2f})" for r, share in shares)
-    told = f"{body} angles: {stem}roll, pitch, yaw in {unit or 'no known unit'}"
+    told = f"angles: {stem}roll, pitch, yaw in {unit or 'no known unit'}"
     told += f", {' and '.join(turned)} with the other sign" if turned else ""
-    return f"{told}; shares of the attitude {numbers}", bool(unit) and len(strong) == 3
+    return Told("", f"{told}; shares of the attitude {numbers}", bool(unit) and len(strong) == 3, tuple(group))
 
 
-def tell_gravity(body: str, stem: str, group: Sequence[Signal]) -> tuple[str, bool]:
+def tell_gravity(stem: str, group: Sequence[Signal]) -> Told:
     """In which unit an accelerometer shows gravity where it is stillest."""
     norm = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
     width = max(round(REST_S * group[0].rate), 2)
@@ -140,5 +204,7 @@ def tell_gravity(body: str, stem: str, group: Sequence[Signal]) -> tuple[str, bo
         if np.median(norm[i : i + width]) > 0.0
     )
     unit = next((unit for unit, one in GRAVITIES if 0.9 < rest * one / 9.80665 < 1.1), "")
-    told = f"{body} accelerometer: {stem}x, y, z shows {rest:.4g} at rest (spread {spread:.2g})"
-    return f"{told}, so it is in {unit}" if unit else f"{told}: no gravity in any unit", bool(unit)
+    told = f"accelerometer: {stem}x, y, z shows {rest:.4g} at rest (spread {spread:.2g})"
+    return Told(
+        "", f"{told}, so it is in {unit}" if unit else f"{told}: no gravity in any unit", bool(unit), tuple(group)
+    )

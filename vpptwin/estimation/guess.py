@@ -17,6 +17,7 @@ WORDS = {
     "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate gyro vx vy vz wx wy wz",
     "effort": "tau torque torques effort efforts force moment thrust current",
     "position": "pos position positions q qpos angle angles theta state",
+    "drive": "pwm throttle duty motor motors rotor rotors",
 }
 """Quantity → words in names that tell it, the first that matches."""
 COMMANDED = {
@@ -35,11 +36,12 @@ FAR = {"rad": 2.0 * np.pi, "m": 5.0}
 
 @dataclass
 class Guess:
-    """What one joint or actuator may be in the log.
+    """What one joint, actuator, free body or IMU may be in the log.
 
     Attributes:
-        target: its name; `group` is joints or actuators.
+        target: its name; `group` is joints, actuators, bodies or sites.
         fields: position, velocity or effort → the signal.
+        vectors: position, attitude or rate of a body → its signals, in one topic.
         units: likewise, where it is not SI.
         sure: whether there is no doubt.
         reasons: what speaks for it, with numbers.
@@ -49,6 +51,7 @@ class Guess:
     target: str
     group: str
     fields: dict[str, Signal] = field(default_factory=dict)
+    vectors: dict[str, tuple[Signal, ...]] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     sure: bool = False
     reasons: list[str] = field(default_factory=list)
@@ -119,7 +122,7 @@ def is_control(signal: Signal, servo: bool) -> bool:
     if signal.name:
         return signal.field == ("position" if servo and is_commanded(signal) else "effort")
     quantity = tell_quantity(signal)
-    return is_commanded(signal) and quantity in ("position", "") if servo else quantity == "effort"
+    return is_commanded(signal) and quantity in ("position", "") if servo else quantity in ("effort", "drive")
 
 
 def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
@@ -255,7 +258,12 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     limits = model.actuator_ctrlrange[actuator] if model.actuator_ctrllimited[actuator] else None
     check_range(guess, "effort", 1.0, limits)
     if not is_servo(model, actuator):
-        if not command.name and not is_commanded(command):
+        if tell_quantity(command) == "drive":
+            low, high = command.whole.low, command.whole.high
+            guess.doubts.append(
+                f"{command.label} goes from {low:.4g} to {high:.4g}: how much force is that? a scale or polynomial"
+            )
+        elif not command.name and not is_commanded(command):
             guess.doubts.append(f"{command.label} may be measured, not commanded")
     elif moved is not None:
         correlation, lag = compare_lag(command, moved)

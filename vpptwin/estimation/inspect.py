@@ -8,13 +8,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import yaml
 from rich.table import Table as RichTable
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.free_body import tell_body
+from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import Guess, guess_signals
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
@@ -23,6 +22,9 @@ from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.topic_map import slash
 from vpptwin.terminal import open_console
 from vpptwin.twin.model import compile_model
+
+WHAT = {"joints": "joint", "bodies": "body", "sites": "site", "actuators": "actuator"}
+WANTED = {"joints": "position", "bodies": "position: , attitude", "sites": "rate", "actuators": "effort"}
 
 
 def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> list[Guess]:
@@ -51,19 +53,13 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
         return []
     path = find_model(model)
     compiled = compile_model(path)
-    guesses = guess_signals(compiled, first)
-    bodies = [
-        line
-        for joint in range(compiled.njnt)
-        if compiled.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        for line in tell_body(compiled.body(int(compiled.jnt_bodyid[joint])).name or "the free body", first)
-    ]
+    guesses = [*guess_signals(compiled, first), *guess_bodies(compiled, first)]
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
-    print_guesses(guesses, bodies)
+    print_guesses(guesses)
     target = out or Path(f"{path.stem}_twin.yaml")
     if target.resolve() in [path.resolve(), *(file.resolve() for flight in flights for file in find_files(flight))]:
         raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
-    write_whole(target, compose_twin(path, target, str(flights[0]), guesses, bodies))
+    write_whole(target, compose_twin(path, target, str(flights[0]), guesses))
     print(f"wrote {target}")
     return guesses
 
@@ -85,20 +81,19 @@ def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -
         console.print(note)
 
 
-def print_guesses(guesses: Sequence[Guess], bodies: Sequence[tuple[str, bool]]) -> None:
-    """One row for each joint and actuator."""
+def print_guesses(guesses: Sequence[Guess]) -> None:
+    """One row for each joint, actuator, body and IMU."""
     table = RichTable(title="what they may be", title_justify="left")
     for head in ("of the model", "in the log", "how sure", "why"):
         table.add_column(head, overflow="fold")
     for guess in guesses:
-        found = ", ".join(f"{quantity}: {signal.title}" for quantity, signal in guess.fields.items()) or "-"
-        sure = "sure" if guess.sure else "a doubt" if guess.fields else "missing"
+        found = {quantity: signal.title for quantity, signal in guess.fields.items()} | {
+            quantity: " ".join(signal.label for signal in signals) for quantity, signals in guess.vectors.items()
+        }
+        sure = "sure" if guess.sure else "a doubt" if found else "missing"
         said = "; ".join([*guess.reasons, *(f"BUT {doubt}" for doubt in guess.doubts)])
-        table.add_row(f"{guess.target} ({guess.group[:-1]})", found, sure, said)
-    for line, clear in bodies:
-        what, _, told = line.partition(": ")
-        found, _, why = told.partition("; ")
-        table.add_row(what, found, "sure" if clear else "a doubt", why)
+        shown = ", ".join(f"{quantity}: {title}" for quantity, title in found.items())
+        table.add_row(f"{guess.target} ({WHAT[guess.group]})", shown or "-", sure, said)
     open_console().print(table)
 
 
@@ -114,21 +109,17 @@ def ask(guesses: Sequence[Guess]) -> list[Guess]:
     return list(guesses)
 
 
-def compose_twin(
-    model: Path, target: Path, log: str, guesses: Sequence[Guess], bodies: Sequence[tuple[str, bool]]
-) -> str:
+def compose_twin(model: Path, target: Path, log: str, guesses: Sequence[Guess]) -> str:
     """A twin YAML with a comment at each guess; what is unknown is commented out."""
     relative = os.path.relpath(model.resolve(), target.resolve().parent)
     lines = [f"# Written by vpptwin inspect from {one_line(log)}; lines with DOUBT want a look.",
              f"model: {yaml.safe_dump(relative).splitlines()[0]}"]  # fmt: skip
-    if any(guess.group == "joints" for guess in guesses):
-        lines.append("signals:")
-        for group in ("joints", "actuators"):
-            own = [guess for guess in guesses if guess.group == group]
-            empty = " {}" if not any(guess.fields for guess in own) else ""
-            if own:
-                lines += [f"  {group}:{empty}", *(compose_line(guess) for guess in own)]
-    lines += [f"# {'' if sure else 'DOUBT: '}{one_line(line)}" for line, sure in bodies]
+    lines += ["signals:"] * bool(guesses)
+    for group in WHAT:
+        own = [guess for guess in guesses if guess.group == group]
+        empty = " {}" if not any(guess.fields or guess.vectors for guess in own) else ""
+        if own:
+            lines += [f"  {group}:{empty}", *(compose_line(guess) for guess in own)]
     return "\n".join(lines) + "\n"
 
 
@@ -136,18 +127,22 @@ def compose_line(guess: Guess) -> str:
     """One entry of `signals`, with what speaks for it and against it."""
     said = "; ".join([*guess.reasons, *(f"DOUBT: {doubt}" for doubt in guess.doubts)])
     name = yaml.safe_dump(guess.target).splitlines()[0]
-    if not guess.fields:
-        return f"    # {name}: {{topic: , {'position' if guess.group == 'joints' else 'effort'}: }}  # {one_line(said)}"
-    (topic,) = {signal.topic for signal in guess.fields.values()} or {""}
-    signals = list(guess.fields.values())
-    if all(s.name == guess.target and s.field == quantity for quantity, s in guess.fields.items()):
+    if not (guess.fields or guess.vectors):
+        return f"    # {name}: {{topic: , {WANTED[guess.group]}: }}  # {one_line(said)}"
+    signals = [*guess.fields.values(), *(signal for vector in guess.vectors.values() for signal in vector)]
+    (topic,) = {signal.topic for signal in signals}
+    if not guess.vectors and all(
+        s.name == guess.target and s.field == quantity for quantity, s in guess.fields.items()
+    ):
         return f"    {name}: {yaml.safe_dump(topic).splitlines()[0]}  # {one_line(said)}"
     if any(signal.name for signal in signals):
         return f"    # {name}: {topic}  # called {signals[0].name} in the log; rename it in the MJCF; {one_line(said)}"
     entry: dict[str, object] = {"topic": slash(topic).removeprefix("/")}
-    for quantity, signal in guess.fields.items():
+    paths: dict[str, str | list[str]] = {quantity: signal.field for quantity, signal in guess.fields.items()}
+    paths |= {quantity: [signal.field for signal in vector] for quantity, vector in guess.vectors.items()}
+    for quantity, path in paths.items():
         unit = guess.units.get(quantity)
-        entry[quantity] = {"path": signal.field, "unit": unit} if unit else signal.field
+        entry[quantity] = {"path": path, "unit": unit} if unit else path
     text = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True).strip()
     return f"    {name}: {text}  # {one_line(said)}"
 

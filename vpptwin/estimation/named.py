@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.errors import InputError
+from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import guess_signals
 from vpptwin.estimation.inspect import compose_twin, print_guesses
 from vpptwin.estimation.models import find_model
@@ -30,8 +31,9 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
     """
     path = find_model(model)
     log = list_flights(logs[0])[0]
-    guesses = guess_signals(compile_model(path), survey(log)[1])
-    print_guesses(guesses, ())
+    compiled, signals = compile_model(path), survey(log)[1]
+    guesses = [*guess_signals(compiled, signals), *guess_bodies(compiled, signals)]
+    print_guesses(guesses)
     doubts = [f"{guess.target}: {doubt}" for guess in guesses for doubt in guess.doubts]
     if doubts or not guesses:
         found = (
@@ -40,7 +42,7 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
         action = f"run `vpptwin inspect {log} --model {model}`, correct what it writes, and give that as --twin"
         raise InputError(found, "none, to go on without a twin YAML", action)
     out = Path(f"{path.stem}_twin.yaml")
-    content = compose_twin(path, out, str(log), guesses, ())
+    content = compose_twin(path, out, str(log), guesses)
     if out.exists() and out.read_text() != content:
         raise InputError(f"{out} is there already, and says something else", "none", f"give --twin {out}, or move it")
     return write_whole(out, content)

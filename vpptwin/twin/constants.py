@@ -34,7 +34,7 @@ class ConstantTable:
         self._batch = batch
         self._effects = [e for e in effects.values() if e.stage is Stage.CONSTANT]
         self._by_id = effects
-        self._sites = {e.id: spec.robot.locate(e) for e in self._effects}
+        self._sites = {e.id: spec.robot.list_sites(e) for e in self._effects}
         columns = kernel.pipeline.columns
         self.parameters = np.zeros((num_sims, len(columns)))
         for effect in spec.catalogue:
@@ -116,7 +116,8 @@ class ConstantTable:
         }
         for effect in self._effects:
             parameters = {p.name: self.values[effect.id, p.name][rows] for p in effect.parameters}
-            effect.apply(fresh, self._sites[effect.id], **parameters)
+            for site in self._sites[effect.id]:
+                effect.apply(fresh, site, **parameters)
         for name, values in fresh.items():
             self.table[name][slice(None) if whole else rows] = values
         if self._derives:

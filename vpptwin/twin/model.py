@@ -180,6 +180,17 @@ def free_bodies(model: mujoco.MjModel) -> list[int]:
     return [int(model.jnt_bodyid[i]) for i in find_free(model)]
 
 
+def group_rotors(model: mujoco.MjModel) -> list[tuple[str, ...]]:
+    """Names of rotors that are alike, three or more at sites of one body, with like gears and laws."""
+    groups: dict[tuple[float, ...], list[str]] = {}
+    for i in range(model.nu):
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_SITE and model.actuator(i).name:
+            body = model.site_bodyid[model.actuator_trnid[i, 0]]
+            law = *np.abs(model.actuator_gear[i]), *model.actuator_gainprm[i, :3], *model.actuator_biasprm[i, :3]
+            groups.setdefault((body, *law), []).append(model.actuator(i).name)
+    return [tuple(group) for group in groups.values() if len(group) > 2]
+
+
 def tell_rotary(model: mujoco.MjModel) -> np.ndarray:
     """Which degrees of freedom are angles, (nv,) bool."""
     rotary = np.array([model.jnt_type[joint] in (HINGE, BALL) for joint in model.dof_jntid])

@@ -20,7 +20,7 @@ from vpptwin.effects import Effect, FreeBody, Site, effects_for_body, effects_fo
 from vpptwin.effects.actuator import list_servo_effects
 from vpptwin.errors import InputError
 from vpptwin.twin.manifold import FREE
-from vpptwin.twin.model import compile_model, describe_joints, find_free, tell_rotary, typical_forces
+from vpptwin.twin.model import compile_model, describe_joints, find_free, group_rotors, tell_rotary, typical_forces
 from vpptwin.twin.signals import NO_SIGNALS, Signals, check_signals
 from vpptwin.vehicle import Vehicle
 
@@ -201,16 +201,18 @@ class Robot:
         of_bodies = (effect for body in self.list_free() for effect in effects_for_body(body))
         loops = np.column_stack([model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3]])
         servos = {name: list_servo_effects(*map(float, loop)) for name, loop in zip(names, loops)}
+        alike = group_rotors(model)
         if loads is None:
             unit = {name: 1.0 for name in names if name}
-            return (*effects_for_rig([generic_place(*joint) for joint in joints], unit, servos=servos), *of_bodies)
+            places = [generic_place(*joint) for joint in joints]
+            return (*effects_for_rig(places, unit, servos=servos, groups=alike), *of_bodies)
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return (*effects_for_rig(places, controls, 1.0, servos), *of_bodies)
+        return (*effects_for_rig(places, controls, 1.0, servos, alike), *of_bodies)
 
     def list_free(self) -> list[FreeBody]:
         """The bodies that nothing holds, with what is typical of them."""
@@ -237,6 +239,10 @@ class Robot:
         """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""
         raise KeyError(key)
 
+    def list_sites(self, effect: Effect) -> list[Site]:
+        """Every place where an effect acts: several for actuators that are alike."""
+        return [self.locate(replace(effect, target=name)) for name in effect.members or (effect.target,)]
+
     def locate(self, effect: Effect) -> Site:
         """Indices of the place in the model where an effect acts."""
         model = self.model
@@ -260,7 +266,7 @@ class Robot:
         model = self.model
         names = [model.actuator(i).name for i in range(model.nu)]
         joint = mujoco.mjtTrn.mjTRN_JOINT
-        acting = [i for i, name in enumerate(names) if name == effect.target] or [
+        acting = [i for i, name in enumerate(names) if name in (effect.target, *effect.members)] or [
             i for i in range(model.nu) if model.actuator_trntype[i] == joint
             and model.actuator_trnid[i, 0] == model.dof_jntid[dof]
         ]  # fmt: skip

@@ -46,8 +46,9 @@ def find_part(robot: Robot, effect: Effect) -> Part:
     if site.dof >= 0:
         joint = int(model.dof_jntid[site.dof])
         return Part(frozenset({int(model.jnt_bodyid[joint])}), frozenset({joint}))
-    if site.actuator >= 0:
-        return Part(actuators=frozenset({site.actuator}))
+    actuators = frozenset(each.actuator for each in robot.list_sites(effect)) - {-1}
+    if actuators:
+        return Part(actuators=actuators)
     driven = effect.writes and not set(effect.writes) & {*PERFECT, *dir(model), "opt.gravity"}
     if not effect.target and (effect.stage is Stage.THRUST or driven):
         return Part(actuators=frozenset(range(model.nu)))

@@ -1,14 +1,19 @@
-"""What an error of a torque sensor would look the same as: said of constant forces and gains, where inputs act."""
+"""What an error of a torque sensor would look the same as, and inputs that do not explain what moves."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import CARTS, DECAYS, write_rig
-from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, list_inputs
+from tests.quadrotor import fly, write_twin
+from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_weak_inputs, list_inputs
 from vpptwin.effects import find_effect
+from vpptwin.estimation.measurements import read_measurements
 from vpptwin.twin.model import compile_model
 from vpptwin.twin.spec import load_twin
 
@@ -50,3 +55,15 @@ def test_all_that_drive_a_joint_are_named(joint: str, inputs: list[str], tmp_pat
     """Two motors on one joint, and a winch that pulls at both."""
     (tmp_path / "pair.xml").write_text(PAIR)
     assert list_inputs(compile_model(tmp_path / "pair.xml"), joint) == inputs
+
+
+def test_inputs_that_do_not_explain_the_motion_are_told(tmp_path: Path) -> None:
+    """A quadrotor's thrusts explain what lifts and turns it; those of two seconds later but its weight."""
+    spec = load_twin(write_twin(tmp_path))
+    measured = read_measurements(spec, fly({}, 8.0, 3))
+    assert describe_weak_inputs(spec, [measured], CRITERIA) == []
+    command = measured.command
+    late = replace(command, value=np.roll(command.value, int(2.0 * len(command.value) / measured.duration), axis=0))
+    (said,) = describe_weak_inputs(spec, [replace(measured, command=late)], CRITERIA)
+    assert all(f"% on quad {way}" in said for way in ("roll", "pitch"))
+    assert "quad z" not in said

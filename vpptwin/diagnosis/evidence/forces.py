@@ -54,13 +54,13 @@ class Forces:
     missing: np.ndarray
 
 
-def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements]) -> Forces:
-    """Inverse dynamics of the twin's MJCF, none of its effects on, along every log."""
-    parts = [measure_log(spec, log, i, MOST // len(measurements)) for i, log in enumerate(measurements)]
+def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
+    """Inverse dynamics of the twin's MJCF, none of its effects on, along every log; inputs act `late` [s]."""
+    parts = [measure_log(spec, log, i, MOST // len(measurements), late) for i, log in enumerate(measurements)]
     return Forces(*(np.concatenate(rows) for rows in zip(*parts)))
 
 
-def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int) -> tuple[np.ndarray, ...]:
+def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: float) -> tuple[np.ndarray, ...]:
     """The rows of `Forces` of one log, at most so many."""
     model = spec.model
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
@@ -74,7 +74,7 @@ def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int) -> tup
     pose, velocity = around[1]
     acceleration = (around[2][1] - around[0][1]) / (2.0 * REACH)
     edges = times[:, None] + np.array([-REACH, REACH])
-    control = average_held(log.command, edges)[:, 0]
+    control = average_held(log.command, edges - late)[:, 0]
     inertial, actuator, missing = invert(model, pose, velocity, acceleration, control)
     return np.full(len(times), index), times, pose, velocity, control, inertial, actuator, missing
 

@@ -26,7 +26,7 @@ from vpptwin.diagnosis.judgement.contradiction import weigh_causes
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover, share_left
-from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error
+from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_weak_inputs
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Misfit, Unexplained, Verdict
@@ -259,6 +259,11 @@ def conclude(
         misfit=find_misfit(held_out, fit.values, after.chi2) if missed else None,
         warnings=list(denied.values())
         + [doubts[effect].format(effect) for effect in sorted(doubts)]
+        + (
+            describe_weak_inputs(spec, material.measurements, search.criteria)
+            if missed and search.bench.guessed
+            else []
+        )
         + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
         + [
             told

@@ -1,14 +1,24 @@
-"""Causes that errors of a log's inputs would look the same as: offset and gain of what a torque sensor shows."""
+"""What a log's inputs may be wrong by: causes that would look the same, and inputs that do not explain the motion."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
+from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.evidence.forces import measure_forces
 from vpptwin.effects import Effect
 from vpptwin.effects.actuator import apply_gain
 from vpptwin.effects.joint import apply_bias
+from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec
+
+LATE = (0.0, 0.03, 0.06)
+"""By which inputs may act late [s], drives' own lag in it."""
+DRIVEN = 0.05
+"""Share of the force that motion asks for from which inputs drive a degree of freedom at all."""
 
 
 def describe_input_error(spec: TwinSpec, effect: Effect) -> str:
@@ -19,7 +29,8 @@ def describe_input_error(spec: TwinSpec, effect: Effect) -> str:
     if spec.robot.disturbance.known:
         return ""
     if effect.apply is apply_gain:
-        return f"{effect.id}: a log that shows the input of {effect.target} wrong by that factor would look the same"
+        whose = " and ".join(effect.members) or effect.target
+        return f"{effect.id}: a log that shows the input of {whose} wrong by that factor would look the same"
     if effect.apply is not apply_bias:
         return ""
     inputs = list_inputs(spec.model, effect.target)
@@ -38,3 +49,26 @@ def list_inputs(model: mujoco.MjModel, joint: str) -> list[str]:
         if data.qfrc_actuator[dof] != still:
             found.append(model.actuator(i).name or f"actuator {i}")
     return found
+
+
+def describe_weak_inputs(
+    spec: TwinSpec, measurements: Sequence[Measurements], criteria: Criteria
+) -> list[str]:  # fmt: skip
+    """A warning of what moves otherwise than the inputs in the logs say; none where they explain what they drive.
+
+    Inverse dynamics: squared cosine between the force that motion asks for and that of the inputs, which may be late.
+    """
+    found = []
+    for late in LATE:
+        forces = measure_forces(spec, measurements, late)
+        asked, given = forces.missing + forces.actuator, forces.actuator
+        sizes = (asked**2).sum(axis=0), (given**2).sum(axis=0)
+        with np.errstate(invalid="ignore"):
+            found.append((asked * given).sum(axis=0) ** 2 / (sizes[0] * sizes[1]))
+            found[-1][sizes[1] <= DRIVEN**2 * sizes[0]] = np.nan
+    best = np.max(found, axis=0)
+    best[list(measurements[0].driven)] = np.nan
+    weak = [f"{share:.0%} on {spec.robot.name_dof(dof)}" for dof, share in enumerate(best) if share < criteria.obeyed]
+    told = f"the inputs in these logs explain but {', '.join(weak)} of the force that motion asks for: "
+    why = "they may change faster than they are logged, or be asked for and not what acted; causes there are guesses"
+    return [told + why] if weak else []
