@@ -258,8 +258,10 @@ def test_bad_models_of_the_drone_are_refused(write: Writer, model: str, found: s
     ],
 )
 def test_bad_models_of_other_rigs_are_refused(write: Writer, joint: str, rest: str, found: str) -> None:
-    """A rig that a twin can't follow is refused in one line that says what one can."""
-    refuse(write(OWN, own_xml=FREE_BODY.format(joint=joint, rest=rest)), found)
+    """A rig that a twin can't follow is refused in one line that says what one can, as docs/twin.md does."""
+    expected = refuse(write(OWN, own_xml=FREE_BODY.format(joint=joint, rest=rest)), found)
+    if "slide" not in expected and "joint" not in found:
+        assert f"| {expected} |" in (Path(__file__).parents[2] / "docs/twin.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -364,14 +366,15 @@ def test_unknown_effect_or_parameter_of_a_twin_raises() -> None:
         twin.set_parameter("rail_z.coulomb", "force", 0.1)
 
 
-def refuse(path: Path, found: str) -> None:
-    """Loading raises InputError with a single line that matches `found`."""
+def refuse(path: Path, found: str) -> str:
+    """Loading raises InputError with a single line that matches `found`; what it says to be expected."""
     with pytest.raises(InputError, match=f"(?s){found}") as caught:
         load_twin(path)
     line = str(caught.value)
     assert "\n" not in line
     assert "; expected " in line
     assert caught.value.action
+    return caught.value.expected
 
 
 def test_model_is_looked_up_beside_the_file(tmp_path: Path) -> None:
