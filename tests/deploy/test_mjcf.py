@@ -43,7 +43,7 @@ EXACT = (
     "slide.bias: {force: 0.3}", "swing.offset: {angle: 0.1}",
     "motor.gain: {gain: 0.9}", "servo.gain: {gain: 0.8}", "motor.delay: {delay: 0.0063}",
     "motor.saturation: {limit: 0.2}, motor.gain: {gain: 1.4}", "servo.delay: {delay: 0.02}",
-    "servo.stiffness: {stiffness: 0.7}, servo.damping: {damping: 0.5}, servo.gain: {gain: 0.9}",
+    "servo.stiffness: {stiffness: 0.7}, servo.strength: {strength: 0.5}, servo.gain: {gain: 0.9}",
 )  # fmt: skip
 """Effects that MuJoCo holds as they are."""
 ROUNDED = 1e-6

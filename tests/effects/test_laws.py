@@ -245,20 +245,20 @@ def test_elastic_mode() -> None:
 
 
 def test_servos() -> None:
-    """By hand: kp (u - q) - kv v softer and freer, kv (u - v) weaker; what feeds nothing back is no servo."""
+    """By hand: kp (u - q) - kv v weaker, softer and freer, kv (u - v) weaker; what feeds nothing back is no servo."""
     gain, bias = np.zeros((2, 2, 10)), np.zeros((2, 2, 10))
     gain[:, 0, 0], bias[:, 0, :3] = 6.0, (0.1, -6.0, -0.4)
     gain[:, 1, 0], bias[:, 1, :3] = 5.0, (0.0, 0.0, -5.0)
     table = {"actuator_gainprm": gain, "actuator_biasprm": bias}
     laws = {site: list_servo_effects(gain[0, site, 0], *bias[0, site, 1:3]) for site in (0, 1)}
-    assert [effect.id for effect in laws[0]] == ["stiffness", "damping"]
+    assert [effect.id for effect in laws[0]] == ["strength", "stiffness", "damping"]
     assert [effect.id for effect in laws[1]] == ["damping"]
     assert list_servo_effects(20.0, 0.0, 0.0) == list_servo_effects(2.0, -3.0, 0.0) == ()
     for site, effects in laws.items():
         for effect in effects:
             effect.apply(table, Site(actuator=site), **{effect.id: np.array([0.5, 1.0])})
-    np.testing.assert_array_equal(gain[:, :, 0], [[3.0, 2.5], [6.0, 5.0]])
-    np.testing.assert_array_equal(bias[:, 0, :3], [[0.1, -3.0, -0.2], [0.1, -6.0, -0.4]])
+    np.testing.assert_array_equal(gain[:, :, 0], [[1.5, 2.5], [6.0, 5.0]])
+    np.testing.assert_array_equal(bias[:, 0, :3], [[0.1, -1.5, -0.1], [0.1, -6.0, -0.4]])
     np.testing.assert_array_equal(bias[:, 1, :3], [[0.0, 0.0, -2.5], [0.0, 0.0, -5.0]])
 
 

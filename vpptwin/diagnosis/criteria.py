@@ -90,7 +90,7 @@ class Criteria:
         "50 at 71b4e15, 25 since e1272d1")
     bars_powerless: float = by_hand(2.0, "bar", "that name an effect which they cannot judge", "71b4e15")
     clear_of_off: float = calibrated(3.0, "sigma", "by which the strength of a cause must leave its nominal, as stated",
-        "sessions of other rigs, seeds 81580 and 94414: of 33 causes that were nearer none was hidden")
+        "sessions of other rigs, seeds 81580 and 94414 at cf753d8: of 33 causes that were nearer none was hidden")
     judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
         "issue 20, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")

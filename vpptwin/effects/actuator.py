@@ -60,6 +60,12 @@ def apply_damping(constants: Constants, site: Site, /, damping: np.ndarray) -> N
     constants["actuator_biasprm"][:, site.actuator, 2] *= damping
 
 
+def apply_strength(constants: Constants, site: Site, /, strength: np.ndarray) -> None:
+    """Force of a position servo times this, stiffness and damping alike."""
+    apply_stiffness(constants, site, strength)
+    apply_damping(constants, site, strength)
+
+
 def apply_tracking(constants: Constants, site: Site, /, damping: np.ndarray) -> None:
     """Force of a velocity servo times this."""
     constants["actuator_gainprm"][:, site.actuator, 0] *= damping
@@ -75,7 +81,7 @@ def list_servo_effects(gain: float, stiffness: float, damping: float) -> tuple[E
         damping: force per velocity, likewise; that of a velocity servo is -gain.
     """
     if gain and stiffness == -gain:
-        return (STIFFNESS, DAMPING) if damping else (STIFFNESS,)
+        return (STRENGTH, STIFFNESS, DAMPING) if damping else (STIFFNESS,)
     return (TRACKING,) if gain and damping == -gain else ()
 
 
@@ -178,5 +184,9 @@ DAMPING = Effect(
     ),
     stage=Stage.CONSTANT, apply=apply_damping, shows=ACTUATOR_SHOWS, look_alikes=(),
     writes=("actuator_biasprm",), follows="command change",
+)  # fmt: skip
+STRENGTH = replace(
+    STIFFNESS, id="strength", summary="a wrong strength of the servo", equation="(kp, kv) × strength",
+    parameters=(replace(STIFFNESS.parameters[0], name="strength"),), apply=apply_strength, look_alikes=("stiffness",),
 )  # fmt: skip
 TRACKING = replace(DAMPING, apply=apply_tracking, writes=STIFFNESS.writes, follows="command")

@@ -8,11 +8,12 @@ import mujoco
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
-from vpptwin.diagnosis.evidence.forces import measure_forces
+from vpptwin.diagnosis.evidence.forces import REACH, measure_forces
 from vpptwin.effects import Effect
 from vpptwin.effects.actuator import apply_gain
 from vpptwin.effects.joint import apply_bias
 from vpptwin.estimation.measurements import Measurements
+from vpptwin.twin.model import inertia_at_rest
 from vpptwin.twin.spec import TwinSpec
 
 LATE = (0.0, 0.03, 0.06)
@@ -56,19 +57,29 @@ def describe_weak_inputs(
 ) -> list[str]:  # fmt: skip
     """A warning of what moves otherwise than the inputs in the logs say; none where they explain what they drive.
 
-    Inverse dynamics: squared cosine between the force that motion asks for and that of the inputs, which may be late.
+    Inverse dynamics: squared cosine between the force that motion asks for and that of the inputs, which may be late,
+    without what noise of the measured rates makes of the former. Where that is most of it, nothing is said.
     """
-    found = []
+    found, carried = [], np.diag(inertia_at_rest(spec.model))
+    rough = (
+        np.array([noise_of_rate(measurements, dof) for dof in range(spec.model.nv)]) * carried / (np.sqrt(2.0) * REACH)
+    )
     for late in LATE:
         forces = measure_forces(spec, measurements, late)
         asked, given = forces.missing + forces.actuator, forces.actuator
-        sizes = (asked**2).sum(axis=0), (given**2).sum(axis=0)
-        with np.errstate(invalid="ignore"):
-            found.append((asked * given).sum(axis=0) ** 2 / (sizes[0] * sizes[1]))
-            found[-1][sizes[1] <= DRIVEN**2 * sizes[0]] = np.nan
+        sizes = (asked**2).mean(axis=0) - rough**2, (given**2).mean(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found.append((asked * given).mean(axis=0) ** 2 / (sizes[0] * sizes[1]))
+        found[-1][~(sizes[0] > rough**2) | (sizes[1] <= DRIVEN**2 * sizes[0])] = np.nan
     best = np.max(found, axis=0)
     best[list(measurements[0].driven)] = np.nan
     weak = [f"{share:.0%} on {spec.robot.name_dof(dof)}" for dof, share in enumerate(best) if share < criteria.obeyed]
     told = f"the inputs in these logs explain but {', '.join(weak)} of the force that motion asks for: "
     why = "they may change faster than they are logged, or be asked for and not what acted; causes there are guesses"
     return [told + why] if weak else []
+
+
+def noise_of_rate(measurements: Sequence[Measurements], dof: int) -> float:
+    """Standard deviation of a measured rate [m/s, rad/s]; nan where none is measured in all logs."""
+    rates = [log.velocities.get(dof) for log in measurements]
+    return float(np.sqrt(np.mean([np.nan if rate is None else rate.std**2 for rate in rates])))
