@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from ctypes import CFUNCTYPE, c_int64
+from dataclasses import dataclass
+from functools import cached_property
+from textwrap import indent
 from typing import Any
 
 import mujoco
@@ -20,8 +23,11 @@ from vpptwin.engine.compile import KEPT, c_function
 from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
-from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View
+from vpptwin.engine.tree import FUNCTIONS, Pose, Reach, Shape, Tree
+from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View, foresee_actuators
 from vpptwin.progress import tell_wait
+from vpptwin.twin.fused import write_fused
+from vpptwin.twin.layout import Layout
 from vpptwin.twin.pipeline import Function, Pipeline, fingerprint, write_pipeline
 from vpptwin.twin.step import Rig, Row, Tape
 
@@ -29,7 +35,7 @@ CONTEXT = np.dtype(
     [(name, np.int64) for name in (
         "vehicle", "layer", "constants", "parameters", "memory", "effects", "scratch", "active", "dry", "driven",
         "counter", "policy", "steps", "segments", "command", "speed", "throttle", "push", "lead", "qpos", "qvel",
-        "rotor_speed",
+        "rotor_speed", "fields", "static", "time", "state_qpos", "state_qvel", "warmstart", "stuck",
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
@@ -39,7 +45,33 @@ CALLS = {
     "step_rig": "step_rig(rig, view, row, tape, k)",
 }
 """Inner steps of `vpptwin.twin.step` by name, as the callback calls them."""
+FLY = CFUNCTYPE(None, c_int64, c_int64, c_int64, c_int64)
+"""A function that steps a range of simulations."""
 READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
+
+ROW = """\
+row = Row(
+    carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
+    carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
+    float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
+    float64_at(context.memory + (2 + {nv}) * 8 * i, 2 + {nv}),
+    float64_at(context.effects + {states} * 8 * i, {states}),
+    float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
+)
+steps = context.steps
+commands = 1 if context.policy else steps
+tape = Tape(
+    context.policy != 0,
+    float64_table_at(context.command + commands * {nu} * 8 * i, commands, {nu}),
+    float64_table_at(context.speed + steps * {nu} * 8 * i, steps if context.speed else 0, {nu}),
+    float64_table_at(context.throttle + steps * {nu} * 8 * i, steps if context.throttle else 0, {nu}),
+    float64_table_at(context.push + context.segments * {nv} * 8 * i, context.segments, {nv}),
+    float64_table_at(context.lead + steps * {nv} * 8 * i, steps if context.lead else 0, {nv}),
+    float64_at(context.driven, {nv}),
+    steps,
+)
+"""
+"""Lines that make the row and the tape of simulation i out of a context."""
 
 # As text, since sizes and offsets of a model are numbers in it: loops over joints unroll, numba keeps a file per model.
 # MuJoCo calls it in the middle of a step: passive forces and bias are there, actuators' and constraints' are to come.
@@ -62,26 +94,7 @@ def control(m, d):
         data_numbers[{time}], model_numbers[{timestep}],
 {view}
     )
-    row = Row(
-        carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
-        carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
-        float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
-        float64_at(context.memory + (2 + {nv}) * 8 * i, 2 + {nv}),
-        float64_at(context.effects + {states} * 8 * i, {states}),
-        float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
-    )
-    steps = context.steps
-    commands = 1 if context.policy else steps
-    tape = Tape(
-        context.policy != 0,
-        float64_table_at(context.command + commands * {nu} * 8 * i, commands, {nu}),
-        float64_table_at(context.speed + steps * {nu} * 8 * i, steps if context.speed else 0, {nu}),
-        float64_table_at(context.throttle + steps * {nu} * 8 * i, steps if context.throttle else 0, {nu}),
-        float64_table_at(context.push + context.segments * {nv} * 8 * i, context.segments, {nv}),
-        float64_table_at(context.lead + steps * {nv} * 8 * i, steps if context.lead else 0, {nv}),
-        float64_at(context.driven, {nv}),
-        steps,
-    )
+{row}
     counter = int64_at(context.counter, i + 1)
     k = counter[i]
     counter[i] = k + 1
@@ -97,20 +110,43 @@ def control(m, d):
 
 @dataclass(frozen=True)
 class Kernel:
-    """The compiled step for one model and catalogue.
+    """The compiled step for one model and catalogue; compiled when it is first asked for.
 
     Attributes:
         pipeline: the effects' part of it.
-        callback: the C function for MuJoCo's control callback.
         layer: dtype of the actuators' state.
         constants: dtype of the constants.
+        entry: text of the function that MuJoCo's control callback is.
+        fused: text of the function that steps without MuJoCo; None for a model that needs it.
     """
 
     pipeline: Pipeline
-    callback: Any
     layer: np.dtype
     constants: np.dtype
-    keep: Any
+    entry: str
+    fused: str | None
+
+    @cached_property
+    def callback(self) -> Any:  # noqa: ANN401
+        """The C function for MuJoCo's control callback."""
+        return self._compile(self.entry, "control", FUNCTION)
+
+    @cached_property
+    def fly(self) -> Any:  # noqa: ANN401
+        """The C function that steps a range of simulations: address of a context, first, one past the last, room."""
+        assert self.fused is not None
+        return self._compile(self.fused, "fly", FLY)
+
+    def _compile(self, entry: str, name: str, kind: Any) -> Any:  # noqa: ANN401
+        source = self.pipeline.source + entry
+        dtypes = {"LAYER": self.layer, "CONSTANTS": self.constants}
+        key = fingerprint(source, str(dtypes), functions=list(self.pipeline.functions.values()))
+        if key not in _KERNELS:
+            if kind is FUNCTION:
+                check_step()
+            function = compile_entry(source, name, key, self.pipeline, dtypes)
+            _KERNELS[key] = kind(int(function.address or 0)), function
+        return _KERNELS[key][0]
 
     def scratch_shape(self, count: int, nv: int) -> tuple[int, int, int]:
         """Shape of the room that `count` simulations need."""
@@ -122,13 +158,14 @@ def scratch_rows(nv: int) -> int:
     return 6 + 2 * nv
 
 
-_KERNELS: dict[str, Kernel] = {}
+_KERNELS: dict[str, tuple[Any, Any]] = {}
 
 
-def compile_kernel(
-    model: mujoco.MjModel, catalogue: Sequence[Effect], step: str, carriage: int, depth: int, adaptive: bool = False
-) -> Kernel:
-    """The compiled step of a catalogue on a model; compiled once per process, and once per machine where files last.
+def write_kernel(
+    model: mujoco.MjModel, catalogue: Sequence[Effect], step: str, carriage: int, depth: int, adaptive: bool = False,
+    layout: Layout | None = None,
+) -> Kernel:  # fmt: skip
+    """The step of a catalogue on a model, compiled once per process, and once per machine where files last.
 
     Args:
         model: of the twin.
@@ -137,17 +174,22 @@ def compile_kernel(
         carriage: index of the body that carries a guide, -1 without one.
         depth: commands that the delay line holds.
         adaptive: whether the actuators' controller learns.
+        layout: of a model that can be stepped without MuJoCo.
     """
-    pipeline = write_pipeline(model, catalogue)
-    nu = int(model.nu)
-    dtypes = {"LAYER": layer_dtype(nu, depth, adaptive), "CONSTANTS": constants_dtype(nu)}
-    source = pipeline.source + write_entry(model, pipeline, step, carriage)
-    key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()))
-    if key not in _KERNELS:
-        check_step()
-        _KERNELS[key] = _compile(source, key, pipeline, dtypes)
-    # Another rig may share the machine code, and call parameters by other names: its table is its own.
-    return replace(_KERNELS[key], pipeline=pipeline)
+    pipeline, nu = write_pipeline(model, catalogue), int(model.nu)
+    entry, fused = write_entry(model, pipeline, step, carriage), None
+    if layout is not None:
+        row = indent(write_row(model, pipeline), 8 * " ")
+        fused = write_fused(layout, model, len(pipeline.places), carriage, CALLS[step], row)
+    return Kernel(pipeline, layer_dtype(nu, depth, adaptive), constants_dtype(nu), entry, fused)
+
+
+def write_row(model: mujoco.MjModel, pipeline: Pipeline) -> str:
+    """The lines of `ROW` for a model's sizes."""
+    nv = int(model.nv)
+    return ROW.format(
+        parameters=len(pipeline.columns), states=len(pipeline.starts), scratch=scratch_rows(nv), nv=nv, nu=int(model.nu)
+    )
 
 
 def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: int) -> str:
@@ -160,8 +202,8 @@ def write_entry(model: mujoco.MjModel, pipeline: Pipeline, step: str, carriage: 
         **{name: data_offset(name) // 8 for name in ("userdata", "time")},
         **{name: data_offset(name) // 4 for name in ("nefc", "ncon")},
         "words": WORDS, "mark": MARK, "view": write_view(model), "carriage": carriage, "step": CALLS[step],
-        "parameters": len(pipeline.columns), "states": len(pipeline.starts), "places": len(pipeline.places),
-        "scratch": scratch_rows(nv), "nq": int(model.nq), "nv": nv, "nu": int(model.nu),
+        "places": len(pipeline.places), "nq": int(model.nq), "nv": nv, "nu": int(model.nu),
+        "row": indent(write_row(model, pipeline), 4 * " "),
     }  # fmt: skip
     return ENTRY.format(**arguments)
 
@@ -187,7 +229,8 @@ def write_view(model: mujoco.MjModel) -> str:
     return "\n".join(lines)
 
 
-def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Kernel:
+def compile_entry(source: str, name: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401
+    """The C function of a name that a text defines, kept on disk under a key."""
     file = open_entry(key, source)
 
     # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
@@ -197,17 +240,19 @@ def _compile(source: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dty
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
         "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
-        "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "View": View, "Row": Row, "Rig": Rig, "Tape": Tape,
+        **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape)},
+        **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
+        "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(),
         **pipeline.build(compiled), **dtypes,
     }  # fmt: skip
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
-    signature = types.void(types.voidptr, types.voidptr)
+    signature = types.void(*(types.int64,) * 4) if name == "fly" else types.void(types.voidptr, types.voidptr)
     known = file is not None and any(file.parent.glob(KEPT))
     with nullcontext() if known else tell_wait(COMPILING):
-        function = c_function(signature, keep=file is not None, error_model="numpy")(namespace["control"])
+        function = c_function(signature, keep=file is not None, error_model="numpy")(namespace[name])
     if file is not None:
         seal_entry(file)
-    return Kernel(pipeline, FUNCTION(int(function.address or 0)), dtypes["LAYER"], dtypes["CONSTANTS"], function)
+    return function
 
 
 def delay_depth(effects: Iterable[Effect], dt: float) -> int:

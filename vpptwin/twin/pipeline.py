@@ -278,7 +278,7 @@ def versions() -> str:
 
 
 COMPILED = ("effects/base.py", "actuators/*.py", "engine/*.py", "twin/step.py", "twin/friction.py", "twin/kernel.py",
-            "twin/pipeline.py")  # fmt: skip
+            "twin/fused.py", "twin/pipeline.py")  # fmt: skip
 """Files of this project whose functions are compiled, besides those of the effects."""
 
 

@@ -1,0 +1,365 @@
+"""Hinges and slides in a tree, in numbers of our own: what MuJoCo computes of them in a step without any contact.
+
+MuJoCo spends most of its step on what a small mechanism does not have. Where nothing touches and no end stop is near,
+its inertia, bias and Euler step are these few functions, which numba compiles together with the inner step; they run in
+plain Python too. MuJoCo stays the reference: both are held against each other, and what is not here steps there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+
+
+class Tree(NamedTuple):
+    """How bodies hang together; bodies in MuJoCo's order, degree of freedom j is joint j.
+
+    Attributes:
+        parent: of each body, (nbody,).
+        first: the first joint of each body, (nbody,).
+        last: one past its last, (nbody,).
+        deepest: the last joint on its way from the world, -1 for none, (nbody,).
+        before: the joint before each on that way, -1 for none, (nv,).
+        hinge: whether a joint turns instead of slides, (nv,) bool.
+        seat: body that each actuator pushes at a site, -1 where it drives a joint, (nu,).
+        drives: that joint, (nu,).
+    """
+
+    parent: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    deepest: np.ndarray
+    before: np.ndarray
+    hinge: np.ndarray
+    seat: np.ndarray
+    drives: np.ndarray
+
+
+class Shape(NamedTuple):
+    """The numbers of one simulation's model, with MuJoCo's names; rotations as rows of matrices.
+
+    Attributes:
+        body_pos: (nbody, 3) m.
+        body_mat: (nbody, 9).
+        body_ipos: (nbody, 3) m.
+        body_imat: (nbody, 9).
+        body_mass: (nbody,) kg.
+        body_inertia: (nbody, 3) kg m².
+        jnt_pos: (nv, 3) m.
+        jnt_axis: (nv, 3).
+        qpos0: (nv,).
+        jnt_stiffness: (nv,).
+        qpos_spring: (nv,).
+        dof_damping: (nv,).
+        dof_armature: (nv,).
+        site_pos: of the site that each actuator pushes, (nu, 3) m.
+        gear_force: what it pushes with there, in the body's axes, (nu, 3).
+        gear_torque: likewise, (nu, 3).
+        gear: ratio of one that drives a joint, (nu,).
+    """
+
+    body_pos: np.ndarray
+    body_mat: np.ndarray
+    body_ipos: np.ndarray
+    body_imat: np.ndarray
+    body_mass: np.ndarray
+    body_inertia: np.ndarray
+    jnt_pos: np.ndarray
+    jnt_axis: np.ndarray
+    qpos0: np.ndarray
+    jnt_stiffness: np.ndarray
+    qpos_spring: np.ndarray
+    dof_damping: np.ndarray
+    dof_armature: np.ndarray
+    site_pos: np.ndarray
+    gear_force: np.ndarray
+    gear_torque: np.ndarray
+    gear: np.ndarray
+
+
+class Pose(NamedTuple):
+    """Where everything is, in the world's axes.
+
+    Attributes:
+        place: of the bodies, (nbody, 3) m.
+        turn: of the bodies, (nbody, 9).
+        anchor: of the joints, (nv, 3) m.
+        axis: of the joints, (nv, 3).
+        spin: angular velocity of the bodies, (nbody, 3) rad/s.
+        twist: angular acceleration without that of the joints, (nbody, 3) rad/s².
+        pull: likewise acceleration of the bodies' places, less gravity's, (nbody, 3) m/s².
+        arm: how each joint moves a point, and how it turns, (nv, 3) and (nv, 3) in one, (2, nv, 3).
+    """
+
+    place: np.ndarray
+    turn: np.ndarray
+    anchor: np.ndarray
+    axis: np.ndarray
+    spin: np.ndarray
+    twist: np.ndarray
+    pull: np.ndarray
+    arm: np.ndarray
+
+
+Vector = tuple[float, float, float]
+
+
+@register_jitable(forceinline=True)
+def rotate(turn: np.ndarray, x: float, y: float, z: float) -> Vector:
+    """A vector of a body's axes in the world's; turn (9,)."""
+    return (
+        turn[0] * x + turn[1] * y + turn[2] * z,
+        turn[3] * x + turn[4] * y + turn[5] * z,
+        turn[6] * x + turn[7] * y + turn[8] * z,
+    )
+
+
+@register_jitable(forceinline=True)
+def cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> Vector:
+    """Vector product."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@register_jitable(forceinline=True)
+def multiply(left: np.ndarray, right: np.ndarray, result: np.ndarray) -> None:
+    """Product of two rotations, (9,) each; `result` is none of them."""
+    for i in range(3):
+        for k in range(3):
+            result[3 * i + k] = left[3 * i] * right[k] + left[3 * i + 1] * right[3 + k] + left[3 * i + 2] * right[6 + k]
+
+
+@register_jitable(forceinline=True)
+def turn_about(turn: np.ndarray, axis: np.ndarray, sine: float, cosine: float) -> None:
+    """Turn a body, (9,), about an axis of the world, (3,)."""
+    for k in range(3):  # Rodrigues' formula on every column
+        x, y, z = turn[k], turn[3 + k], turn[6 + k]
+        along = (axis[0] * x + axis[1] * y + axis[2] * z) * (1.0 - cosine)
+        c_x, c_y, c_z = cross(axis[0], axis[1], axis[2], x, y, z)
+        turn[k] = x * cosine + c_x * sine + axis[0] * along
+        turn[3 + k] = y * cosine + c_y * sine + axis[1] * along
+        turn[6 + k] = z * cosine + c_z * sine + axis[2] * along
+
+
+@register_jitable(forceinline=True)
+def shift_pull(spin: np.ndarray, twist: np.ndarray, pull: np.ndarray, x: float, y: float, z: float) -> None:
+    """Acceleration of another point of a body, (3,), from that of one from which it is so far away."""
+    t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], x, y, z)
+    s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], x, y, z)
+    s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
+    pull[0] += t_x + s_x
+    pull[1] += t_y + s_y
+    pull[2] += t_z + s_z
+
+
+@register_jitable(forceinline=True)
+def place_bodies(tree: Tree, shape: Shape, qpos: np.ndarray, qvel: np.ndarray, gravity: np.ndarray, at: Pose) -> None:
+    """Write where bodies and joints are and how bodies are accelerated by velocities alone, gravity upside down."""
+    for i in range(3):  # the rest of the world's row is never written, and is zero
+        at.turn[0, 4 * i] = 1.0
+        at.pull[0, i] = -gravity[i]
+    for b in range(1, len(tree.parent)):
+        p = tree.parent[b]
+        place, turn, spin, twist, pull = at.place[b], at.turn[b], at.spin[b], at.twist[b], at.pull[b]
+        x, y, z = rotate(at.turn[p], shape.body_pos[b, 0], shape.body_pos[b, 1], shape.body_pos[b, 2])
+        multiply(at.turn[p], shape.body_mat[b], turn)
+        for i in range(3):
+            spin[i], twist[i], pull[i] = at.spin[p, i], at.twist[p, i], at.pull[p, i]
+        shift_pull(spin, twist, pull, x, y, z)
+        place[0], place[1], place[2] = at.place[p, 0] + x, at.place[p, 1] + y, at.place[p, 2] + z
+        for j in range(tree.first[b], tree.last[b]):
+            axis, anchor, moved, speed = at.axis[j], at.anchor[j], qpos[j] - shape.qpos0[j], qvel[j]
+            axis[0], axis[1], axis[2] = rotate(turn, shape.jnt_axis[j, 0], shape.jnt_axis[j, 1], shape.jnt_axis[j, 2])
+            x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
+            anchor[0], anchor[1], anchor[2] = place[0] + x, place[1] + y, place[2] + z
+            c_x, c_y, c_z = cross(spin[0], spin[1], spin[2], axis[0] * speed, axis[1] * speed, axis[2] * speed)
+            if tree.hinge[j]:
+                shift_pull(spin, twist, pull, x, y, z)
+                turn_about(turn, axis, np.sin(moved), np.cos(moved))
+                twist[0], twist[1], twist[2] = twist[0] + c_x, twist[1] + c_y, twist[2] + c_z
+                for i in range(3):
+                    spin[i] += axis[i] * speed
+                x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
+                place[0], place[1], place[2] = anchor[0] - x, anchor[1] - y, anchor[2] - z
+                shift_pull(spin, twist, pull, -x, -y, -z)
+            else:
+                d_x, d_y, d_z = axis[0] * moved, axis[1] * moved, axis[2] * moved
+                shift_pull(spin, twist, pull, d_x, d_y, d_z)
+                place[0], place[1], place[2] = place[0] + d_x, place[1] + d_y, place[2] + d_z
+                pull[0], pull[1], pull[2] = pull[0] + 2.0 * c_x, pull[1] + 2.0 * c_y, pull[2] + 2.0 * c_z
+
+
+@register_jitable(forceinline=True)
+def point_arms(tree: Tree, at: Pose, body: int, x: float, y: float, z: float) -> None:
+    """Write how the joints on the way to a body move a point of the world on it, and turn it, into `at.arm`."""
+    j = tree.deepest[body]
+    while j >= 0:
+        axis, moves, turns = at.axis[j], at.arm[0, j], at.arm[1, j]
+        if tree.hinge[j]:
+            away = x - at.anchor[j, 0], y - at.anchor[j, 1], z - at.anchor[j, 2]
+            moves[0], moves[1], moves[2] = cross(axis[0], axis[1], axis[2], away[0], away[1], away[2])
+            turns[0], turns[1], turns[2] = axis[0], axis[1], axis[2]
+        else:
+            moves[0], moves[1], moves[2] = axis[0], axis[1], axis[2]
+            turns[0] = turns[1] = turns[2] = 0.0
+        j = tree.before[j]
+
+
+@register_jitable(forceinline=True)
+def weigh_bodies(tree: Tree, shape: Shape, at: Pose, mass: np.ndarray, bias: np.ndarray) -> None:
+    """Write the joint-space inertia, (nv, nv), and the forces of gravity and velocities, (nv,), as MuJoCo has them."""
+    nv = len(bias)
+    for i in range(nv):
+        bias[i] = 0.0
+        for j in range(nv):
+            mass[i, j] = 0.0
+    for b in range(1, len(tree.parent)):
+        m, own, turn = shape.body_mass[b], shape.body_inertia[b], at.turn[b]
+        if tree.deepest[b] < 0 or (m == 0.0 and own[0] == 0.0 and own[1] == 0.0 and own[2] == 0.0):
+            continue
+        r_x, r_y, r_z = rotate(turn, shape.body_ipos[b, 0], shape.body_ipos[b, 1], shape.body_ipos[b, 2])
+        point_arms(tree, at, b, at.place[b, 0] + r_x, at.place[b, 1] + r_y, at.place[b, 2] + r_z)
+        local = shape.body_imat[b]
+        # Principal axes in the world, and with them the inertia's six numbers.
+        u_x, u_y, u_z = rotate(turn, local[0], local[3], local[6])
+        v_x, v_y, v_z = rotate(turn, local[1], local[4], local[7])
+        w_x, w_y, w_z = rotate(turn, local[2], local[5], local[8])
+        xx = own[0] * u_x * u_x + own[1] * v_x * v_x + own[2] * w_x * w_x
+        yy = own[0] * u_y * u_y + own[1] * v_y * v_y + own[2] * w_y * w_y
+        zz = own[0] * u_z * u_z + own[1] * v_z * v_z + own[2] * w_z * w_z
+        xy = own[0] * u_x * u_y + own[1] * v_x * v_y + own[2] * w_x * w_y
+        xz = own[0] * u_x * u_z + own[1] * v_x * v_z + own[2] * w_x * w_z
+        yz = own[0] * u_y * u_z + own[1] * v_y * v_z + own[2] * w_y * w_z
+        spin, twist, pull = at.spin[b], at.twist[b], at.pull[b]
+        t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], r_x, r_y, r_z)
+        s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], r_x, r_y, r_z)
+        s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
+        f_x, f_y, f_z = m * (pull[0] + t_x + s_x), m * (pull[1] + t_y + s_y), m * (pull[2] + t_z + s_z)
+        h_x = xx * spin[0] + xy * spin[1] + xz * spin[2]
+        h_y = xy * spin[0] + yy * spin[1] + yz * spin[2]
+        h_z = xz * spin[0] + yz * spin[1] + zz * spin[2]
+        n_x, n_y, n_z = cross(spin[0], spin[1], spin[2], h_x, h_y, h_z)
+        n_x += xx * twist[0] + xy * twist[1] + xz * twist[2]
+        n_y += xy * twist[0] + yy * twist[1] + yz * twist[2]
+        n_z += xz * twist[0] + yz * twist[1] + zz * twist[2]
+        i = tree.deepest[b]
+        while i >= 0:
+            a, g = at.arm[0, i], at.arm[1, i]
+            bias[i] += a[0] * f_x + a[1] * f_y + a[2] * f_z + g[0] * n_x + g[1] * n_y + g[2] * n_z
+            p_x, p_y, p_z = m * a[0], m * a[1], m * a[2]
+            l_x = xx * g[0] + xy * g[1] + xz * g[2]
+            l_y = xy * g[0] + yy * g[1] + yz * g[2]
+            l_z = xz * g[0] + yz * g[1] + zz * g[2]
+            j = i
+            while j >= 0:
+                c, d = at.arm[0, j], at.arm[1, j]
+                mass[i, j] += p_x * c[0] + p_y * c[1] + p_z * c[2] + l_x * d[0] + l_y * d[1] + l_z * d[2]
+                j = tree.before[j]
+            i = tree.before[i]
+    for i in range(nv):
+        mass[i, i] += shape.dof_armature[i]
+        for j in range(i):
+            mass[j, i] = mass[i, j]
+
+
+@register_jitable(forceinline=True)
+def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> None:
+    """Write what a unit force of each actuator makes on each degree of freedom, (nu, nv)."""
+    for i in range(len(tree.seat)):
+        b = tree.seat[i]
+        for j in range(len(tree.before)):
+            moment[i, j] = 0.0
+        if b < 0:
+            moment[i, tree.drives[i]] = shape.gear[i]
+            continue
+        turn, site = at.turn[b], shape.site_pos[i]
+        x, y, z = rotate(turn, site[0], site[1], site[2])
+        point_arms(tree, at, b, at.place[b, 0] + x, at.place[b, 1] + y, at.place[b, 2] + z)
+        f_x, f_y, f_z = rotate(turn, shape.gear_force[i, 0], shape.gear_force[i, 1], shape.gear_force[i, 2])
+        n_x, n_y, n_z = rotate(turn, shape.gear_torque[i, 0], shape.gear_torque[i, 1], shape.gear_torque[i, 2])
+        j = tree.deepest[b]
+        while j >= 0:
+            a, g = at.arm[0, j], at.arm[1, j]
+            moment[i, j] = a[0] * f_x + a[1] * f_y + a[2] * f_z + g[0] * n_x + g[1] * n_y + g[2] * n_z
+            j = tree.before[j]
+
+
+@register_jitable(forceinline=True)
+def solve_inertia(
+    mass: np.ndarray, damping: np.ndarray, dt: float, dense: np.ndarray, force: np.ndarray, result: np.ndarray
+) -> None:
+    """Write (M + dt D)⁻¹ force, (nv,), by Cholesky's factors, for which `dense`, (nv, nv), is room."""
+    n = len(force)
+    for i in range(n):
+        for j in range(i + 1):
+            rest = mass[i, j] + (dt * damping[i] if i == j else 0.0)
+            for k in range(j):
+                rest -= dense[i, k] * dense[j, k]
+            dense[i, j] = np.sqrt(rest) if i == j else rest / dense[j, j]
+    for i in range(n):
+        rest = force[i]
+        for k in range(i):
+            rest -= dense[i, k] * result[k]
+        result[i] = rest / dense[i, i]
+    for i in range(n - 1, -1, -1):
+        rest = result[i]
+        for k in range(i + 1, n):
+            rest -= dense[k, i] * result[k]
+        result[i] = rest / dense[i, i]
+
+
+class Reach(NamedTuple):
+    """What could touch, and where joints end: a geom is taken for the ball around it.
+
+    Attributes:
+        ranges: within which no end stop acts, (nv, 2) m, rad.
+        body: that each ball is on, (P,).
+        ball: its centre in the body's axes, radius with margin, (P, 4) m.
+        flat: what stands still beside it, 0 a plane, 1 a box, 2 another ball, that of a body, (P,).
+        other: that body, (P,).
+        stands: place, rotation and half sizes (of a ball the radius first) of what stands beside it, (P, 15).
+    """
+
+    ranges: np.ndarray
+    body: np.ndarray
+    ball: np.ndarray
+    flat: np.ndarray
+    other: np.ndarray
+    stands: np.ndarray
+
+
+@register_jitable(forceinline=True)
+def is_clear(reach: Reach, qpos: np.ndarray, at: Pose) -> bool:
+    """Whether no joint is at an end stop and no ball touches what it could touch; false, too, where numbers are not."""
+    for i in range(len(qpos)):
+        if not reach.ranges[i, 0] < qpos[i] < reach.ranges[i, 1]:
+            return False
+    for i in range(len(reach.body)):
+        ball, stands, b = reach.ball[i], reach.stands[i], reach.body[i]
+        x, y, z = rotate(at.turn[b], ball[0], ball[1], ball[2])
+        x, y, z = at.place[b, 0] + x, at.place[b, 1] + y, at.place[b, 2] + z
+        o, turn = reach.other[i], stands[3:12]
+        p_x, p_y, p_z = rotate(at.turn[o], stands[0], stands[1], stands[2])
+        x, y, z = x - at.place[o, 0] - p_x, y - at.place[o, 1] - p_y, z - at.place[o, 2] - p_z
+        if reach.flat[i] == 2:
+            if not x * x + y * y + z * z > (ball[3] + stands[12]) ** 2:
+                return False
+            continue
+        # In the axes of what stands still.
+        l_x = turn[0] * x + turn[3] * y + turn[6] * z
+        l_y = turn[1] * x + turn[4] * y + turn[7] * z
+        l_z = turn[2] * x + turn[5] * y + turn[8] * z
+        if reach.flat[i] == 0:
+            if not l_z > ball[3]:
+                return False
+            continue
+        d_x, d_y = max(abs(l_x) - stands[12], 0.0), max(abs(l_y) - stands[13], 0.0)
+        d_z = max(abs(l_z) - stands[14], 0.0)
+        if not d_x * d_x + d_y * d_y + d_z * d_z > ball[3] * ball[3]:
+            return False
+    return True
+
+
+FUNCTIONS = (place_bodies, is_clear, weigh_bodies, gear_actuators, solve_inertia)
+"""Those that a step consists of, in this order."""

@@ -1,0 +1,205 @@
+"""Replays of rigs that touch nothing, without MuJoCo: tree, inner step and Euler step in one compiled call."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from vpptwin.engine.tree import Pose, Reach, Shape, Tree
+from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose
+
+FIELDS = (*Shape._fields, "gravity", "gain", "bias")
+"""Numbers that may differ by simulation, in the order of the table of their addresses."""
+
+ENTRY = """
+def fly(address, begin, end, room):
+    context = carray(pointer_to(address), (1,), CONTEXT)[0]
+    addresses, static = int64_at(context.fields, 2 * {fields}), int64_at(context.static, {statics})
+    tree = Tree({tree})
+    reach = Reach({reach})
+    rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
+    steps = context.steps
+    commands = 1 if context.policy else steps
+{room}
+    for i in range(begin, end):
+        shape = Shape({shape})
+        gravity = float64_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, 3)
+        gain = float64_table_at(addresses[{gain}] + addresses[{gain} + 1] * i, {nu}, {ngain})
+        bias = float64_table_at(addresses[{bias}] + addresses[{bias} + 1] * i, {nu}, {nbias})
+        qpos = float64_at(context.state_qpos + {nv} * 8 * i, {nv})
+        qvel = float64_at(context.state_qvel + {nv} * 8 * i, {nv})
+        warmstart = float64_at(context.warmstart + {nv} * 8 * i, {nv})
+        clock = float64_at(context.time + 8 * i, 1)
+        damped = False
+        for j in range({nv}):
+            damped = damped or shape.dof_damping[j] > 0.0
+{row}
+        for j in range({nv}):
+            row.memory[2 + j] = 0.0
+        for k in range(steps):
+            place_bodies(tree, shape, qpos, qvel, gravity, at)
+            if not is_clear(reach, qpos, at):
+                break
+            weigh_bodies(tree, shape, at, mass, qfrc_bias)
+            gear_actuators(tree, shape, at, moment)
+            for j in range({nv}):
+                passive[j] = -shape.dof_damping[j] * qvel[j] - shape.jnt_stiffness[j] * (qpos[j] - shape.qpos_spring[j])
+                for n in range(row_length[j]):
+                    inertia[row_start[j] + n] = mass[j, column[row_start[j] + n]]
+            for a in range({nu}):
+                length[a] = shape.gear[a] * qpos[tree.drives[a]] if tree.seat[a] < 0 else 0.0
+                velocity[a] = 0.0
+                for j in range({nv}):
+                    velocity[a] += moment[a, j] * qvel[j]
+            view = View(
+                clock[0], {timestep!r}, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
+                inertia, row_length, row_start, column, shape.dof_damping, shape.dof_armature, shape.body_mass, gravity,
+                moment_flat, moment_length, moment_start, moment_column, length, velocity, gain, bias, gain_type,
+                bias_type, ctrl_limited, force_limited, ctrl_range, force_range, joint, joint_limited, joint_range,
+                joint_lifted, nothing,
+            )
+            if context.qpos:
+                kept_qpos = float64_at(context.qpos + (steps * i + k) * {nv} * 8, {nv})
+                kept_qvel = float64_at(context.qvel + (steps * i + k) * {nv} * 8, {nv})
+                for j in range({nv}):
+                    kept_qpos[j], kept_qvel[j] = qpos[j], qvel[j]
+            {step}
+            if context.rotor_speed:
+                kept_speed = float64_at(context.rotor_speed + (steps * i + k) * {nu} * 8, {nu})
+                for a in range({nu}):
+                    kept_speed[a] = row.layer.rotor_speed[a]
+            foresee_actuators(view, exerted)
+            for j in range({nv}):
+                exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
+            solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
+            if damped:
+                solve_inertia(mass, shape.dof_damping, {timestep!r}, dense, exerted, faster)
+            for j in range({nv}):
+                qvel[j] += {timestep!r} * (faster[j] if damped else warmstart[j])
+                qpos[j] += {timestep!r} * qvel[j]
+            clock[0] += {timestep!r}
+        else:
+            int64_at(context.stuck, i + 1)[i] = 0
+"""
+
+
+def list_statics(layout: Layout, model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Arrays that all simulations share, by name, for the table of their addresses."""
+    nv, nu = int(model.nv), int(model.nu)
+    shared = {f"tree.{n}": a for n, a in zip(Tree._fields, layout.tree)}
+    shared |= {f"reach.{n}": a for n, a in zip(Reach._fields, layout.reach)}
+    shared |= {
+        "row_length": np.array(model.M_rownnz, np.int32), "row_start": np.array(model.M_rowadr, np.int32),
+        "column": np.array(model.M_colind, np.int32), "moment_length": np.full(nu, nv, np.int32),
+        "moment_start": np.arange(0, nu * nv, nv, dtype=np.int32),
+        "moment_column": np.tile(np.arange(nv, dtype=np.int32), nu),
+        "gain_type": np.array(model.actuator_gaintype, np.int32),
+        "bias_type": np.array(model.actuator_biastype, np.int32),
+        "ctrl_limited": np.array(model.actuator_ctrllimited, np.bool_),
+        "force_limited": np.array(model.actuator_forcelimited, np.bool_),
+        "ctrl_range": np.array(model.actuator_ctrlrange, float),
+        "force_range": np.array(model.actuator_forcerange, float),
+        "joint": np.arange(nv, dtype=np.int32), "joint_limited": np.array(model.jnt_actfrclimited, np.bool_),
+        "joint_range": np.array(model.jnt_actfrcrange, float), "joint_lifted": np.zeros(nv, np.bool_),
+    }  # fmt: skip
+    return {name: np.ascontiguousarray(array) for name, array in shared.items()}
+
+
+def list_room(nbody: int, nv: int, nu: int, nc: int) -> dict[str, tuple[int, ...]]:
+    """Arrays that a thread works in, by name, with their shapes."""
+    pose = make_pose(nbody, nv)
+    return {f"at.{name}": array.shape for name, array in zip(Pose._fields, pose)} | {
+        "mass": (nv, nv), "dense": (nv, nv), "moment": (nu, nv), "inertia": (nc,), "qfrc_bias": (nv,), "passive": (nv,),
+        "applied": (nv,), "exerted": (nv,), "faster": (nv,), "nothing": (nv,), "ctrl": (nu,), "length": (nu,),
+        "velocity": (nu,),
+    }  # fmt: skip
+
+
+def array_at(address: str, array: np.ndarray | tuple[int, ...]) -> str:
+    """The text of an array at an address."""
+    shape, kind = (array, "float64") if isinstance(array, tuple) else (array.shape, array.dtype.name)
+    if len(shape) == 3:
+        return f"carray(pointer_to({address}), {shape}, np.float64)"
+    table = "_table" if len(shape) == 2 else ""
+    return f"{kind}{table}_at({address}, {', '.join(map(str, shape))})"
+
+
+def write_fused(
+    layout: Layout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str
+) -> str:  # fmt: skip
+    """The text of the fused step for a model's sizes.
+
+    Args:
+        layout: of the model.
+        model: that is stepped.
+        places: number of switches of effects.
+        carriage: index of the body that carries a guide, -1 without one.
+        step: the call of the inner step.
+        row: lines that make the row and the tape of simulation i.
+    """
+    nv, nu = int(model.nv), int(model.nu)
+    statics = list_statics(layout, model)
+    where = {name: array_at(f"static[{i}]", array) for i, (name, array) in enumerate(statics.items())}
+    lines = [f"{name} = {text}" for name, text in where.items() if "." not in name]
+    shapes, offset, room, starts = list_room(int(model.nbody), nv, nu, int(model.nC)), 0, {}, {}
+    for name, size in shapes.items():
+        starts[name] = f"room + {offset}"
+        room[name] = array_at(starts[name], size)
+        offset += 8 * int(np.prod(size))
+    lines += [f"{name} = {text}" for name, text in room.items() if "." not in name]
+    lines += [f"moment_flat = float64_at({starts['moment']}, {nu * nv})"]
+    lines += [f"at = Pose({', '.join(room[f'at.{name}'] for name in Pose._fields)})"]
+    fields = []
+    for i, name in enumerate(Shape._fields):
+        fields.append(array_at(f"addresses[{2 * i}] + addresses[{2 * i + 1}] * i", layout.numbers[name].shape))
+    order = {name: 2 * i for i, name in enumerate(FIELDS)}
+    return ENTRY.format(
+        fields=len(FIELDS), statics=len(statics), tree=", ".join(where[f"tree.{n}"] for n in Tree._fields),
+        reach=", ".join(where[f"reach.{n}"] for n in Reach._fields), places=places, carriage=carriage, nv=nv, nu=nu,
+        room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
+        gain=order["gain"], bias=order["bias"], ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
+        timestep=float(model.opt.timestep), step=step,
+    )  # fmt: skip
+
+
+def room_size(model: mujoco.MjModel) -> int:
+    """Numbers that a thread works in."""
+    sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
+    return sum(int(np.prod(size)) for size in sizes)
+
+
+def point_at_fields(layout: Layout, table: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Addresses and strides of `FIELDS`, (2 F,), those of `table`, name → (N, ...), by row; what they point at."""
+    own = {PER_SIMULATION[name]: array for name, array in table.items() if name in PER_SIMULATION}
+    held, words = [], []
+    for name in FIELDS:
+        array = own.get(name)
+        shared = np.ascontiguousarray(layout.numbers[name]) if array is None else array
+        assert array is None or array[0].flags.c_contiguous
+        held.append(shared)
+        words += [shared.ctypes.data, 0 if array is None else array.strides[0]]
+    return np.array(words, np.int64), held
+
+
+@cache
+def threads() -> ThreadPoolExecutor:
+    """Threads that run fused steps, which hold no lock."""
+    return ThreadPoolExecutor(os.cpu_count() or 1)
+
+
+def run_rows(function: Any, address: int, count: int, rooms: np.ndarray, workers: int) -> None:  # noqa: ANN401
+    """Run a fused step for all simulations, shared out among threads; rooms (workers, size)."""
+    edges = np.linspace(0, count, workers + 1).astype(int)
+    jobs = [
+        threads().submit(function, address, int(edges[i]), int(edges[i + 1]), int(rooms[i].ctypes.data))
+        for i in range(1, workers)
+    ]
+    function(address, 0, int(edges[1]), int(rooms[0].ctypes.data))
+    for job in jobs:
+        job.result()
