@@ -530,6 +530,13 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
     assert list(parts[1].list_oddities()) == ["1 missing", "1 gaps, longest 0.201 s", "4 jumps, up to 9"]
 
 
+def test_a_clock_that_falls_or_stands_is_told(tmp_path: Path) -> None:
+    """`inspect` shows such a log, and says so."""
+    log = write_csv(tmp_path / "log.csv", "time,q\n0.01,1\n0.02,2\n0.02,3\n0.01,4\n0.03,5\n")
+    recording, _ = survey(log)
+    assert "/log: the time falls 1 times and repeats 1 times" in recording.files[0].notes
+
+
 def test_files_of_one_flight_are_joined(shared_data: Path) -> None:
     """FILE+FILE is one flight: commands of one, positions of the other."""
     folder = shared_data / "so101/multisine"
