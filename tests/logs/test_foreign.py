@@ -17,11 +17,11 @@ from tests.logs.bags import EPOCH, POSE, Bag, make_poses
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
-from vpptwin.logs import Flight, read_flight
+from vpptwin.logs import Flight, read_flight, vehicles
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import open_recording
 from vpptwin.logs.survey import survey
-from vpptwin.logs.tables import Wish
+from vpptwin.logs.tables import Table, Wish
 from vpptwin.logs.transcribe import transcribe
 
 ALL = Wish(lambda channel: True)
@@ -306,8 +306,61 @@ def test_dataflash_is_read(tmp_path: Path) -> None:
         read_joint(log, "ATT", position="Roll")
 
 
-def test_rosbag2_in_sqlite_is_read(tmp_path: Path) -> None:
-    """What rosbags writes as a rosbag2 folder with SQLite is the flight that it is as MCAP."""
+def write_instances(path: Path) -> Path:
+    """A DataFlash log of two sensors, with text, halves and an array, and a torn message amid them."""
+
+    def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
+        fields = (name.encode(), form.encode(), columns.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
+
+    parts = [describe(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
+    parts.append(describe(151, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", 44))
+    parts.append(describe(152, "IMU", "QBgLna", "TimeUS,I,G,Lat,S,A", 3 + 8 + 1 + 2 + 4 + 4 + 64))
+    parts.append(b"\xa3\x95\x97" + struct.pack("<QB16s16s", 0, 152, b"s#----", b"F-----"))
+    for k in range(80):
+        row = struct.pack("<QBeI4s32h", 10_000 * k, k % 2, k / 4, 10**7 * k, b"ab\0x", *range(k, k + 32))
+        parts.append(b"\xa3\x95\x98" + row)
+    parts.insert(50, b"junk" * 200)
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+@pytest.mark.parametrize("stretch", [1 << 26, 1000])
+def test_dataflash_has_instances_and_is_read_in_stretches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stretch: int
+) -> None:
+    """Messages by instance with their types and factors, what is torn left out, whatever a stretch cuts through."""
+    monkeypatch.setattr(vehicles, "_STRETCH", stretch)
+    log, notes = write_instances(tmp_path / "log.bin"), []  # type: ignore[var-annotated]
+    tables: dict[str, list[Table]] = {}
+    for table in vehicles.read_dataflash(log, "", ALL, notes):
+        tables.setdefault(table.topic, []).append(table)
+    assert len(tables.pop("/FMTU")) == 1
+    assert tables.keys() == {"/IMU", "/IMU_1"}
+    for instance, topic in enumerate(tables):
+        own = np.arange(instance, 80, 2)
+        column = {name: np.concatenate([t.columns[name] for t in tables[topic]]) for name in tables[topic][0].columns}
+        assert np.array_equal(np.concatenate([table.time for table in tables[topic]]), own * 10**7)
+        assert np.array_equal(column["G"], (own / 4).astype("f4"))
+        assert np.array_equal(column["Lat"], own.astype(float))
+        assert set(column["S"]) == {"ab"}
+        assert np.array_equal(column["A"], own[:, None] + np.arange(32))
+    assert notes == ["log.bin is damaged in places, which are left out"]
+
+
+def test_a_large_ulog_is_read_in_stretches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it is in one piece."""
+    log = write_ulog(tmp_path / "log.ulg")
+    whole = read_all(log, "/servo", "angle")
+    monkeypatch.setattr(vehicles, "LARGE", 0)
+    monkeypatch.setattr(vehicles, "_STRETCH", 300)
+    assert np.array_equal(read_all(log, "/servo", "angle"), whole)
+
+
+def test_rosbag2_in_sqlite_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What rosbags writes as a rosbag2 folder with SQLite is the flight that it is as MCAP, in stretches if large."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -321,6 +374,16 @@ def test_rosbag2_in_sqlite_is_read(tmp_path: Path) -> None:
     expected = read_flight(source).streams["/mocap/pose"]
     found = read_flight(tmp_path / "bag").streams["/mocap/pose"]
     assert all(np.array_equal(found[column], expected[column]) for column in expected.values)
+    whole = survey(tmp_path / "bag")[1]
+    monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
+    monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)
+    for room in ("bags", "container"):
+        monkeypatch.setattr(f"vpptwin.logs.{room}.LARGE", 500)
+    for log in (tmp_path / "bag", source):
+        parts = survey(log)[1]
+        assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
+        assert sum(len(part.stretches) for part in parts) > 2 * len(parts) or log == source
+        assert "\rread " in capsys.readouterr().err
     (file,) = (tmp_path / "bag").glob("*.db3")
     file.write_bytes(file.read_bytes()[:5000])
     with pytest.raises(InputError, match="is damaged"):
@@ -465,6 +528,13 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
         assert (several.whole.start, several.whole.end) == (one.whole.start, one.whole.end)
         assert (several.whole.low, several.whole.high) == (one.whole.low, one.whole.high)
     assert list(parts[1].list_oddities()) == ["1 missing", "1 gaps, longest 0.201 s", "4 jumps, up to 9"]
+
+
+def test_a_clock_that_falls_or_stands_is_told(tmp_path: Path) -> None:
+    """`inspect` shows such a log, and says so."""
+    log = write_csv(tmp_path / "log.csv", "time,q\n0.01,1\n0.02,2\n0.02,3\n0.01,4\n0.03,5\n")
+    recording, _ = survey(log)
+    assert "/log: the time falls 1 times and repeats 1 times" in recording.files[0].notes
 
 
 def test_files_of_one_flight_are_joined(shared_data: Path) -> None:

@@ -34,7 +34,7 @@ def find_model(name: str) -> Path:
             near = [robot.name for robot, _ in called] or [robot for robot in known if name in robot]
             expected = f"one of {', '.join(near[:8])}" if near else "a path, or a robot of MuJoCo's menagerie"
             raise InputError(
-                f"model {name!r} is {len(called) or 'no'} of the menagerie's", expected, "correct the name"
+                f"model {name!r} is {len(called) or 'none'} of the menagerie's", expected, "correct the name"
             )
         robot, entry = called[0]
     try:

@@ -9,7 +9,7 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text, load_extra
-from vpptwin.logs.container import Block, RawChannel, RawFile
+from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, hand_over, show_reading
 from vpptwin.logs.tables import Wish
 
 _GATHERED = 1 << 14  # messages of a channel that are kept apart at most
@@ -50,7 +50,7 @@ def _read_bag1(path: Path, wish: Wish) -> RawFile:
             c.id: (c.topic, c.msgtype, store.generate_msgdef(c.msgtype, ros_version=2)[0]) for c in reader.connections
         }
         gather = _Gather(path, wish, texts)
-        for connection, stamp, raw in reader.messages():
+        for connection, stamp, raw in show_reading(path, iterable=reader.messages(), unit=" messages"):
             if gather.note(connection.id, stamp):
                 gather.add(connection.id, stamp, bytes(store.ros1_to_cdr(raw, connection.msgtype)))
     return gather.finish()
@@ -74,8 +74,8 @@ def _read_sqlite(path: Path, wish: Wish) -> RawFile:
             else:
                 text = ""  # which a topic that is wanted is refused for
             texts[connection.id] = connection.topic, connection.msgtype, text
-        gather = _Gather(path, wish, texts)
-        for connection, stamp, raw in reader.messages(reader.connections):
+        gather, messages = _Gather(path, wish, texts), reader.messages(reader.connections)
+        for connection, stamp, raw in show_reading(path, iterable=messages, unit=" messages"):
             if gather.note(connection.id, stamp):
                 gather.add(connection.id, stamp, bytes(raw))
     finally:
@@ -87,7 +87,7 @@ class _Gather:
     """Messages one by one, into channels."""
 
     def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
-        self.path, self.number, self.times = path, 0, (2**63, -1)
+        self.path, self.number, self.times, self.take, self.size = path, 0, (2**63, -1), wish.take, 0
         self.channels = {
             key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
             for key, (topic, kind, text) in texts.items()
@@ -114,6 +114,10 @@ class _Gather:
         number, stamp, content = zip(*self.held.pop(place))
         payload = np.frombuffer(b"".join(content), np.uint8).reshape(len(number), place[1])
         self.channels[place[0]].blocks.append(Block(np.array(number, np.uint64), np.array(stamp, np.uint64), payload))
+        self.size += payload.nbytes
+        if self.take is not None and self.size > LARGE:
+            hand_over(self.channels.values(), self.take)
+            self.size = 0
 
     def finish(self) -> RawFile:
         """All that was kept."""

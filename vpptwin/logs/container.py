@@ -18,10 +18,12 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Header, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 from numpy.lib.stride_tricks import sliding_window_view
+from tqdm import tqdm
 from zstandard import ZstdError
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.unpack import Unpacker
+from vpptwin.progress import open_bar
 
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -92,6 +94,12 @@ def hand_over(channels: Iterable[RawChannel], take: Take) -> None:
             channel.rows, channel.blocks = [], []
 
 
+def show_reading(path: Path, **options: object) -> tqdm:
+    """A bar on standard error while a large file is read, with `options` of tqdm; of a small one none."""
+    small = not path.is_file() or path.stat().st_size < LARGE
+    return open_bar(desc=f"read {path.name}", disable=small, **options)
+
+
 class _DamageError(Exception):
     """The file ends or stops making sense at a byte offset."""
 
@@ -115,9 +123,9 @@ class _Scan:
     """What has been read of a file so far."""
 
     def __init__(
-        self, wanted: Callable[[RawChannel], bool], take: Take | None, unpacker: Unpacker, mapped: mmap.mmap
+        self, wanted: Callable[[RawChannel], bool], take: Take | None, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm
     ) -> None:
-        self.wanted, self.take, self.unpacker, self.mapped = wanted, take, unpacker, mapped
+        self.wanted, self.take, self.unpacker, self.mapped, self.bar = wanted, take, unpacker, mapped, bar
         self.forgotten = self.held = 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
@@ -160,6 +168,8 @@ class _Scan:
 
     def forget(self, data: bytes | memoryview, position: int) -> None:
         """Give back the memory that the file takes up to a position, if it is the file that is walked over."""
+        if isinstance(data, memoryview):
+            self.bar.update(position - self.bar.n)
         if isinstance(data, memoryview) and position > self.forgotten + _READ:
             self.mapped.madvise(mmap.MADV_DONTNEED, 0, position // mmap.PAGESIZE * mmap.PAGESIZE)
             self.forgotten = position
@@ -222,8 +232,9 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take 
     Raises:
         InputError: if the file is damaged or ends early, or unpacks to more than a log can honestly hold.
     """
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        scan = _Scan(wanted, take, Unpacker(path, path.stat().st_size), mapped)
+    bar = show_reading(path, unit="B", total=path.stat().st_size)
+    with path.open("rb") as file, bar, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+        scan = _Scan(wanted, take, Unpacker(path, path.stat().st_size), mapped, bar)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:

@@ -164,6 +164,7 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
     """
     first: dict[tuple[str, ...], Signal] = {}
     stretches: dict[tuple[str, ...], list[Stretch]] = {}
+    clocks: dict[str, np.ndarray] = {}  # how often a topic's time falls, and stands
 
     def note(recording: Recording, channel: RawChannel) -> None:
         joints = is_joint_state(channel.message_type)
@@ -177,6 +178,8 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
             if signal.time is not last:  # signals of one topic share their time
                 last = signal.time
                 rising = bool((last[1:] > last[:-1]).all())
+                odd = np.array([np.count_nonzero(last[1:] < last[:-1]), np.count_nonzero(last[1:] == last[:-1])])
+                clocks[channel.topic] = clocks.get(channel.topic, np.zeros(2, int)) + odd
                 stamp, rows = (last, rows) if rising else np.unique(last, return_index=True)
             values = (signal.values if rising else signal.values[rows]).astype(float, copy=False)
             key = signal.topic, signal.field, signal.name
@@ -191,6 +194,9 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
         note(recording, channel)
     if not first:
         raise InputError(f"{recording.path} holds no numbers over time", "a log with signals", "check what recorded it")
+    for topic, (falls, stands) in clocks.items():
+        if falls or stands:
+            recording.files[0].notes.append(f"{topic}: the time falls {falls} times and repeats {stands} times")
     start = min(int(signal.time[0]) for signal in first.values())
     stamps = {id(signal.time): signal.time for signal in first.values()}
     times = {key: (stamp - start) / 1e9 for key, stamp in stamps.items()}

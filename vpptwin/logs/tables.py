@@ -12,10 +12,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import Stamp
-from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, Rows, Take, hand_over
+from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, Rows, Take, hand_over, show_reading
 from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
-from vpptwin.progress import open_bar
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31
@@ -123,8 +122,10 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
     channels: dict[str, RawChannel] = {}
     fields: dict[str, Mapping[str, str]] = {}
     first, last, number, held = 2**63, -1, 0, 0
-    for table in show_progress(path, tables):
+    bar = show_reading(path, unit=" rows")
+    for table in tables:
         count = len(table.time)
+        bar.update(count)
         if table.topic not in channels:
             names = table.fields if table.fields is not None else wish.choose(table.topic, table.columns)
             fields[table.topic] = {column: name for column, name in names.items() if column in table.columns}
@@ -149,6 +150,7 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
                 hand_over(channels.values(), wish.take)
                 held = 0
         number += count
+    bar.close()
     return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
 
 
@@ -164,17 +166,6 @@ def append_rows(pieces: list[Rows], rows: Rows) -> None:
     for held, new in pairs:
         held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
         held[-len(new) :] = new
-
-
-def show_progress(path: Path, tables: Iterable[Table]) -> Iterable[Table]:
-    """The tables, counted on standard error while a large file is read."""
-    if not path.is_file() or path.stat().st_size < LARGE:
-        yield from tables
-        return
-    with open_bar(desc=f"read {path.name}", unit=" rows") as bar:
-        for table in tables:
-            yield table
-            bar.update(len(table.time))
 
 
 def _name_type(topic: str) -> str:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-import meshcat.geometry as mg
-import meshcat.transformations as tf
 import mujoco
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.motion import Motion
 from vpptwin.viz.palette import DISC, GREY, to_int, to_rgb
 from vpptwin.viz.shapes import PLANE_THICKNESS, Paint, make_geom, read_paint
 from vpptwin.viz.tracks import Track, make_track
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
 
 ROOT = "/rig"  # everything we draw; its origin is what the camera looks at
 FIRST_HIDDEN_GROUP = 3  # MuJoCo's convention: geom groups 0-2 are drawn
@@ -59,12 +60,14 @@ def draw_geom(node: Visualizer, model: mujoco.MjModel, geom: int, paint: Paint |
     place.set_object(shape[0], own.material(smooth=shape[1]))
     pose = make_matrix(model.geom_pos[geom], model.geom_quat[geom])
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-        pose = pose @ tf.translation_matrix([0.0, 0.0, -0.5 * PLANE_THICKNESS])
+        pose[:3, 3] -= 0.5 * PLANE_THICKNESS * pose[:3, 2]
     place.set_transform(pose)
 
 
 def draw_grid(node: Visualizer, low: np.ndarray, high: np.ndarray, depth: float) -> None:
     """Lines every 0.5 m in the x-z plane at y = depth, covering the corners low and high (2,) [m]."""
+    import meshcat.geometry as mg  # as in `vpptwin.viz.shapes`
+
     first, last = np.floor(low / GRID_STEP) * GRID_STEP, np.ceil(high / GRID_STEP) * GRID_STEP
     ends: list[tuple[float, float, float]] = []
     for x in np.arange(first[0], last[0] + 1e-9, GRID_STEP):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import meshcat.geometry as mg
 import mujoco
 import numpy as np
 
 from vpptwin.viz.palette import LOG, SURROUNDINGS, to_hex, to_int
+
+if TYPE_CHECKING:
+    import meshcat.geometry as mg
 
 SEGMENTS = 32  # around a solid of revolution
 PLANE_HALF_SIZE = 3.0  # m, drawn for a plane that the MJCF leaves infinite
@@ -26,6 +29,8 @@ class Paint:
 
     def material(self, smooth: bool = True) -> mg.Material:
         """The meshcat material; translucent surfaces do not hide what lies behind them."""
+        import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
+
         options: dict[str, object] = {"flatShading": not smooth}
         if self.opacity < 1.0:
             options["depthWrite"] = False
@@ -40,6 +45,8 @@ def revolve(profile: np.ndarray) -> mg.TriangularMeshGeometry:
     Args:
         profile: (n, 2) radius and height [m], in order along the outline; a repeated point keeps that edge sharp.
     """
+    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
+
     angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS, endpoint=False)
     radius, height = profile[:, :1], profile[:, 1:]
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, (len(profile), SEGMENTS))])
@@ -71,6 +78,8 @@ def make_capsule(radius: float, half_length: float) -> mg.TriangularMeshGeometry
 
 def make_ribbon(points: np.ndarray, width: float) -> mg.TriangularMeshGeometry:
     """A ribbon in the x-z plane through points (n, 3) [m]; segment i owns indices 6 i to 6 i + 5."""
+    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
+
     step = np.gradient(points[:, [0, 2]], axis=0)
     length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
     side = np.stack([-step[:, 1], np.zeros(len(points)), step[:, 0]], -1) / length * (0.5 * width)
@@ -82,6 +91,8 @@ def make_ribbon(points: np.ndarray, width: float) -> mg.TriangularMeshGeometry:
 
 def make_geom(model: mujoco.MjModel, geom: int) -> tuple[mg.Geometry, bool] | None:
     """The mesh of a MuJoCo geom in its own frame and whether it is shaded smoothly; None for kinds not drawn."""
+    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
+
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return mg.Box((2.0 * size).tolist()), True

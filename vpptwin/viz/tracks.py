@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import umsgpack
-from meshcat.path import Path as NodePath
 
 FLOAT32_ARRAY = 0x17  # msgpack extension that the viewer unpacks into a Float32Array
 HOLD = 2300  # three.js InterpolateDiscrete
@@ -74,6 +73,8 @@ class Animation:
 
     def lower(self) -> list[dict[str, object]]:
         """One clip per animated node, in the order in which the nodes appear."""
+        from meshcat.path import Path as NodePath  # as in `vpptwin.viz.shapes`
+
         clips: dict[str, list[dict[str, object]]] = {}
         for track in self.tracks:
             clips.setdefault(track.path, []).append(track.lower())
