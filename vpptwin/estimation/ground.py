@@ -1,0 +1,51 @@
+"""When a free body flies: it stands still before and after, on what its model may lack."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from vpptwin.estimation.series import Series
+from vpptwin.twin.manifold import FREE
+
+STILL, STOOD = 0.5, 2e-3
+"""Whoever moves by less than this [m] in the first or last so many seconds stands there."""
+OFF = 0.05
+"""It flies as soon as it is so far from there [m]: clear of its feet, though not of the cushion under it."""
+
+
+def find_flown(
+    model: mujoco.MjModel, positions: Mapping[int, Series], start: float, end: float
+) -> tuple[float, float, list[str]]:
+    """Span in which every free body without a contact flies [s], and what is said of the rest, in at most one line.
+
+    Args:
+        model: of the rig; where a free body may touch something, nothing is left out.
+        positions: degree of freedom → position.
+        start: from when on everything needed is there [s].
+        end: until when [s].
+    """
+    first, last = start, end
+    for joint in np.flatnonzero(model.jnt_type == FREE):
+        dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_bodyid[joint])
+        geoms = model.body_treeid[model.geom_bodyid] == model.body_treeid[body]
+        if (model.geom_contype[geoms] | model.geom_conaffinity[geoms]).any():
+            continue
+        track = [positions[dof + axis] for axis in range(3)]
+        time = track[0].time[(track[0].time >= start) & (track[0].time <= end)]
+        place = np.stack([np.interp(time, series.time, series.value) for series in track], axis=1)
+        if len(time) < 3:
+            continue
+        for rows, sense in ((time <= start + STILL, 1), (time >= end - STILL, -1)):
+            stood = np.median(place[rows], axis=0)
+            away = np.linalg.norm(place - stood, axis=1)
+            if not (away[rows] < STOOD).all() or not (away > OFF).any():
+                continue
+            edge = float(time[np.flatnonzero(away > OFF)[0 if sense > 0 else -1]])
+            first, last = (max(first, edge), last) if sense > 0 else (first, min(last, edge))
+    if (first == start and last == end) or last <= first:
+        return start, end, []
+    left = [f"the first {first - start:.1f} s"] * (first > start) + [f"the last {end - last:.1f} s"] * (last < end)
+    return first, last, [f"{' and '.join(left)} are left out: it stands there, and the MJCF has nothing to stand on"]
