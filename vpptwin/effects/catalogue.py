@@ -147,7 +147,7 @@ def effects_for_rig(
         links: bodies that joints move.
         mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
     """
-    effects = []
+    effects, groups = [], list(groups)
     for place in joints:
         barred = (*(() if place.rotary else (HINGES_ONLY,)), *(() if place.driven else (DRIVEN_ONLY,)))
         for make, alike in GENERIC_JOINT:
@@ -158,6 +158,8 @@ def effects_for_rig(
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
+        if any(name in group for group in groups):  # whose battery is one
+            own = tuple(effect for effect in own if effect.id != actuator.SAG.id)
         kinds = {effect.id for effect in own}
         for effect in own:
             alike = tuple(kind for kind in effect.look_alikes if kind in kinds)

@@ -1,4 +1,4 @@
-"""When a free body flies: it stands still before and after, on what its model may lack."""
+"""When a body flies: it stands still before and after, on what its model may lack."""
 
 from __future__ import annotations
 
@@ -19,21 +19,24 @@ OFF = 0.05
 def find_flown(
     model: mujoco.MjModel, positions: Mapping[int, Series], start: float, end: float
 ) -> tuple[float, float, list[str]]:
-    """Span in which every free body without a contact flies [s], and what is said of the rest, in at most one line.
+    """Span in which every body that can fall and touches nothing flies [s], and what is said of the rest, in one line.
 
     Args:
-        model: of the rig; where a free body may touch something, nothing is left out.
+        model: of the rig; where such a body may touch something, nothing is left out.
         positions: degree of freedom → position.
         start: from when on everything needed is there [s].
         end: until when [s].
     """
     first, last = start, end
-    for joint in np.flatnonzero(model.jnt_type == FREE):
+    for joint in range(model.njnt):
         dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_bodyid[joint])
+        along = 3 if model.jnt_type[joint] == FREE else int(slides_down(model, joint))
+        if not along or dof not in positions:
+            continue
         geoms = model.body_treeid[model.geom_bodyid] == model.body_treeid[body]
         if (model.geom_contype[geoms] | model.geom_conaffinity[geoms]).any():
             continue
-        track = [positions[dof + axis] for axis in range(3)]
+        track = [positions[dof + axis] for axis in range(along)]
         time = track[0].time[(track[0].time >= start) & (track[0].time <= end)]
         place = np.stack([np.interp(time, series.time, series.value) for series in track], axis=1)
         if len(time) < 3:
@@ -49,3 +52,11 @@ def find_flown(
         return start, end, []
     left = [f"the first {first - start:.1f} s"] * (first > start) + [f"the last {end - last:.1f} s"] * (last < end)
     return first, last, [f"{' and '.join(left)} are left out: it stands there, and the MJCF has nothing to stand on"]
+
+
+def slides_down(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint is a slide along gravity on which nothing but actuators and constraints hold a body."""
+    dof, gravity = model.jnt_dofadr[joint], model.opt.gravity
+    held = model.dof_frictionloss[dof] or model.jnt_stiffness[joint] or model.jnt_limited[joint]
+    slide = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE and not model.body_parentid[model.jnt_bodyid[joint]]
+    return bool(slide and not held and abs(model.jnt_axis[joint] @ gravity) > 0.9 * np.linalg.norm(gravity) > 0.0)
