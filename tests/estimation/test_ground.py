@@ -32,8 +32,8 @@ def test_standing_is_left_out(body: str) -> None:
     start, end, told = find(body, CLIMB)
     assert start == pytest.approx(3.0 + OFF / 0.5, abs=0.02)
     assert end == pytest.approx(8.0 - OFF / 1.0, abs=0.02)
-    assert told == [f"the first {start:.1f} s and the last {10.0 - end:.1f} s are left out: it stands there, and the MJCF "
-                    "has nothing to stand on"]  # fmt: skip
+    span = f"the first {start:.1f} s and the last {10.0 - end:.1f} s"
+    assert told == [f"{span} are left out: it stands there, and the MJCF has nothing to stand on"]
 
 
 @pytest.mark.parametrize(
