@@ -13,7 +13,7 @@ from vpptwin.twin.manifold import FREE
 STILL, STOOD = 0.5, 2e-3
 """Whoever moves by less than this [m] in the first or last so many seconds stands there."""
 OFF = 0.05
-"""It flies as soon as it is so far from there [m]: clear of its feet, though not of the cushion under it."""
+"""It flies as soon as it is so far above there [m]: clear of its feet, though not of the cushion under it."""
 
 
 def find_flown(
@@ -27,7 +27,7 @@ def find_flown(
         start: from when on everything needed is there [s].
         end: until when [s].
     """
-    first, last = start, end
+    first, last, strength = start, end, max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
     for joint in range(model.njnt):
         dof, body = int(model.jnt_dofadr[joint]), int(model.jnt_bodyid[joint])
         along = 3 if model.jnt_type[joint] == FREE else int(slides_down(model, joint))
@@ -43,8 +43,8 @@ def find_flown(
             continue
         for rows, sense in ((time <= start + STILL, 1), (time >= end - STILL, -1)):
             stood = np.median(place[rows], axis=0)
-            away = np.linalg.norm(place - stood, axis=1)
-            if not (away[rows] < STOOD).all() or not (away > OFF).any():
+            away = np.abs((place - stood) @ (model.opt.gravity / strength if along == 3 else np.ones(1)))
+            if not (np.linalg.norm(place[rows] - stood, axis=1) < STOOD).all() or not (away > OFF).any():
                 continue
             edge = float(time[np.flatnonzero(away > OFF)[0 if sense > 0 else -1]])
             first, last = (max(first, edge), last) if sense > 0 else (first, min(last, edge))
