@@ -41,13 +41,17 @@ def find_flown(
         place = np.stack([np.interp(time, series.time, series.value) for series in track], axis=1)
         if len(time) < 3:
             continue
-        for rows, sense in ((time <= start + STILL, 1), (time >= end - STILL, -1)):
+        clear = np.ones(len(time), dtype=bool)
+        for rows in (time <= start + STILL, time >= end - STILL):
             stood = np.median(place[rows], axis=0)
             away = np.abs((place - stood) @ (model.opt.gravity / strength if along == 3 else np.ones(1)))
-            if not (np.linalg.norm(place[rows] - stood, axis=1) < STOOD).all() or not (away > OFF).any():
-                continue
-            edge = float(time[np.flatnonzero(away > OFF)[0 if sense > 0 else -1]])
-            first, last = (max(first, edge), last) if sense > 0 else (first, min(last, edge))
+            if (np.linalg.norm(place[rows] - stood, axis=1) < STOOD).all():
+                clear &= away > OFF
+        edges = np.flatnonzero(np.diff(clear, prepend=False, append=False)).reshape(-1, 2)  # of runs; one bounces
+        if len(edges):
+            begin, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+            first = max(first, float(time[begin])) if begin else first
+            last = min(last, float(time[stop - 1])) if stop < len(time) else last
     if (first == start and last == end) or last <= first:
         return start, end, []
     left = [f"the first {first - start:.1f} s"] * (first > start) + [f"the last {end - last:.1f} s"] * (last < end)
