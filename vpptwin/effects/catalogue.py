@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from vpptwin.effects import (
@@ -164,7 +164,16 @@ def effects_for_rig(
         for effect in own:
             alike = tuple(kind for kind in effect.look_alikes if kind in kinds)
             effects.append(actuator.attach(replace(effect, look_alikes=alike), name, size, room))
-    return (*effects, *link.effects_for_links(links), *((link.MOUNT_TILT,) if mounted else ()))
+    weights = link.effects_for_links(links)
+    whole = [*map("+".join, groups)] or (list(actuators) if len(actuators) == 1 else [])
+    found = tie_alike([*effects, *weights], [f"{name}.gain" for name in whole], [effect.id for effect in weights])
+    return (*found, *((link.MOUNT_TILT,) if mounted else ()))
+
+
+def tie_alike(effects: Sequence[Effect], strengths: Sequence[str], weights: Sequence[str]) -> list[Effect]:
+    """The effects, of which `strengths` of all that drives a rig and `weights` of its links are hard to tell apart."""
+    others = {**dict.fromkeys(strengths, tuple(weights)), **dict.fromkeys(weights, tuple(strengths))}
+    return [replace(effect, look_alikes=(*effect.look_alikes, *others.get(effect.id, ()))) for effect in effects]
 
 
 def find_effect(effects: Iterable[Effect], effect_id: str) -> Effect:
