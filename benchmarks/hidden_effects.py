@@ -13,8 +13,9 @@ dropouts, stamp jitter, small distractors, in a quarter of them outliers, the ri
 in three of five sessions, somewhat beyond (tests/reality, which shares no physics with vpptwin). Of twenty sessions
 eight hide one effect, two one whose law is not ours, three two, one three, three one that the catalogue lacks, three
 none. `--rigs other` takes carriages, carts, pendula and arms instead, each drawn (tests/mechanisms, no MuJoCo): of
-twenty nine hide one effect, four two, three one from outside, four none. Every result names its commit; results of
-several are neither gone on from nor reported without --mixed.
+twenty nine hide one effect, four two, three one from outside, four none. `--rigs quadrotor` and `--rigs servo` take a
+quadrotor and an arm with position servos, one effect in five of six sessions (hidden/crafts.py). Every result names its
+commit; results of several are neither gone on from nor reported without --mixed.
 """
 
 from __future__ import annotations
@@ -46,8 +47,6 @@ from hidden.session import fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tests.mechanisms import Session  # noqa: E402
-
 NIGHTLY = 73127
 """Seed of the sessions that nobody may tune on: look at their rates, never at one of them. Once one was looked at, for
 whatever reason, the seed is spent: take another and say so in docs/benchmarks.md."""
@@ -58,7 +57,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=40, help="sessions; 40 by default")
     parser.add_argument("--nightly", action="store_true", help="fresh sessions under bounds, see NIGHTLY")
-    parser.add_argument("--rigs", choices=("drone", "other"), default="drone", help="whose sessions; ours by default")
+    parser.add_argument(
+        "--rigs", choices=("drone", *other.DRAWS), default="drone", help="whose sessions; ours by default"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of what is drawn; session i is the same for any --cases")
     parser.add_argument("--json", type=Path, help="results, written after every session; a rerun goes on from them")
     parser.add_argument(
@@ -78,19 +79,21 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
     parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
     options = parser.parse_args(argv)
-    if options.rigs == "other" and any(
+    if options.rigs != "drone" and any(
         (options.nightly, options.time, options.effects, options.baselines, options.pictures)
     ):
-        parser.error("--rigs other knows no --nightly, --time, --effects, --baselines or --pictures")
+        parser.error(f"--rigs {options.rigs} knows no --nightly, --time, --effects, --baselines or --pictures")
     if options.nightly:
         options.seed, options.oracle = NIGHTLY, False
     return options
 
 
-def choose_plans(options: argparse.Namespace) -> list[Plan] | list[Session]:
+def choose_plans(options: argparse.Namespace) -> list[Plan] | list[other.AnySession]:
     """The sessions that the command line asks for."""
-    if options.rigs == "other":
-        return other.choose_sessions(options.seed, options.cases, options.kinds, options.numbers, options.shard)
+    if options.rigs != "drone":
+        return other.choose_sessions(
+            options.rigs, options.seed, options.cases, options.kinds, options.numbers, options.shard
+        )
     effects = options.effects.split(",") if options.effects else FLYING
     if options.numbers:
         return [draw_plan(options.seed, int(number), effects) for number in options.numbers.split(",")]
@@ -136,8 +139,8 @@ def run(options: argparse.Namespace, plans: Sequence[Any]) -> list[Case]:
     with tempfile.TemporaryDirectory() as folder:
         home = options.keep or Path(folder)
         keep = options.keep is not None
-        if options.rigs == "other":
-            cases = other.run_sessions(left, home, options.jobs, keep)
+        if options.rigs != "drone":
+            cases = other.run_sessions(options.rigs, left, home, options.jobs, keep)
         else:
             cases = run_campaign(left, home, options.jobs, options.oracle, compared, keep, done)
         for case in tqdm(cases, total=len(left), unit="session", desc="hidden effects", smoothing=0.0):

@@ -143,6 +143,27 @@ def _fly(count, goals, yaws, noise, strength, craft):  # noqa: ANN001, ANN202
     return log
 
 
+SPANS = {
+    **{f"m{i}.gain": ("gain", 0.97, 0.85) for i in range(1, 5)}, "m1+m2+m3+m4.gain": ("gain", 0.97, 0.85),
+    "m1+m2+m3+m4.lag": ("time_constant", 0.035, 0.05), "quad.mass": ("mass", 0.001, 0.006),
+    **{f"quad.com {axis}": (axis, 3e-4, 3e-3) for axis in "xy"}, "quad.drag": ("across", 0.005, 0.03),
+    **{f"quad.wind {axis}": (axis, 0.005, 0.05) for axis in "xy"},
+    **{f"quad.twist {axis}": (axis, 5e-5, 5e-4) for axis in "xy"},
+}  # fmt: skip
+"""What may be hidden, a letter behind it for what has several: strength, and its span."""
+
+
+def draw_hidden(seed: int) -> Hidden:
+    """One effect, all equally likely, its strength log-uniform; in one of six sessions none."""
+    rng = np.random.default_rng([seed, 8])
+    if rng.random() < 1.0 / 6.0:
+        return {}
+    effect = str(rng.choice(list(SPANS)))
+    name, low, high = SPANS[effect]
+    value = float(low * (high / low) ** rng.random())
+    return {effect.split()[0]: {name: value * (rng.choice([-1.0, 1.0]) if " " in effect else 1.0)}}
+
+
 def simulate(hidden: Hidden, duration: float, seed: int, gusts: float) -> np.ndarray:
     """Fly between waypoints with something hidden in the craft; gusts as a share of its weight.
 
@@ -161,8 +182,8 @@ def simulate(hidden: Hidden, duration: float, seed: int, gusts: float) -> np.nda
     craft = (
         MASS + get("quad.mass", "mass"), np.array([get("quad.com", axis) for axis in "xyz"]),
         np.diag(INERTIA * [get("quad.inertia", axis, 1.0) for axis in "xyz"]),
-        np.array([get(f"m{i}.gain", "gain", 1.0) for i in range(1, 5)]),
-        np.array([get(f"m{i}.lag", "time_constant", LAG) for i in range(1, 5)]),
+        np.array([get(f"m{i}.gain", "gain", 1.0) for i in range(1, 5)]) * get("m1+m2+m3+m4.gain", "gain", 1.0),
+        np.array([get("m1+m2+m3+m4.lag", "time_constant", LAG) for _ in range(4)]),
         np.array([get("quad.drag", way) for way in ("across", "across", "along")]),
         *(np.array([get(f"quad.{kind}", axis) for axis in "xyz"]) for kind in ("wind", "twist")), SIDES, SPINS, INERTIA,
     )  # fmt: skip

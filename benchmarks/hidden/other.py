@@ -7,7 +7,7 @@ import shutil
 import signal
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +17,7 @@ from pathlib import Path
 
 from hidden.campaign import open_pool
 from hidden.case import CONFIDENT, Case
+from hidden.crafts import CraftSession, draw_quadrotor, draw_servo
 from hidden.mechanisms import MechanismPlan
 from hidden.rates import Figure, Rate, count, measure_parameters, measure_time
 from hidden.session import read_verdict
@@ -31,35 +32,43 @@ UNRECORDED = "unrecorded"
 """Kind of a session that could not be recorded."""
 
 
-def choose_sessions(seed: int, cases: int, kinds: Sequence[str], numbers: str | None, shard: str) -> list[Session]:
+DRAWS = {"other": draw_session, "quadrotor": draw_quadrotor, "servo": draw_servo}
+"""Rigs that are not ours → what draws a session of them."""
+AnySession = Session | CraftSession
+
+
+def choose_sessions(
+    rigs: str, seed: int, cases: int, kinds: Sequence[str], numbers: str | None, shard: str
+) -> list[AnySession]:
     """The sessions that a command line asks for."""
+    draw: Callable[[int, int], AnySession] = DRAWS[rigs]
     if numbers:
-        return [draw_session(seed, int(number)) for number in numbers.split(",")]
+        return [draw(seed, int(number)) for number in numbers.split(",")]
     first, shards = map(int, shard.split("/"))
-    drawn = (draw_session(seed, number) for number in count_up())
+    drawn = (draw(seed, number) for number in count_up())
     wanted = (session for session in drawn if not kinds or session.kind in kinds)
     return list(islice(wanted, cases))[first - 1 :: shards]
 
 
-def run_sessions(sessions: Sequence[Session], folder: Path, jobs: int, keep: bool) -> Iterator[Case]:
+def run_sessions(rigs: str, sessions: Sequence[AnySession], folder: Path, jobs: int, keep: bool) -> Iterator[Case]:
     """Record and diagnose sessions; yields each as it is done, in no order."""
     with open_pool(jobs) as pool:
         homes = [folder / f"case_{session.number:04d}" for session in sessions]
-        running = {pool.submit(run_session, s.seed, s.number, home): home for s, home in zip(sessions, homes)}
+        running = {pool.submit(run_session, rigs, s.seed, s.number, home): home for s, home in zip(sessions, homes)}
         for future in as_completed(running):
             if not keep:
                 shutil.rmtree(running[future], ignore_errors=True)
             yield future.result()
 
 
-def run_session(seed: int, number: int, folder: Path) -> Case:
+def run_session(rigs: str, seed: int, number: int, folder: Path) -> Case:
     """Record a session and diagnose its logs; a diagnosis that fails is a result too."""
-    session = draw_session(seed, number)
+    session: AnySession = DRAWS[rigs](seed, number)
     try:
         recorded = session.record(folder)
     except Exception as error:  # a fault of the proving ground, not of what is tried on it
         return Case(MechanismPlan(number, UNRECORDED, session.family), None, error=f"not recorded: {tell_error(error)}")
-    plan = MechanismPlan.from_record(session, recorded)
+    plan = recorded.plan if isinstance(session, CraftSession) else MechanismPlan.from_record(session, recorded)
     watch_memory()
     began = time.perf_counter()
     try:

@@ -6,6 +6,7 @@ import importlib
 import json
 import time
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 
 from tests.mechanisms import draw_session
+from vpptwin.logs.flight import Flight
+from vpptwin.twin import TwinSpec
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -119,7 +122,7 @@ def test_a_crash_is_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(other, "diagnose", fail)
     number = next(n for n in range(99) if draw_session(5, n).family == "pendulum" and draw_session(5, n).hidden)
-    case = other.run_session(5, number, tmp_path)
+    case = other.run_session("other", 5, number, tmp_path)
     assert case.found is None
     assert case.error.startswith("ValueError: no such thing (test_hidden_other.py:")
     assert set(case.plan.hidden) == {h.effect for h in draw_session(5, number).hidden}
@@ -140,9 +143,34 @@ def test_a_diagnosis_that_takes_too_much_is_stopped() -> None:
 
 def test_sessions_are_chosen_by_kind_number_and_shard() -> None:
     """The same sessions whichever way they are asked for."""
-    choose = load("other").choose_sessions
+    choose = partial(load("other").choose_sessions, "other")
     first = choose(5, 10, [], None, "1/1")
     assert [s.number for s in first] == list(range(10))
     assert choose(5, 10, [], "3,7", "1/1") == [first[3], first[7]]
     assert choose(5, 10, [], None, "2/3") == first[1::3]
     assert {s.kind for s in choose(5, 4, ["alien"], None, "1/1")} == {"alien"}
+
+
+@pytest.mark.parametrize("rigs", ["quadrotor", "servo"])
+def test_quadrotors_and_servos_are_sessions_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rigs: str) -> None:
+    """Drawn from a seed, always the same, most of them with an effect that the twin can have; counted as any other."""
+    other = load("other")
+    drawn = other.choose_sessions(rigs, 5, 60, [], None, "1/1")
+    hidden = [effect for session in drawn for effect in session.hidden]
+    assert 40 <= len(hidden) <= 58
+    assert len(set(hidden)) >= 8
+    assert [s.hidden for s in other.choose_sessions(rigs, 5, 60, [], "3,7", "1/1")] == [
+        drawn[3].hidden,
+        drawn[7].hidden,
+    ]
+
+    def fail(spec: TwinSpec, flights: list[Flight]) -> None:
+        known = {effect.id for effect in spec.catalogue}
+        raise ValueError(f"{len(flights)} logs of {flights[0].duration:.0f} s, {set(hidden) - known}")
+
+    monkeypatch.setattr(other, "diagnose", fail)
+    case = other.run_session(rigs, 5, 3, tmp_path)
+    told = "3 logs of 12 s" if rigs == "quadrotor" else "2 logs of 16 s"
+    assert case.error.startswith(f"ValueError: {told}, set() (")
+    assert case.plan.kind == drawn[3].kind
+    assert json.loads(json.dumps(asdict(case)))["plan"]["hidden"] == drawn[3].hidden

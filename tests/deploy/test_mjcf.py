@@ -28,7 +28,7 @@ CART = """<mujoco>
   </worldbody>
   <actuator>
     <motor name="motor" joint="slide" gear="20" ctrllimited="true" ctrlrange="-0.6 0.8"/>
-    <position name="servo" joint="swing" kp="0.5" kv="0.02"/>
+    <position name="servo" joint="swing" kp="0.5" kv="0.02" forcerange="-4 4"/>
   </actuator>
 </mujoco>"""
 SIGNALS = """model: cart.xml
@@ -44,6 +44,8 @@ EXACT = (
     "motor.gain: {gain: 0.9}", "servo.gain: {gain: 0.8}", "motor.delay: {delay: 0.0063}",
     "motor.saturation: {limit: 0.2}, motor.gain: {gain: 1.4}", "servo.delay: {delay: 0.02}",
     "servo.stiffness: {stiffness: 0.7}, servo.strength: {strength: 0.5}, servo.gain: {gain: 0.9}",
+    "servo.force_limit: {limit: 0.02}", "pole.mass: {mass: 0.1}", "mount.tilt: {x: 0.05, y: -0.1}",
+    "pole.payload: {mass: 0.1, place_x: 0.1, place_y: 0.0, place_z: -0.5}",
 )  # fmt: skip
 """Effects that MuJoCo holds as they are."""
 ROUNDED = 1e-6

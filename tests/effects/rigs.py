@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.actuators.motor import compute_current
-from vpptwin.effects import CATALOGUE, Effect, Parameter, effects_for_rig, find_effect, generic_place
+from vpptwin.effects import CATALOGUE, Effect, Link, Parameter, effects_for_rig, find_effect, generic_place
+from vpptwin.effects.actuator import SAG
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
 
@@ -42,8 +43,9 @@ signals:
 """
 
 CART_EFFECTS = effects_for_rig(
-    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
-)
+    [generic_place("slide", False, 1.0, room=1.0, driven=True), generic_place("swing", True, 1.0, room=1.0)],
+    {"motor": 1.0}, loops={"motor": (SAG,)}, links=[Link("pole", 0.2, (0.0, 0.0, -0.6), 0.3)], mounted=True,
+)  # fmt: skip
 EFFECTS = {"flown": CATALOGUE, "replayed": CATALOGUE, "cart": CART_EFFECTS}
 """What each rig can have, as known before it is loaded."""
 

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Site, Stage, effects_for_rig, find_effect, generic_place
-from vpptwin.effects.actuator import list_servo_effects
+from tests.effects.rigs import CART_EFFECTS
+from vpptwin.actuators.layer import weaken_control
+from vpptwin.effects import CATALOGUE, Site, Stage, find_effect
+from vpptwin.effects.actuator import SAG, list_loop_effects
 from vpptwin.effects.base import Craft, Motion, Rotor
 
-CART_EFFECTS = effects_for_rig(
-    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
-)
 EFFECTS = (*CATALOGUE, *CART_EFFECTS)
 ROUNDING = 1e-12
 """The numbers below are exact, or carry functions that numpy computes to the last bit or two."""
@@ -41,6 +40,7 @@ FRICTION_LAWS = [
     ("rail_z.jamming", 0.2, FORWARD, (0.25,), 0.7),  # 0.2 + 0.25 · |-2|, whatever the lever
     ("rail_x.tight_spot", 0.2, FORWARD, (0.5, 0.3, 0.1), 0.7),  # in its middle
     ("rail_x.tight_spot", 0.2, AT_REST, (0.5, 0.5, 0.1), 0.2 + 0.5 / E**4),  # two widths away: (-0.2/0.1)² = 4
+    ("slide.load", 0.2, FORWARD, (0.15,), 0.5),  # 0.2 + 0.15 · |-2|
     ("rail_x.asymmetry", 0.4, FORWARD, (0.25,), 0.5),  # 0.4 · (1 + 0.25)
     ("rail_x.asymmetry", 0.4, BACKWARD, (0.25,), 0.3),  # 0.4 · (1 - 0.25)
     ("rail_z.asymmetry", 0.4, FORWARD, (-0.25,), 0.3),
@@ -167,6 +167,34 @@ CONSTANT_LAWS = [
     ("motor.lag", {"time_constant": (0.03, 0.01)}, {"actuator.time_constant": [[0.05, 0.02], [0.03, 0.02]]}),
     ("motor.rate_limit", {"rate": (3.0, 10.0)}, {"actuator.rate_limit": [[3.0, 1e9], [10.0, 1e9]]}),
     ("motor.backlash", {"gap": (0.01, 0.02)}, {"actuator.gap": [[0.01, 0.0], [0.02, 0.0]]}),
+    ("motor.dead_band", {"band": (0.5, 0.2)}, {"actuator.dead_band": [[0.5, 0.0], [0.2, 0.0]]}),
+    ("motor.sag", {"rate": (0.005, 0.0)}, {"actuator.sag": [[0.005, 0.0], [0.0, 0.0]]}),
+    # A link of 0.45 kg and 6 g m² that weighs a third more has a third more inertia.
+    (
+        "pole.mass",
+        {"mass": (0.15, -0.15)},
+        {
+            "body_mass": [[0, 0.08, 0.60], [0, 0.08, 0.30]],
+            "body_inertia": [[[0] * 3, [0] * 3, [i] * 3] for i in (8e-3, 4e-3)],
+        },
+    ),
+    # 0.15 kg at 0.4 m of 0.45 kg: a quarter of the way, and a reduced mass of 0.1125 kg at 0.4 m; none changes nothing.
+    (
+        "pole.payload",
+        {"mass": (0.15, 0.0), "place_x": (0.0, 1.0), "place_y": (0.0, 1.0), "place_z": (0.4, 1.0)},
+        {
+            "body_mass": [[0, 0.08, 0.60], [0, 0.08, 0.45]],
+            "body_ipos": [[[0] * 3, [0] * 3, [0, 0, z]] for z in (0.1, 0.0)],
+            "body_iquat": [[[1, 0, 0, 0]] * 2 + [[0.5**0.5, 0, -(0.5**0.5), 0]], [[1, 0, 0, 0]] * 3],
+            "body_inertia": [[[0] * 3, [0] * 3, [6e-3, more, more]] for more in (24e-3, 6e-3)],
+        },
+    ),
+    # Turned by 30° about y, so that its x points down, half of gravity pulls along x.
+    (
+        "mount.tilt",
+        {"x": (0.0, SIXTH), "y": (SIXTH, 0.0)},
+        {"opt.gravity": [[G / 2, 0, -G * 0.75**0.5], [0, -G / 2, -G * 0.75**0.5]]},
+    ),
     ("motor.saturation", {"limit": (0.5, 2.0)}, {"actuator.limit": [[0.5, 1e9], [2.0, 1e9]]}),
 ]
 
@@ -178,6 +206,7 @@ def nominal_constants() -> dict[str, np.ndarray]:
         return np.repeat(np.array([values], dtype=float), 2, axis=0)
 
     per_actuator = {"delay": 0.0, "time_constant": 0.02, "rate_limit": 1e9, "gap": 0.0, "trim": 0.0, "gain": 1.0}
+    per_actuator |= {"dead_band": 0.0, "sag": 0.0}
     table = {f"actuator.{name}": rows(value, value) for name, value in per_actuator.items()}
     table["actuator.limit"] = rows(1e9, 1e9)
     zeros = ("battery.sag", "gyro.bias", "mocap.delay", "mocap.angle", "clock.drift")
@@ -188,6 +217,7 @@ def nominal_constants() -> dict[str, np.ndarray]:
         "qpos0": rows(0.0, 0.0, 0.0),
         "qpos_spring": rows(0.0, 0.3, 0.0),
         "body_inertia": rows([0.0] * 3, [0.0] * 3, [6e-3] * 3),
+        "body_iquat": rows([1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]),
         "body_ipos": rows([0.0] * 3, [0.0] * 3, [0.0] * 3),
         "dof_damping": rows(0.0, 0.1, 0.0),
         "dof_armature": rows(0.0, 0.2, 0.0),
@@ -250,16 +280,29 @@ def test_servos() -> None:
     gain[:, 0, 0], bias[:, 0, :3] = 6.0, (0.1, -6.0, -0.4)
     gain[:, 1, 0], bias[:, 1, :3] = 5.0, (0.0, 0.0, -5.0)
     table = {"actuator_gainprm": gain, "actuator_biasprm": bias}
-    laws = {site: list_servo_effects(gain[0, site, 0], *bias[0, site, 1:3]) for site in (0, 1)}
+    laws = {site: list_loop_effects(gain[0, site, 0], *bias[0, site, 1:3]) for site in (0, 1)}
     assert [effect.id for effect in laws[0]] == ["strength", "stiffness", "damping"]
     assert [effect.id for effect in laws[1]] == ["damping"]
-    assert list_servo_effects(20.0, 0.0, 0.0) == list_servo_effects(2.0, -3.0, 0.0) == ()
+    assert list_loop_effects(20.0, 0.0, 0.0) == list_loop_effects(2.0, -3.0, 0.0) == (SAG,)
     for site, effects in laws.items():
         for effect in effects:
             effect.apply(table, Site(actuator=site), **{effect.id: np.array([0.5, 1.0])})
     np.testing.assert_array_equal(gain[:, :, 0], [[1.5, 2.5], [6.0, 5.0]])
     np.testing.assert_array_equal(bias[:, 0, :3], [[0.1, -1.5, -0.1], [0.1, -6.0, -0.4]])
     np.testing.assert_array_equal(bias[:, 1, :3], [[0.0, 0.0, -2.5], [0.0, 0.0, -5.0]])
+    (limit,) = set(list_loop_effects(6.0, -6.0, 0.0, limited=True)) - set(list_loop_effects(6.0, -6.0, 0.0))
+    ranges = np.array(2 * [[[-2.0, 3.0], [-1.0, 1.0]]])
+    limit.apply({"actuator_forcerange": ranges}, Site(actuator=0), limit=np.array([0.5, 1.0]))
+    np.testing.assert_array_equal(ranges, [[[-1.0, 1.5], [-1.0, 1.0]], [[-2.0, 3.0], [-1.0, 1.0]]])
+
+
+def test_what_is_left_of_a_control() -> None:
+    """Half of 0.8 after 20 s of 2.5 %/s; of that all but 0.1 off what is idle; nothing within; later than all, none."""
+    constants = np.rec.fromarrays([[[0.1]], [[0.025]]], names=["actuator.dead_band", "actuator.sag"])[0]
+    assert weaken_control(constants, 0, 0.8, 0.0, 20.0) == pytest.approx(0.3)
+    assert weaken_control(constants, 0, 0.8, 0.6, 20.0) == pytest.approx(0.5)
+    assert weaken_control(constants, 0, 0.8, 0.35, 20.0) == pytest.approx(0.35)
+    assert weaken_control(constants, 0, 0.8, 0.0, 50.0) == 0.0
 
 
 @pytest.mark.parametrize(("effect_id", "level", "motion", "parameters", "expected"), FRICTION_LAWS, ids=name_case)

@@ -7,12 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect, generic_place
+from tests.effects.rigs import CART_EFFECTS
+from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, find_effect
 from vpptwin.effects.table import print_catalogue
-
-CART_EFFECTS = effects_for_rig(
-    [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
-)
 
 # Rows of SPEC 5: names of the parameters with their units.
 DAMPING, FORCE, STRIBECK = {"damping": "N s/m"}, {"force": "N"}, {"force": "N", "velocity": "m/s"}
@@ -69,12 +66,13 @@ MORE_EFFECTS: dict[str, dict[str, str]] = {
     "rail_x.elastic": {"share": "", "frequency": "Hz", "zeta": ""},
 }
 """What the catalogue has besides SPEC 5."""
-SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset"}
-SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation"}
+SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load"}
+SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
+BODY_KINDS = {"mass", "payload", "tilt"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
 RATIOS = {"gain", "fraction", "mu", "loss", "scale", "share", "zeta"}
 """Parameters that are pure numbers."""
-SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta"}
+SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta", "place_x", "place_y", "place_z"}
 """Parameters that merely shape an effect whose strength another one gives."""
 LIMITS = {"rate_limit", "saturation", "stall"}
 """Effects that are off where their limit is too far to be reached: at the upper bound."""
@@ -97,8 +95,11 @@ def test_the_catalogue_is_that_of_the_spec() -> None:
 
 def test_any_rig_has_the_generic_effects() -> None:
     """Every joint and every actuator of another rig has all the generic effects, once."""
-    wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in SPEC_JOINT_KINDS} - {"slide.offset"}
-    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS}
+    wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in SPEC_JOINT_KINDS} - {
+        "slide.offset",
+        "swing.load",
+    }
+    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.payload", "mount.tilt"}
     assert {effect.id for effect in CART_EFFECTS} == wanted
     assert len(CART_EFFECTS) == len(wanted)
 
@@ -152,11 +153,14 @@ def test_what_scales_friction_comes_after_all_of_it() -> None:
 def test_generic_ids_name_their_target(effect: Effect) -> None:
     """A generic effect is called after the joint or actuator it acts on, with a kind of SPEC 5."""
     target, _, kind = effect.id.rpartition(".")
-    kinds = SPEC_ACTUATOR_KINDS if target == "motor" else SPEC_JOINT_KINDS
-    assert target == effect.target
+    kinds = {"motor": SPEC_ACTUATOR_KINDS, "pole": BODY_KINDS, "mount": BODY_KINDS}.get(target, SPEC_JOINT_KINDS)
+    assert effect.target == ("" if target == "mount" else target)
     assert kind in kinds
-    assert {alike.rpartition(".")[2] for alike in effect.look_alikes} <= kinds
-    assert {alike.rpartition(".")[0] for alike in effect.look_alikes} <= {target}
+    weighed = {"motor.gain": {"pole.mass", "pole.payload"}, "pole.mass": {"motor.gain"}, "pole.payload": {"motor.gain"}}
+    alike = set(effect.look_alikes) - weighed.get(effect.id, set())
+    assert len(alike) == len(effect.look_alikes) - len(weighed.get(effect.id, ()))
+    assert {other.rpartition(".")[2] for other in alike} <= kinds
+    assert {other.rpartition(".")[0] for other in alike} <= {target}
 
 
 @pytest.mark.parametrize("effect", EVERY_EFFECT)

@@ -86,7 +86,7 @@ DRIVE_KINDS = {
 }  # fmt: skip
 """Actuator effects → span: logarithm of the gain, seconds, play over the rms input, share of time at the limit."""
 OUTSIDE = ("ripple", "drag", "place_friction", "hysteresis", "memory", "periodic", "sudden", "cable")
-OUTSIDE_DRIVEN = ("load_friction", "sensor_dead_band", "drive_dead_band", "quantised_torque")
+OUTSIDE_DRIVEN = ("sensor_dead_band", "quantised_torque")
 KINDS, KINDS_OUTSIDE = (*JOINT_KINDS, "offset", *DRIVE_KINDS), (*OUTSIDE, *OUTSIDE_DRIVEN, "cross_coupling")
 EITHER = ("bias", "gain")
 FAINT, FAINTER = 0.2, (0.15, 0.6)
@@ -167,11 +167,9 @@ def size_effect(hidden: Hidden, rig: Rig, scale: Scale) -> Values:
         "memory": lambda: {"memory": size / far, "memory_time": rng.uniform(0.2, 2.0)},
         "periodic": lambda: {"hum": 1.4 * size, "hum_rate": 2.0 * np.pi * spread(rng, 0.3, 5.0)},
         "cable": lambda: {"cable": 2.0 * size / far, "slack": scale.middle[j] + far * rng.uniform(-0.2, 0.8)},
-        "load_friction": lambda: {"load": share},
         "cross_coupling": lambda: cross_couple(rng, rig, scale, j, signed),
         "sudden": lambda: {"at": rng.uniform(0.35, 0.65), **change_suddenly(rng, size, signed, speed)},
         "sensor_dead_band": lambda: {"sensor_dead": 0.8 * share * scale.input[i]},
-        "drive_dead_band": lambda: {"dead": 0.8 * share * scale.input[i]},
         "quantised_torque": lambda: {"quantum": 3.0 * share * scale.input[i]},
     }  # fmt: skip
     return {name: float(f"{value:.6g}") for name, value in makers[hidden.kind]().items()}

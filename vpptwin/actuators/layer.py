@@ -63,11 +63,12 @@ def constants_dtype(actuators: int) -> np.dtype:
 
     Fields:
         actuator.delay, actuator.time_constant: s. actuator.rate_limit: 1/s. actuator.gap, actuator.trim: in the
-        unit of the command. actuator.gain, actuator.limit: of the control that the engine gets. All (nu,).
+        unit of the command. actuator.gain, actuator.limit, actuator.dead_band: of the control that the engine gets,
+        actuator.sag: of it 1/s. All (nu,).
         rotor.drag_gain: factor on drag torque. battery.sag: 1/s.
         gyro.scale: factor; gyro.bias: rad/s. mocap.delay: s; mocap.angle: rad; mocap.scale: factor. clock.drift: s/s.
     """
-    of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit")
+    of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit", "dead_band", "sag")
     single = ("rotor.drag_gain", "battery.sag", "gyro.scale", "gyro.bias", "mocap.delay", "mocap.angle", "mocap.scale",
               "clock.drift")  # fmt: skip
     return np.dtype(
@@ -168,3 +169,14 @@ def limit_control(constants: Record, i: int, control: float) -> float:
     """What the engine gets of actuator i: times its gain, within its limit."""
     limit = constants["actuator.limit"][i]
     return np.minimum(np.maximum(control * constants["actuator.gain"][i], -limit), limit)
+
+
+@register_jitable
+def weaken_control(constants: Record, i: int, control: float, idle: float, time: float) -> float:
+    """What a supply that sags leaves of it at a time [s], but for a dead band around `idle`, where it does nothing."""
+    band, sag = constants["actuator.dead_band"][i], constants["actuator.sag"][i]
+    if sag > 0.0:
+        control *= np.maximum(1.0 - sag * time, 0.0)
+    if band > 0.0:
+        control -= np.minimum(np.maximum(control - idle, -band), band)
+    return control

@@ -22,11 +22,13 @@ BRAKE = 0.004
 """Time constant by which MuJoCo's friction brakes [s], 2 steps at least: stiff, so that what sticks hardly creeps."""
 HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Its `solimpfriction`, likewise."""
-OF_BODIES = {"body_mass": "mass", "body_ipos": "pos", "body_inertia": "diaginertia"}
+OF_BODIES = {"body_mass": "mass", "body_ipos": "pos", "body_iquat": "quat", "body_inertia": "diaginertia"}
 OF_ACTUATORS = {
     "actuator.gain": "gainprm", "actuator.limit": "ctrlrange", "actuator.delay": "delay",
     "actuator.time_constant": "dynprm",
 }  # fmt: skip
+NOBODY_HAS = ("actuator.rate_limit", "actuator.gap", "actuator.dead_band", "actuator.sag")
+"""Constants of ours that no actuator of MuJoCo has."""
 OF_JOINTS = {"dof_damping": "damping", "dof_armature": "armature"}
 OF_PLACES = {"qpos0": "ref", "qpos_spring": "springref"}
 
@@ -90,7 +92,7 @@ def hold(spec: TwinSpec) -> Held:
             names
         ):
             held.lost.append((effect, "ctrl is thrust there, not blade pitch"))
-        elif any(name in ("actuator.rate_limit", "actuator.gap") for name in effect.writes):
+        elif any(name in NOBODY_HAS for name in effect.writes):
             held.lost.append((effect, "no actuator of MuJoCo has it"))
         elif any(name in records.dtype.names and not name.startswith("actuator.") for name in effect.writes):
             held.lost.append((effect, "of sensors and supply, which are no part of an MJCF"))
@@ -132,6 +134,8 @@ def hold_fields(held: Held, effect: Effect, constants: Mapping[str, np.ndarray],
             known = held.values.get(("actuator", effect.target, "biasprm"), model.actuator_biasprm[site.actuator])
             loop = constants[name][0, site.actuator, 1:3]  # a force on the joint may be in the first already
             held.put(effect, "actuator", effect.target, biasprm=(known[0], *loop))
+        elif name == "actuator_forcerange":
+            held.put(effect, "actuator", effect.target, forcerange=constants[name][0, site.actuator])
         elif name in OF_BODIES:
             value = tuple(np.atleast_1d(constants[name][0, site.body]))
             held.put(effect, "inertial", model.body(site.body).name, **{OF_BODIES[name]: value})

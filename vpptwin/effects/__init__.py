@@ -14,10 +14,11 @@ from vpptwin.effects.catalogue import (
     find_effect,
     generic_place,
 )
+from vpptwin.effects.link import Link
 from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
     "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Body", "Constants", "Craft", "Effect",
-    "FreeBody", "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_body",
+    "FreeBody", "Link", "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_body",
     "effects_for_rig", "find_effect", "generic_place",
 ]  # fmt: skip

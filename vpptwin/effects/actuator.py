@@ -1,4 +1,4 @@
-"""Effects on any actuator: gain, delay, lag, limited rate, play, saturation; a servo's own stiffness and damping.
+"""Effects on any actuator: gain, delay, lag, limited rate, play, saturation, dead band, sagging supply; a servo's loop.
 
 Those of the drone's rotors are its own.
 
@@ -49,6 +49,21 @@ def apply_saturation(constants: Constants, site: Site, /, limit: np.ndarray) -> 
     bound[:] = np.minimum(bound, limit)
 
 
+def apply_dead_band(constants: Constants, site: Site, /, band: np.ndarray) -> None:
+    """Inputs within ±band of where the actuator does nothing do nothing, those beyond are less by it [ctrl]."""
+    constants["actuator.dead_band"][:, site.actuator] += band
+
+
+def apply_sag(constants: Constants, site: Site, /, rate: np.ndarray) -> None:
+    """The output fades as the supply does, from the start of the log on [1/s]."""
+    constants["actuator.sag"][:, site.actuator] += rate
+
+
+def apply_force_limit(constants: Constants, site: Site, /, limit: np.ndarray) -> None:
+    """The limits of a servo's force times this."""
+    constants["actuator_forcerange"][:, site.actuator] *= limit[:, None]
+
+
 def apply_stiffness(constants: Constants, site: Site, /, stiffness: np.ndarray) -> None:
     """Stiffness of a position servo times this."""
     constants["actuator_gainprm"][:, site.actuator, 0] *= stiffness
@@ -72,17 +87,19 @@ def apply_tracking(constants: Constants, site: Site, /, damping: np.ndarray) -> 
     constants["actuator_biasprm"][:, site.actuator, 2] *= damping
 
 
-def list_servo_effects(gain: float, stiffness: float, damping: float) -> tuple[Effect, ...]:
-    """What a servo may have besides what every actuator may; nothing for what is none.
+def list_loop_effects(gain: float, stiffness: float, damping: float, limited: bool = False) -> tuple[Effect, ...]:
+    """What a servo may have of its loop, besides what every actuator may; of what is none the supply may sag.
 
     Args:
         gain: force per input.
         stiffness: force per position, as MuJoCo's `biasprm`; that of a position servo is -gain.
         damping: force per velocity, likewise; that of a velocity servo is -gain.
+        limited: whether its force is.
     """
+    limit = (FORCE_LIMIT,) if limited else ()
     if gain and stiffness == -gain:
-        return (STRENGTH, STIFFNESS, DAMPING) if damping else (STIFFNESS,)
-    return (TRACKING,) if gain and damping == -gain else ()
+        return (STRENGTH, STIFFNESS, DAMPING, *limit) if damping else (STIFFNESS, *limit)
+    return (TRACKING, *limit) if gain and damping == -gain else (SAG,)
 
 
 def attach(
@@ -117,7 +134,7 @@ GAIN = Effect(
         Parameter(name="gain", unit="", off=1.0, low=0.1, high=3.0, prior=Prior("normal", 1.0, 0.1), size=0.05,
                   tolerance=0.01, source="assumption: an uncalibrated drive is within 10 %"),
     ),
-    stage=Stage.CONSTANT, apply=apply_gain, shows=ACTUATOR_SHOWS, look_alikes=("saturation",),
+    stage=Stage.CONSTANT, apply=apply_gain, shows=ACTUATOR_SHOWS, look_alikes=("saturation", "dead_band", "sag"),
     writes=("actuator.gain",), follows="command",
 )  # fmt: skip
 DELAY = Effect(
@@ -144,7 +161,7 @@ BACKLASH = Effect(
         Parameter(name="gap", unit="ctrl", off=0.0, low=0.0, high=10.0, prior=Prior("halfnormal", 0.0, 0.02), size=0.05,
                   tolerance=0.005, source="assumption: some 2 % of inputs of the order of one"),
     ),
-    stage=Stage.CONSTANT, apply=apply_backlash, shows=ACTUATOR_SHOWS, look_alikes=("delay",),
+    stage=Stage.CONSTANT, apply=apply_backlash, shows=ACTUATOR_SHOWS, look_alikes=("delay", "dead_band"),
     writes=("actuator.gap",), follows="command change",
 )  # fmt: skip
 RATE_LIMIT = Effect(
@@ -167,6 +184,24 @@ SATURATION = Effect(
     stage=Stage.CONSTANT, apply=apply_saturation, shows=ACTUATOR_SHOWS, look_alikes=("gain",),
     writes=("actuator.limit",), follows="command",
 )  # fmt: skip
+DEAD_BAND = Effect(
+    id="dead_band", summary="a dead band", equation="u less ±band",
+    parameters=(
+        Parameter(name="band", unit="ctrl", off=0.0, low=0.0, high=10.0, prior=Prior("halfnormal", 0.0, 0.02),
+                  size=0.02, tolerance=0.002, source="assumption: some 2 % of inputs of the order of one"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_dead_band, shows=ACTUATOR_SHOWS, look_alikes=("backlash", "gain"),
+    writes=("actuator.dead_band",), follows="command",
+)  # fmt: skip
+SAG = Effect(
+    id="sag", summary="a sagging supply", equation="u × (1 - rate t)",
+    parameters=(
+        Parameter(name="rate", unit="1/s", off=0.0, low=0.0, high=0.05, prior=Prior("halfnormal", 0.0, 0.001),
+                  size=0.002, tolerance=0.0002, source="assumption: a battery that is empty in some ten minutes"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_sag, shows=ACTUATOR_SHOWS, look_alikes=("gain",),
+    writes=("actuator.sag",), follows="command",
+)  # fmt: skip
 STIFFNESS = Effect(
     id="stiffness", summary="a wrong stiffness of the servo", equation="kp × stiffness",
     parameters=(
@@ -188,5 +223,14 @@ DAMPING = Effect(
 STRENGTH = replace(
     STIFFNESS, id="strength", summary="a wrong strength of the servo", equation="(kp, kv) × strength",
     parameters=(replace(STIFFNESS.parameters[0], name="strength"),), apply=apply_strength, look_alikes=("stiffness",),
+)  # fmt: skip
+FORCE_LIMIT = Effect(
+    id="force_limit", summary="a wrong limit of the force", equation="|force| ≤ range × limit",
+    parameters=(
+        Parameter(name="limit", unit="", off=1.0, low=0.02, high=5.0, prior=Prior("normal", 1.0, 0.3), size=0.1,
+                  tolerance=0.01, source="assumption: datasheets of small servos are off by a third"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_force_limit, shows=ACTUATOR_SHOWS, look_alikes=("saturation",),
+    writes=("actuator_forcerange",), follows="command",
 )  # fmt: skip
 TRACKING = replace(DAMPING, apply=apply_tracking, writes=STIFFNESS.writes, follows="command")

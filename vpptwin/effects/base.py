@@ -56,7 +56,7 @@ class Motion(NamedTuple):
         position: q [m, rad].
         velocity: q̇ [m/s, rad/s].
         direction: +1 or -1, the sense of motion that friction would oppose; 0 for FORCE and SLIP.
-        load: horizontal force between guide and slider [N]; 0 on other rigs.
+        load: horizontal force between guide and slider [N]; on other rigs what the actuators exert on it [N, N m].
         lever: height of the slider above the rail over the spacing of the bearings; 0 on other rigs.
         inertia: that the joint moves [kg, kg m²].
     """

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from vpptwin.effects import actuator, air, airframe, flex, friction, joint, motor, rail, rotor, sensing, servo, timing
+from vpptwin.effects import (
+    actuator,
+    air,
+    airframe,
+    flex,
+    friction,
+    joint,
+    link,
+    motor,
+    rail,
+    rotor,
+    sensing,
+    servo,
+    timing,
+)
 from vpptwin.effects.base import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
+from vpptwin.effects.link import Link
 
 RAIL = Place("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
 GUIDE = Place("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
@@ -70,18 +85,19 @@ CATALOGUE: tuple[Effect, ...] = (
 """Every effect of the drone on its rail rig (SPEC 5)."""
 
 GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
-    (friction.coulomb, ("viscous", "stiction")),
+    (friction.coulomb, ("viscous", "stiction", "load")),
     (friction.stiction, ("coulomb",)),
     (joint.viscous, ("coulomb",)),
     (joint.bias, ("spring", "offset")),
     (joint.spring, ("bias", "inertia", "offset")),
     (joint.inertia, ("spring",)),
     (joint.offset, ("bias", "spring")),
+    (friction.load, ("coulomb",)),
     (flex.lugre, ()),
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
-HINGES_ONLY = "offset"
-"""Where the zero of a slide lies moves nothing."""
+HINGES_ONLY, DRIVEN_ONLY = "offset", "load"
+"""Where the zero of a slide lies moves nothing; what nothing drives has no gears."""
 
 GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
@@ -94,25 +110,31 @@ INPUT_ROOM = 1e6
 
 GENERIC_ACTUATOR: tuple[Effect, ...] = (
     actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.BACKLASH, actuator.RATE_LIMIT, actuator.SATURATION,
+    actuator.DEAD_BAND,
 )  # fmt: skip
 """What becomes a.gain, a.delay and so on of actuator a of any rig."""
 
-GENERIC_GROUP = tuple(replace(effect, look_alikes=()) for effect in (actuator.GAIN, actuator.DELAY, actuator.LAG))
+GENERIC_GROUP = tuple(
+    replace(effect, look_alikes=()) for effect in (actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.SAG)
+)
 """What becomes a+b+c.gain and so on of rotors that are alike: one battery and one make may be off for all of them."""
 
 
 def generic_place(
-    name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, **known: float
+    name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, driven: bool = False,
+    **known: float,
 ) -> Place:  # fmt: skip
     """A joint of any rig: its typical force [N] or torque [N m], and what else of `Place` is known of it."""
     reason = reason or (f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2")
     where = f"on joint {name}"
-    return Place(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room, **known)
+    return Place(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room,
+                 driven=driven, **known)  # fmt: skip
 
 
 def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
-    servos: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
+    loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
+    links: Iterable[Link] = (), mounted: bool = False,
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -120,12 +142,14 @@ def effects_for_rig(
         joints: as `generic_place` makes them.
         actuators: name → a typical control input; 1 where nobody knows.
         room: factor on the bounds of what is in units of such an input.
-        servos: name → what that one may have besides what every actuator may, as `actuator.list_servo_effects` tells.
+        loops: name → what that one may have besides what every actuator may, as `actuator.list_loop_effects` tells.
         groups: names of actuators that are alike; what one has of its own comes after what all have.
+        links: bodies that joints move.
+        mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
     """
-    effects = []
+    effects, groups = [], list(groups)
     for place in joints:
-        barred = () if place.rotary else (HINGES_ONLY,)
+        barred = (*(() if place.rotary else (HINGES_ONLY,)), *(() if place.driven else (DRIVEN_ONLY,)))
         for make, alike in GENERIC_JOINT:
             if make.__name__ not in barred:
                 effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))
@@ -133,9 +157,23 @@ def effects_for_rig(
         size = max(actuators[name] for name in group)
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     for name, size in actuators.items():
-        own = (*GENERIC_ACTUATOR, *(servos or {}).get(name, ()))
-        effects += [actuator.attach(effect, name, size, room) for effect in own]
-    return tuple(effects)
+        own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
+        if any(name in group for group in groups):  # whose battery is one
+            own = tuple(effect for effect in own if effect.id != actuator.SAG.id)
+        kinds = {effect.id for effect in own}
+        for effect in own:
+            alike = tuple(kind for kind in effect.look_alikes if kind in kinds)
+            effects.append(actuator.attach(replace(effect, look_alikes=alike), name, size, room))
+    weights = link.effects_for_links(links)
+    whole = [*map("+".join, groups)] or (list(actuators) if len(actuators) == 1 else [])
+    found = tie_alike([*effects, *weights], [f"{name}.gain" for name in whole], [effect.id for effect in weights])
+    return (*found, *((link.MOUNT_TILT,) if mounted else ()))
+
+
+def tie_alike(effects: Sequence[Effect], strengths: Sequence[str], weights: Sequence[str]) -> list[Effect]:
+    """The effects, of which `strengths` of all that drives a rig and `weights` of its links are hard to tell apart."""
+    others = {**dict.fromkeys(strengths, tuple(weights)), **dict.fromkeys(weights, tuple(strengths))}
+    return [replace(effect, look_alikes=(*effect.look_alikes, *others.get(effect.id, ()))) for effect in effects]
 
 
 def find_effect(effects: Iterable[Effect], effect_id: str) -> Effect:

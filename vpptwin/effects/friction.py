@@ -28,6 +28,11 @@ def apply_stiction(level: float, motion: Motion, /, force: float, velocity: floa
     return level + force * np.exp(-ratio * ratio)
 
 
+def apply_load(level: float, motion: Motion, /, mu: float) -> float:
+    """Gears rub by a share of the force that the actuators put through them [N, N m]."""
+    return level + mu * np.abs(motion.load)
+
+
 def apply_asymmetry(level: float, motion: Motion, /, fraction: float) -> float:
     """All dry friction of the joint is stronger in one direction than in the other."""
     return level * (1.0 + fraction * motion.direction)
@@ -70,4 +75,17 @@ def asymmetry(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
         f"{place.joint}.asymmetry", f"dry friction {place.where} that depends on the direction",
         "F × (1 + fraction sgn(v))", (parameter,), Stage.FRICTION, apply_asymmetry, JOINT_SHOWS, look_alikes, (),
         place.joint, modifies=(f"{place.joint}.coulomb",),
+    )  # fmt: skip
+
+
+def load(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Losses of a driven joint's gears, which grow with what they transmit."""
+    parameter = Parameter(
+        name="mu", unit="", off=0.0, low=0.0, high=0.9, prior=Prior("halfnormal", 0.0, 0.1), size=0.05,
+        tolerance=0.005, source="assumption: gears lose 5 to 30 %",
+    )  # fmt: skip
+    return Effect(
+        f"{place.joint}.load", f"losses of the gears {place.where} that grow with what drives it",
+        "-mu |actuators' force| sgn(v)", (parameter,), Stage.FRICTION, apply_load, JOINT_SHOWS, look_alikes, (),
+        place.joint, dissipative=True, follows="command",
     )  # fmt: skip

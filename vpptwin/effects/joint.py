@@ -34,6 +34,7 @@ class Place:
         travel: how far from a rest position it gets, where a spring makes it one; 0 for not known [m, rad].
         carried: mass or moment of inertia that it moves; 0 for what `scale` would accelerate typically [kg, kg m²].
         room: factor on bounds of forces: what a YAML may say has more room than what a diagnosis looks through.
+        driven: whether an actuator acts on it.
     """
 
     joint: str
@@ -47,6 +48,7 @@ class Place:
     travel: float = 0.0
     carried: float = 0.0
     room: float = 1.0
+    driven: bool = False
 
     def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior, over: float = 1.0) -> Parameter:
         """A parameter that is off at 0; bounds and prior are shares of `scale` at a speed or deflection `over`."""

@@ -165,6 +165,15 @@ def foresee_actuators(view: View, exerted: np.ndarray) -> None:
 
 
 @register_jitable(forceinline=True)
+def find_idle(view: View, i: int) -> float:
+    """The control at which a servo exerts nothing: where it is, how fast it is; 0 of what is no servo."""
+    gain, stiffness, damping = view.gain[i, 0], view.bias[i, 1], view.bias[i, 2]
+    if view.bias_type[i] != BIAS_AFFINE or gain == 0.0 or (stiffness != -gain and damping != -gain):
+        return 0.0
+    return -(view.bias[i, 0] + stiffness * view.length[i] + damping * view.velocity[i]) / gain
+
+
+@register_jitable(forceinline=True)
 def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
     """Add to `exerted`, (nv,), what actuator i will exert by itself."""
     control = view.ctrl[i]

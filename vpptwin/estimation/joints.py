@@ -9,6 +9,7 @@ import numpy as np
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
+from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.series import Measurements, Series, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
@@ -52,11 +53,12 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     command = read_efforts(spec, flight, signals.actuators)
     spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
+    start, end, told = find_flown(spec.model, found.positions, start, end)
     measurements = Measurements(
         flight.path.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
         attitudes=found.attitudes,
     )  # fmt: skip
-    return replace(measurements, warnings=(*found.warnings, *tell_cut(spans), *tell_gaps(measurements)))
+    return replace(measurements, warnings=(*found.warnings, *told, *tell_cut(spans), *tell_gaps(measurements)))
 
 
 @dataclass

@@ -155,7 +155,7 @@ class Kernel:
 
 def scratch_rows(nv: int) -> int:
     """Rows of the room that a simulation's friction needs, each (nv,)."""
-    return 6 + 2 * nv
+    return 7 + 2 * nv
 
 
 _KERNELS: dict[str, tuple[Any, Any]] = {}

@@ -191,6 +191,44 @@ def group_rotors(model: mujoco.MjModel) -> list[tuple[str, ...]]:
     return [tuple(group) for group in groups.values() if len(group) > 2]
 
 
+def is_driven(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether an actuator acts on a joint itself."""
+    acting = model.actuator_trntype <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    return bool((acting & (model.actuator_trnid[:, 0] == model.joint(joint).id)).any())
+
+
+def list_swung(model: mujoco.MjModel) -> list[int]:
+    """Bodies that a hinge and another joint move: of one joint alone, mass is but the inverse of its drive's gain.
+
+    What only slides is left out, its mass being the inertia of its slide, and what hangs on a free body.
+    """
+    found = []
+    for body in range(1, model.nbody):
+        chain, joints = body, list[int]()
+        while chain:
+            joints += range(model.body_jntadr[chain], model.body_jntadr[chain] + model.body_jntnum[chain])
+            chain = int(model.body_parentid[chain])
+        kinds = [int(model.jnt_type[i]) for i in joints]
+        if HINGE in kinds and FREE not in kinds and np.count_nonzero(model.dof_treeid == model.body_treeid[body]) > 1:
+            found.append(body)
+    return found
+
+
+def tells_mount(model: mujoco.MjModel) -> bool:
+    """Whether a tilted mount is more than the wrong zero of an encoder or a constant force.
+
+    It is where the first of several joints on a base turns about the vertical, or slides and carries a hinge.
+    """
+    first = int(model.jnt_bodyid[0])
+    up = np.abs(model.opt.gravity) / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
+    if model.njnt < 2 or not up.any() or FREE in model.jnt_type or model.body_parentid[first]:
+        return False
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turns = int(model.jnt_type[0]) == HINGE
+    return bool(abs(data.xaxis[0] @ up) > 0.7 if turns else HINGE in model.jnt_type)
+
+
 def tell_rotary(model: mujoco.MjModel) -> np.ndarray:
     """Which degrees of freedom are angles, (nv,) bool."""
     rotary = np.array([model.jnt_type[joint] in (HINGE, BALL) for joint in model.dof_jntid])

@@ -152,7 +152,7 @@ class ChainWriter:
         """The motion of a joint as its effects see it."""
         q, dof = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
         diagonal = int(self.model.M_rowadr[dof] + self.model.M_rownnz[dof]) - 1
-        return f"Motion(view.qpos[{q}], view.qvel[{dof}], {direction}, load, lever, view.inertia[{diagonal}])"
+        return f"Motion(view.qpos[{q}], view.qvel[{dof}], {direction}, load[{dof}], lever, view.inertia[{diagonal}])"
 
     def shape_thrust(self) -> list[str]:
         """Thrust passes through the THRUST effects, whatever they act on."""

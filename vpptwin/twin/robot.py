@@ -16,11 +16,22 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from vpptwin.effects import Effect, FreeBody, Site, effects_for_body, effects_for_rig, generic_place
-from vpptwin.effects.actuator import list_servo_effects
+from vpptwin.effects import Effect, FreeBody, Link, Site, effects_for_body, effects_for_rig, generic_place
+from vpptwin.effects.actuator import list_loop_effects
+from vpptwin.effects.catalogue import INPUT_ROOM
 from vpptwin.errors import InputError
 from vpptwin.twin.manifold import FREE
-from vpptwin.twin.model import compile_model, describe_joints, find_free, group_rotors, tell_rotary, typical_forces
+from vpptwin.twin.model import (
+    compile_model,
+    describe_joints,
+    find_free,
+    group_rotors,
+    is_driven,
+    list_swung,
+    tell_rotary,
+    tells_mount,
+    typical_forces,
+)
 from vpptwin.twin.signals import NO_SIGNALS, Signals, check_signals
 from vpptwin.vehicle import Vehicle
 
@@ -199,20 +210,42 @@ class Robot:
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
         of_bodies = (effect for body in self.list_free() for effect in effects_for_body(body))
-        loops = np.column_stack([model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3]])
-        servos = {name: list_servo_effects(*map(float, loop)) for name, loop in zip(names, loops)}
-        alike = group_rotors(model)
+        about = {name: self.list_loop(i) for i, name in enumerate(names)}
+        more = about, group_rotors(model), self.list_links(), tells_mount(model)
         if loads is None:
             unit = {name: 1.0 for name in names if name}
-            places = [generic_place(*joint) for joint in joints]
-            return (*effects_for_rig(places, unit, servos=servos, groups=alike), *of_bodies)
+            places = [generic_place(*joint, driven=is_driven(model, joint[0])) for joint in joints]
+            return (*effects_for_rig(places, unit, INPUT_ROOM, *more), *of_bodies)
         places = []
         for name, rotary, _ in joints:
             dof = int(model.joint(name).dofadr[0])
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
-            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, **known))
+            driven = is_driven(model, name)
+            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return (*effects_for_rig(places, controls, 1.0, servos, alike), *of_bodies)
+        return (*effects_for_rig(places, controls, 1.0, *more), *of_bodies)
+
+    def list_loop(self, actuator: int) -> tuple[Effect, ...]:
+        """What an actuator may have of its loop."""
+        gain, bias = self.model.actuator_gainprm[actuator], self.model.actuator_biasprm[actuator]
+        limited = bool(self.model.actuator_forcelimited[actuator])
+        return list_loop_effects(float(gain[0]), float(bias[1]), float(bias[2]), limited)
+
+    def list_links(self) -> list[Link]:
+        """The bodies whose mass shows, and where the last ones of a chain may carry something."""
+        model = self.model
+        found = []
+        for body in list_swung(model):
+            name, mass = model.body(body).name, float(model.body_mass[body])
+            centre, tip = model.body_ipos[body], None
+            away = centre - model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else centre
+            reach = float(np.linalg.norm(away)) or 0.1
+            if not (model.body_parentid == body).any() and not model.body_simple[body]:
+                x, y, z = map(float, centre + away)
+                tip = x, y, z
+            if name and mass > 0.0:
+                found.append(Link(name, mass, tip, reach))
+        return found
 
     def list_free(self) -> list[FreeBody]:
         """The bodies that nothing holds, with what is typical of them."""

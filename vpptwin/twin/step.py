@@ -18,10 +18,11 @@ from vpptwin.actuators.layer import (
     move_actuator,
     push_commands,
     spin_rotor,
+    weaken_control,
 )
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.effects.base import Craft, Rotor
-from vpptwin.engine.view import View, foresee_actuators
+from vpptwin.engine.view import View, find_idle, foresee_actuators
 from vpptwin.twin.friction import expand_inertia, rub
 
 X, Z, PITCH = 0, 1, 2
@@ -37,7 +38,7 @@ class Row(NamedTuple):
         parameters: of the effects that act every step, (P,).
         memory: of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,).
         effects: what evolves of the effects, (S,).
-        scratch: room for forces, friction levels, friction and inertia, (6 + 2 nv, nv).
+        scratch: room for forces, friction levels, friction, loads and inertia, (7 + 2 nv, nv).
     """
 
     layer: Any
@@ -107,7 +108,7 @@ def push_craft(
 
 @register_jitable(forceinline=True)
 def push_joints(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View, load: float, lever: float,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View, load: np.ndarray, lever: float,
     force: np.ndarray,
 ) -> None:  # fmt: skip
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
@@ -115,7 +116,7 @@ def push_joints(
 
 @register_jitable(forceinline=True)
 def muster_friction(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View, load: float,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View, load: np.ndarray,
     lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
 ) -> bool:  # fmt: skip
     """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs.
@@ -168,11 +169,13 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
         view.ctrl[i] = limit_control(constants, i, thrust)
 
     # What the carriage hands on to its slider: its other forces less m a, of the last step, as this one's is not known.
-    load = 0.0
+    load = row.scratch[6]
+    load[:] = 0.0
     if rig.carriage >= 0:
-        load = row.memory[0] - view.body_mass[rig.carriage] * view.qacc_warmstart[X]
+        carried = row.memory[0] - view.body_mass[rig.carriage] * view.qacc_warmstart[X]
         if not view.colliding:  # then it is an end stop of the rail that holds, which acts on the carriage
-            load += last_constraint(view, row, k, X)
+            carried += last_constraint(view, row, k, X)
+        load[:] = carried
     lever = (craft.z - vehicle.rig.rail_height) / vehicle.rig.bearing_spacing
     force = row.scratch[0]
     force[:] = 0.0
@@ -190,6 +193,8 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
         rig.active, row.parameters, row.effects, rig.dry, view, load, lever, row.scratch[1], row.scratch[2], force
     )
     on_rail += force[X] - others
+    if rubs:
+        foresee_actuators(view, row.scratch[5])
     resist(rubs, view, row, k)
     row.memory[0] = on_rail + row.scratch[3, X]
 
@@ -200,13 +205,15 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     push_commands(row.layer)
     for i in range(len(view.ctrl)):
         move_actuator(row.layer, row.constants, i, tape.command[k, i], view.timestep)
-        view.ctrl[i] = limit_control(row.constants, i, row.layer["mean"][i])
-    force = row.scratch[0]
+        control = limit_control(row.constants, i, row.layer["mean"][i])
+        view.ctrl[i] = weaken_control(row.constants, i, control, find_idle(view, i), view.time)
+    force, exerted = row.scratch[0], row.scratch[5]
     force[:] = 0.0
-    push_joints(rig.active, row.parameters, row.effects, view, 0.0, 0.0, force)
+    foresee_actuators(view, exerted)
+    push_joints(rig.active, row.parameters, row.effects, view, exerted, 0.0, force)
     drive(view, tape, k, force)
     rubs = muster_friction(
-        rig.active, row.parameters, row.effects, rig.dry, view, 0.0, 0.0, row.scratch[1], row.scratch[2], force
+        rig.active, row.parameters, row.effects, rig.dry, view, exerted, 0.0, row.scratch[1], row.scratch[2], force
     )
     resist(rubs, view, row, k)
 
@@ -233,6 +240,8 @@ def last_constraint(view: View, row: Row, k: int, i: int) -> float:
 def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     """Add dry friction, where something rubs, to the forces in `scratch[0]`, and hand them to the engine.
 
+    What the actuators are about to exert is in `scratch[5]` then.
+
     Friction answers to every other force. Those of contacts, limits and equalities are known only after the engine's
     solver has run: they are taken from the step before, unless one has come or gone since. A contact that is no more
     would have friction push against nothing, and a craft that rests on two points hop from one to the other.
@@ -243,13 +252,12 @@ def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     )  # fmt: skip
     friction[:] = 0.0
     if rubs:
-        foresee_actuators(view, exerted)
         for i in range(n):
             push[i] = force[i] + exerted[i] + view.qfrc_passive[i] - view.qfrc_bias[i]
         if view.constraints > 0 and view.constraints == row.memory[1]:
             for i in range(n):
                 push[i] += last_constraint(view, row, k, i)
-        dense, inverse = scratch[6 : 6 + n], scratch[6 + n : 6 + 2 * n]
+        dense, inverse = scratch[7 : 7 + n], scratch[7 + n : 7 + 2 * n]
         coupled = expand_inertia(
             view.inertia, view.row_length, view.row_start, view.column, view.dof_damping, view.timestep, dense
         )

@@ -1,0 +1,134 @@
+"""Effects on what a base holds: masses of links, a payload somewhere on the last one, a mount that is not level."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vpptwin.effects.base import Constants, Effect, Site, Stage
+from vpptwin.effects.joint import JOINT_SHOWS
+from vpptwin.effects.parameter import Parameter, Prior
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Link:
+    """A moving body that effects are made for.
+
+    Attributes:
+        name: in the MJCF.
+        mass: kg.
+        tip: where a payload is looked for first, in the body's frame [m]; None where none is.
+        reach: how far from there it may be [m].
+    """
+
+    name: str
+    mass: float
+    tip: tuple[float, float, float] | None = None
+    reach: float = 0.1
+
+
+def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
+    """Mass added to that of a link, spread as its own is [kg]."""
+    own = constants["body_mass"][:, site.body]
+    constants["body_inertia"][:, site.body] *= (1.0 + mass / own)[:, None]
+    own += mass
+
+
+def apply_payload(
+    constants: Constants, site: Site, /, mass: np.ndarray, place_x: np.ndarray, place_y: np.ndarray, place_z: np.ndarray
+) -> None:
+    """A point mass on a link: mass, centre of mass and inertia follow, so that they are those of a body."""
+    rows, body = np.flatnonzero(mass), site.body
+    fields = [constants[name] for name in ("body_mass", "body_ipos", "body_iquat", "body_inertia")]
+    own, centre, turn, moments = (field[rows, body] for field in fields)
+    away, share = np.stack([place_x, place_y, place_z], axis=1)[rows] - centre, mass[rows] / (own + mass[rows])
+    axes = to_matrix(turn)
+    square = (away**2).sum(axis=1)[:, None, None] * np.eye(3) - away[:, :, None] * away[:, None, :]
+    found = (axes * moments[:, None, :]) @ axes.swapaxes(1, 2) + (own * share)[:, None, None] * square
+    principal, vectors = np.linalg.eigh(found)
+    vectors[:, :, 2] *= np.sign(np.linalg.det(vectors))[:, None]
+    for field, values in zip(
+        fields, (own + mass[rows], centre + share[:, None] * away, to_attitude(vectors), principal)
+    ):
+        field[rows, body] = values
+
+
+def to_matrix(attitude: np.ndarray) -> np.ndarray:
+    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4)."""
+    w, x, y, z = attitude.T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.array(rows).transpose(2, 0, 1)
+
+
+def to_attitude(matrix: np.ndarray) -> np.ndarray:
+    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    m = matrix.transpose(1, 2, 0)
+    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+    a, b, c = m[0, 0], m[1, 1], m[2, 2]
+    rows = ((a + b + c, x, y, z), (x, a - b - c, xy, xz), (y, xy, b - a - c, yz), (z, xz, yz, c - a - b))
+    found = np.linalg.eigh(np.array(rows).transpose(2, 0, 1))[1][:, :, -1]
+    return found * np.where(found[:, :1] < 0.0, -1.0, 1.0)
+
+
+def apply_tilt(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray) -> None:
+    """The mount turned by the rotation vector (x, y, 0), so that gravity comes from elsewhere [rad]."""
+    angle, gravity = np.hypot(x, y), constants["opt.gravity"]
+    axis = np.stack([x, y, 0.0 * x], axis=1) / np.maximum(angle, 1e-300)[:, None]
+    sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
+    along = axis * (axis * gravity).sum(axis=1, keepdims=True)
+    gravity += (cosine - 1.0) * (gravity - along) - sine * np.cross(axis, gravity)
+
+
+def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
+    """`NAME.mass` of every link, `NAME.payload` of those that may carry one."""
+    found: list[Effect] = []
+    for link in links:
+        source, size = "assumption: shares of what the model has", 0.05 * link.mass
+        mass = Parameter(
+            name="mass", unit="kg", off=0.0, low=-0.8 * link.mass, high=4.0 * link.mass, size=size,
+            tolerance=0.05 * size, prior=Prior("normal", 0.0, 2.0 * size), source=source,
+        )  # fmt: skip
+        payload, own = f"{link.name}.payload", f"{link.name}.mass"
+        found.append(Effect(
+            own, f"a wrong mass of {link.name}", "(m, I) × (1 + mass/m)", (mass,), Stage.CONSTANT, apply_mass,
+            JOINT_SHOWS, (payload,) if link.tip else (), ("body_mass", "body_inertia"), link.name, follows="position",
+        ))  # fmt: skip
+        if link.tip is None:
+            continue
+        held = Parameter(
+            name="mass", unit="kg", off=0.0, low=0.0, high=10.0 * link.mass, size=size, tolerance=0.05 * size,
+            prior=Prior("halfnormal", 0.0, 4.0 * size), source=source,
+        )  # fmt: skip
+        place = tuple(
+            Parameter(name=f"place_{axis}", unit="m", off=at, low=at - 4.0 * link.reach, high=at + 4.0 * link.reach,
+                      size=0.3 * link.reach, tolerance=8.0 * link.reach, prior=Prior("normal", at, 0.3 * link.reach),
+                      source="assumption: at the far end of the link")
+            for axis, at in zip(AXES, link.tip)
+        )  # fmt: skip
+        found.append(Effect(
+            payload, f"a payload on {link.name}",
+            "a point mass at (place_x, place_y, place_z)", (held, *place), Stage.CONSTANT,
+            apply_payload, JOINT_SHOWS, (own,), ("body_mass", "body_ipos", "body_iquat", "body_inertia"), link.name,
+            follows="position",
+        ))  # fmt: skip
+    return tuple(found)
+
+
+MOUNT_TILT = Effect(
+    id="mount.tilt", summary="a mount that is not level", equation="gravity turned back by (x, y, 0)",
+    parameters=tuple(
+        Parameter(name=axis, unit="rad", off=0.0, low=-0.5, high=0.5, prior=Prior("normal", 0.0, 0.02), size=0.02,
+                  tolerance=0.002, source="assumption: levelled by hand to a degree")
+        for axis in AXES[:2]
+    ),
+    stage=Stage.CONSTANT, apply=apply_tilt, shows=JOINT_SHOWS, writes=("opt.gravity",), follows="position",
+)  # fmt: skip
