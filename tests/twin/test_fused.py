@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from tests import servo_arm
 from tests.effects.rigs import Rig, load_rigs
-from vpptwin.twin import Twin
+from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.layout import agrees, read_layout
 
 ROWS, STEPS = 6, 200
@@ -31,6 +33,27 @@ def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
         for p in effect.parameters:
             twin.set_parameter(effect.id, p.name, np.where(rng.random(ROWS) < 0.5, p.off, p.draw(rng, ROWS)))
     return twin
+
+
+@pytest.mark.slow
+def test_servos_equal_mujoco(tmp_path: Path) -> None:
+    """An arm with position servos, limits of their force and a payload that differ by simulation."""
+    file = servo_arm.write_twin(tmp_path)
+    mjcf = tmp_path / "servo_arm.xml"
+    mjcf.write_text(mjcf.read_text().replace("implicitfast", "Euler"))
+    spec, rng = load_twin(str(file)), np.random.default_rng(5)
+    active = {"forearm.payload": ("mass", 0.0, 0.2), "shoulder_servo.force_limit": ("limit", 0.1, 1.0)}
+    twin = Twin(spec, ROWS, active=active, num_threads=2)
+    for effect, (name, low, high) in active.items():
+        twin.set_parameter(effect, name, rng.uniform(low, high, ROWS))
+    start = twin.initial_state(qvel=rng.normal(size=(ROWS, 2)))
+    commands = np.repeat(rng.uniform(-1.5, 1.5, (ROWS, STEPS // 10, 2)), 10, axis=1)
+    found = twin.replay_commands(start, commands)
+    assert twin._layout is not None
+    twin._layout = None
+    expected = twin.replay_commands(start, commands)
+    np.testing.assert_allclose(found.qpos, expected.qpos, rtol=0, atol=ROUNDING)
+    assert not np.array_equal(found.qpos, expected.qpos)
 
 
 @pytest.mark.parametrize("name", ["replayed", "cart"])

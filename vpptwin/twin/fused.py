@@ -11,10 +11,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from vpptwin.effects.link import to_matrix
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree
 from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose
 
-FIELDS = (*Shape._fields, "gravity", "gain", "bias")
+FIELDS = (*Shape._fields, "gravity", "gain", "bias", "force_range")
 """Numbers that may differ by simulation, in the order of the table of their addresses."""
 
 ENTRY = """
@@ -32,6 +33,7 @@ def fly(address, begin, end, room):
         gravity = float64_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, 3)
         gain = float64_table_at(addresses[{gain}] + addresses[{gain} + 1] * i, {nu}, {ngain})
         bias = float64_table_at(addresses[{bias}] + addresses[{bias} + 1] * i, {nu}, {nbias})
+        force_range = float64_table_at(addresses[{force_range}] + addresses[{force_range} + 1] * i, {nu}, 2)
         qpos = float64_at(context.state_qpos + {nv} * 8 * i, {nv})
         qvel = float64_at(context.state_qvel + {nv} * 8 * i, {nv})
         warmstart = float64_at(context.warmstart + {nv} * 8 * i, {nv})
@@ -104,7 +106,6 @@ def list_statics(layout: Layout, model: mujoco.MjModel) -> dict[str, np.ndarray]
         "ctrl_limited": np.array(model.actuator_ctrllimited, np.bool_),
         "force_limited": np.array(model.actuator_forcelimited, np.bool_),
         "ctrl_range": np.array(model.actuator_ctrlrange, float),
-        "force_range": np.array(model.actuator_forcerange, float),
         "joint": np.arange(nv, dtype=np.int32), "joint_limited": np.array(model.jnt_actfrclimited, np.bool_),
         "joint_range": np.array(model.jnt_actfrcrange, float), "joint_lifted": np.zeros(nv, np.bool_),
     }  # fmt: skip
@@ -163,7 +164,8 @@ def write_fused(
         fields=len(FIELDS), statics=len(statics), tree=", ".join(where[f"tree.{n}"] for n in Tree._fields),
         reach=", ".join(where[f"reach.{n}"] for n in Reach._fields), places=places, carriage=carriage, nv=nv, nu=nu,
         room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
-        gain=order["gain"], bias=order["bias"], ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
+        gain=order["gain"], bias=order["bias"], force_range=order["force_range"],
+        ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
         timestep=float(model.opt.timestep), step=step,
     )  # fmt: skip
 
@@ -177,6 +179,9 @@ def room_size(model: mujoco.MjModel) -> int:
 def point_at_fields(layout: Layout, table: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
     """Addresses and strides of `FIELDS`, (2 F,), those of `table`, name → (N, ...), by row; what they point at."""
     own = {PER_SIMULATION[name]: array for name, array in table.items() if name in PER_SIMULATION}
+    if "body_imat" in own:  # as effects write them, they are quaternions
+        turns = to_matrix(own["body_imat"].reshape(-1, 4))
+        own["body_imat"] = np.ascontiguousarray(turns).reshape(len(own["body_imat"]), -1, 9)
     held, words = [], []
     for name in FIELDS:
         array = own.get(name)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from vpptwin.effects.link import to_matrix
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree, gear_actuators, place_bodies, weigh_bodies
 from vpptwin.twin.model import HINGE, SLIDE
 
@@ -25,7 +26,8 @@ IGNORED = sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in (
 PER_SIMULATION = {"body_mass": "body_mass", "body_inertia": "body_inertia", "body_ipos": "body_ipos",
                   "jnt_stiffness": "jnt_stiffness", "qpos_spring": "qpos_spring", "qpos0": "qpos0",
                   "dof_damping": "dof_damping", "dof_armature": "dof_armature", "opt.gravity": "gravity",
-                  "actuator_gainprm": "gain", "actuator_biasprm": "bias"}  # fmt: skip
+                  "actuator_gainprm": "gain", "actuator_biasprm": "bias", "actuator_forcerange": "force_range",
+                  "body_iquat": "body_imat"}  # fmt: skip
 """Fields that effects may write → what the fused step calls them."""
 
 
@@ -35,7 +37,7 @@ class Layout:
 
     Attributes:
         tree: how it hangs together.
-        numbers: `Shape`, gravity, gain and bias of the nominal model, by name.
+        numbers: `Shape`, gravity, gain, bias and force range of the nominal model, by name.
         reach: what could touch.
     """
 
@@ -83,14 +85,6 @@ def is_plain(model: mujoco.MjModel) -> bool:
     )  # fmt: skip
 
 
-def to_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations as rows of matrices, (n, 9)."""
-    result = np.zeros((len(quaternions), 9))
-    for matrix, quaternion in zip(result, quaternions):
-        mujoco.mju_quat2Mat(matrix, quaternion)
-    return result
-
-
 def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:
     """How a model hangs together, and its numbers."""
     nv, nu = int(model.nv), int(model.nu)
@@ -106,7 +100,7 @@ def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:
     forces, torques = np.zeros((nu, 3)), np.zeros((nu, 3))
     for i in np.flatnonzero(at_site):
         seat[i], place[i] = model.site_bodyid[sites[i]], model.site_pos[sites[i]]
-        turn = to_matrices(model.site_quat[sites[i]][None])[0].reshape(3, 3)
+        turn = to_matrix(model.site_quat[sites[i]][None])[0]
         forces[i], torques[i] = turn @ model.actuator_gear[i, :3], turn @ model.actuator_gear[i, 3:]
     tree = Tree(
         np.array(model.body_parentid, np.int64), first, last.astype(np.int64), deepest,
@@ -115,11 +109,13 @@ def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:
     copied = ("body_pos", "body_ipos", "body_mass", "body_inertia", "jnt_pos", "jnt_axis", "qpos0", "jnt_stiffness",
               "qpos_spring", "dof_damping", "dof_armature")  # fmt: skip
     numbers = {name: np.array(getattr(model, name), float) for name in copied}
-    numbers |= {"body_mat": to_matrices(model.body_quat), "body_imat": to_matrices(model.body_iquat)}
+    numbers |= {"body_mat": to_matrix(model.body_quat), "body_imat": to_matrix(model.body_iquat)}
     numbers |= {"site_pos": place, "gear_force": forces, "gear_torque": torques}
     numbers["gear"] = np.array(model.actuator_gear[:, 0]).reshape(nu)
     numbers["gravity"] = np.array(model.opt.gravity)
     numbers |= {"gain": np.array(model.actuator_gainprm), "bias": np.array(model.actuator_biasprm)}
+    numbers["force_range"] = np.array(model.actuator_forcerange)
+    numbers |= {name: numbers[name].reshape(-1, 9) for name in ("body_mat", "body_imat")}
     assert len(tree.hinge) == nv
     return tree, numbers
 
