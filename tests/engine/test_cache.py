@@ -33,7 +33,9 @@ import numpy as np
 twin = Twin(load_twin(sys.argv[1]), 1, active=["slide.coulomb"])
 twin.set_parameter("slide.coulomb", "force", 0.3)
 state = twin.replay_commands(twin.initial_state(qvel=np.array([0.5])), np.zeros((1, 20, 0)))[0]
-print(twin._kernel.keep.cache_hits, float(state.qpos[0, 0]).hex())
+from vpptwin.twin.kernel import _KERNELS
+((_, compiled),) = _KERNELS.values()
+print(compiled.cache_hits, float(state.qpos[0, 0]).hex())
 """
 
 

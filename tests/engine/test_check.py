@@ -85,7 +85,7 @@ def test_another_physics_is_noticed(monkeypatch: pytest.MonkeyPatch, flag: str, 
     monkeypatch.setattr(structs, "PROBE", probe)
     monkeypatch.setattr(kernel, "_KERNELS", {})
     with pytest.raises(ImportError, match=f"mujoco {mujoco.__version__} .*{noticed}"):
-        Twin(load_twin(), 1)
+        _ = Twin(load_twin(), 1)._kernel.callback
 
 
 def test_an_unknown_type_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,7 +58,7 @@ def test_names_of_the_menagerie(monkeypatch: pytest.MonkeyPatch, name: str, robo
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("scene", "'scene' is no of"), ("ur10", "universal_robots_ur10e"), ("x.xml", "no file")]
+    ("name", "part"), [("scene", "'scene' is none of"), ("ur10", "universal_robots_ur10e"), ("x.xml", "no file")]
 )
 def test_unknown_models_are_refused(name: str, part: str) -> None:
     """With what comes near."""

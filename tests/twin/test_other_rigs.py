@@ -86,7 +86,7 @@ def test_every_generic_effect_at_once(tmp_path: Path) -> None:
     (tmp_path / "lift.xml").write_text(LIFT.format(**PLAIN))
     (tmp_path / "twin.yaml").write_text(TWIN)
     spec = load_twin(tmp_path / "twin.yaml")
-    assert {effect.target for effect in spec.catalogue} == {"lift", "arm"}  # the motor has no name
+    assert {effect.target for effect in spec.catalogue} == {"lift", "arm", ""}  # the motor has no name, the mount none
     assert {effect.stage for effect in spec.catalogue} == {*Stage} - {Stage.THRUST}
     twin, rng = Twin(spec, 5, active=[e.id for e in spec.catalogue], num_threads=1), np.random.default_rng(1)
     for effect in spec.catalogue:

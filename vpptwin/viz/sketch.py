@@ -52,7 +52,9 @@ def find_part(robot: Robot, effect: Effect) -> Part:
     driven = effect.writes and not set(effect.writes) & {*PERFECT, *dir(model), "opt.gravity"}
     if not effect.target and (effect.stage is Stage.THRUST or driven):
         return Part(actuators=frozenset(range(model.nu)))
-    return Part(bodies=frozenset({site.body} - {-1}))
+    return Part(
+        bodies=frozenset({site.body} - {-1}) or frozenset({int(model.jnt_bodyid[0])})
+    )  # or what the mount holds
 
 
 def sketch_rig(robot: Robot, effects: Iterable[Effect], label: str) -> str:
