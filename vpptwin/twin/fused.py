@@ -25,8 +25,6 @@ def fly(address, begin, end, room):
     tree = Tree({tree})
     reach = Reach({reach})
     rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
-    steps = context.steps
-    commands = 1 if context.policy else steps
 {room}
     for i in range(begin, end):
         shape = Shape({shape})
@@ -131,9 +129,7 @@ def array_at(address: str, array: np.ndarray | tuple[int, ...]) -> str:
     return f"{kind}{table}_at({address}, {', '.join(map(str, shape))})"
 
 
-def write_fused(
-    layout: Layout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str
-) -> str:  # fmt: skip
+def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str) -> str:
     """The text of the fused step for a model's sizes.
 
     Args:

@@ -53,7 +53,7 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
         model: that is stepped.
         written: its fields that effects write.
     """
-    if not is_plain(model) or any(name not in PER_SIMULATION for name in written if hasattr_deep(model, name)):
+    if not is_plain(model) or any(name not in PER_SIMULATION for name in written if is_of_model(model, name)):
         return None
     tree, numbers = read_tree(model)
     reach = read_reach(model, tree)
@@ -61,7 +61,7 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
     return layout if layout is not None and agrees(layout, model) else None
 
 
-def hasattr_deep(model: mujoco.MjModel, name: str) -> bool:
+def is_of_model(model: mujoco.MjModel, name: str) -> bool:
     """Whether a constant is a field of the model, not of sensors or actuators of ours."""
     return name.startswith("opt.") or hasattr(model, name)
 
@@ -87,7 +87,7 @@ def is_plain(model: mujoco.MjModel) -> bool:
 
 def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:
     """How a model hangs together, and its numbers."""
-    nv, nu = int(model.nv), int(model.nu)
+    nu = int(model.nu)
     first = np.where(model.body_jntnum > 0, model.body_jntadr, 0).astype(np.int64)
     last = first + np.asarray(model.body_jntnum)
     deepest = np.full(model.nbody, -1, np.int64)
@@ -116,7 +116,6 @@ def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:
     numbers |= {"gain": np.array(model.actuator_gainprm), "bias": np.array(model.actuator_biasprm)}
     numbers["force_range"] = np.array(model.actuator_forcerange)
     numbers |= {name: numbers[name].reshape(-1, 9) for name in ("body_mat", "body_imat")}
-    assert len(tree.hinge) == nv
     return tree, numbers
 
 
