@@ -243,10 +243,11 @@ def test_on_other_rigs_errors_have_the_last_word(drop: float, gain: float, favou
 def test_lopsided_friction_and_a_force_beside_friction_are_one_law() -> None:
     """What they differ by, to the inexactness of laws of friction, tells nothing; of other pairs everything does."""
     rough = CRITERIA.kinship * 1000.0
-    assert tell_roughness(SEARCH, "a.bias", "a.asymmetry", 1000.0) == rough
-    assert tell_roughness(SEARCH, "a.asymmetry", "a.bias", 1000.0) == rough
+    for one, other in (("a.bias", "a.asymmetry"), ("a.asymmetry", "a.bias")):
+        assert tell_roughness(SEARCH, one, other, {one: 1000.0}) == rough
+        assert tell_roughness(SEARCH, one, other, {one: 300.0, "a.coulomb": 1000.0, "a.viscous": 2000.0}) == rough
     for one, other in (("a.coulomb", "a.viscous"), ("a.coulomb", "a.asymmetry"), ("a.bias", "a.spring")):
-        assert tell_roughness(SEARCH, one, other, 1000.0) == 0.0
+        assert tell_roughness(SEARCH, one, other, {one: 1000.0}) == 0.0
     (rival,) = weigh_rivals({"a.asymmetry": rough - 1.0}, CRITERIA, {"a.asymmetry": rough})
     assert rival.confidence == 0.5
 

@@ -26,7 +26,7 @@ SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
 often a fit is refined."""
 FOLLOWED = 2
 """Times that motion and parameters of what sticks are fitted in turn in the end."""
-FARTHER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
+FARTHER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.6, 0.8, 1.0, 1.25, 1.6), (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 """Times, at first and then around the best, that a law of dry friction is tried at which slopes liken to another."""
 LONG, BRIEF = 3, 2
 """A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
