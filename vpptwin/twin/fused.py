@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
+from threading import Lock
 from typing import Any
 
 import mujoco
@@ -209,14 +210,16 @@ class Stepper:
         workers = min(num_threads, max(num_sims // FEW, 1))
         sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
         self._rooms = np.zeros((workers, sum(int(np.prod(size)) for size in sizes)))
+        self._lock = Lock()
         self._shares = list(pairwise(np.linspace(0, num_sims, workers + 1).astype(int).tolist()))
 
     def run(self, function: Any, context: np.ndarray) -> None:  # noqa: ANN401
         """Run the compiled `function` on a context that has the `addresses`, its simulations shared out to threads."""
-        if self._turns is not None and self._matrices is not None:
-            self._matrices[:] = to_matrix(self._turns.reshape(-1, 4)).reshape(self._matrices.shape)
         jobs = [(context.ctypes.data, *share, room.ctypes.data) for share, room in zip(self._shares, self._rooms)]
-        others = [threads().submit(function, *job) for job in jobs[1:]]
-        function(*jobs[0])
-        for job in others:
-            job.result()
+        with self._lock:  # the room that threads work in is the twin's
+            if self._turns is not None and self._matrices is not None:
+                self._matrices[:] = to_matrix(self._turns.reshape(-1, 4)).reshape(self._matrices.shape)
+            others = [threads().submit(function, *job) for job in jobs[1:]]
+            function(*jobs[0])
+            for job in others:
+                job.result()
