@@ -150,29 +150,6 @@ def test_horizontal_rail_carries_the_rig() -> None:
     np.testing.assert_allclose(speed[0, -1], 0.05 * np.array(expected), atol=1e-9)
 
 
-def test_sliders_stick_below_breakaway() -> None:
-    """Hovering with dry friction on both rails and pushed with 80 % of it, they creep below 0.1 mm in 10 s (SPEC 1)."""
-    ids = ("rail_x.coulomb", "rail_z.coulomb", "rail_x.bias", "rail_z.bias")
-    twin = Twin(SPEC, 8, active=ids)
-    friction = np.array([0.05, 0.3, 1.0, 2.0] * 2)
-    push = 0.8 * friction * np.repeat([1.0, -1.0], 4)
-    for effect_id, force in zip(ids, (friction, friction, push, push)):
-        twin.set_parameter(effect_id, "force", force)
-    start = np.tile([0.1, 1.0, 0.0], (8, 1))
-    path, _ = coast(twin, place(twin, start, thrust=WEIGHT), 10.0, WEIGHT)
-    assert np.abs(path - start[:, None]).max() < 1e-4
-
-
-def test_sliders_give_way_beyond_breakaway() -> None:
-    """Pushed with 120 % of its friction a slider accelerates with the surplus."""
-    twin = Twin(SPEC, 2, active=("rail_x.coulomb", "rail_x.bias"))
-    friction = np.array([0.1, 0.5])
-    twin.set_parameter("rail_x.coulomb", "force", friction)
-    twin.set_parameter("rail_x.bias", "force", 1.2 * friction)
-    _, speed = coast(twin, place(twin, np.tile([0.0, 1.0, 0.0], (2, 1)), thrust=WEIGHT), 1.0, WEIGHT)
-    np.testing.assert_allclose(speed[:, -1, X], 0.2 * friction / MASS_X, rtol=0.01)
-
-
 def test_dry_friction_stops_a_slider_where_it_should() -> None:
     """From v the slider stops after v² m/(2 F), within 1 %, and stays there."""
     speeds = np.array([0.2, 0.5, 0.8, -0.5])
