@@ -19,6 +19,7 @@ from tests.twin.hover import (
     coast,
     make_twin,
     place,
+    share_kernel,
 )
 from vpptwin.twin import Twin, TwinSpec, load_twin
 
@@ -59,7 +60,8 @@ def test_free_fall() -> None:
 def test_free_craft_conserves_energy_and_momentum(planar: TwinSpec) -> None:
     """Tumbling freely it keeps its spin and horizontal momentum; its weight acts on the rest, energy stays."""
     rng = np.random.default_rng(1)
-    twin = Twin(planar, 20)
+    with share_kernel():
+        twin = Twin(planar, 20)
     velocity = rng.uniform(-3, 3, (20, 3)) * [1, 1, 4]
     path, speed = coast(twin, place(twin, rng.uniform(-1, 1, (20, 3)), velocity), 1.0)
     airframe = VEHICLE.airframe
@@ -77,7 +79,9 @@ def test_free_craft_conserves_energy_and_momentum(planar: TwinSpec) -> None:
 
 def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
     """Under constant blades the energy gained is the thrust's work, force times way and torque times angle."""
-    twin, rng = Twin(planar, 10), np.random.default_rng(2)
+    rng = np.random.default_rng(2)
+    with share_kernel():
+        twin = Twin(planar, 10)
     pose, velocity = rng.uniform(-1, 1, (10, 3)), rng.uniform(-1, 1, (10, 3)) * [1, 1, 3]
     blades = np.array([0.10, 0.102])
     start = place(twin, pose, velocity)
