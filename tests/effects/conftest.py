@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-import numpy as np
 import pytest
 
 from tests.effects.rigs import EFFECTS, Rig, load_rigs
-from tests.sessions import read_seed
 
 
 @pytest.fixture(scope="session")
@@ -27,8 +23,6 @@ def rig(request: pytest.FixtureRequest, rigs: dict[str, Rig]) -> Rig:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Give a test with `rig` and `effect_id` every effect, one with `rig` alone every rig; leave the others alone.
 
-    An effect of the drone's is tested flown or replayed, as the seed of this run draws; the other way is `slow`.
-
     The marker `concerns(*rigs, only=predicate)` narrows this down to some rigs, and to effects of which
     `predicate(effect)` holds.
     """
@@ -38,21 +32,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     names, only = (marker.args or tuple(EFFECTS), marker.kwargs.get("only")) if marker else (tuple(EFFECTS), None)
     if "effect_id" in metafunc.fixturenames:
         cases = [(name, effect.id) for name in names for effect in EFFECTS[name] if only is None or only(effect)]
-        seed = [read_seed(), *metafunc.function.__name__.encode()]
-        flown = dict(zip([e.id for e in EFFECTS["flown"]], np.random.default_rng(seed).random(99) < 0.5))
-        given = [
-            pytest.param(case, case[1], marks=[pytest.mark.slow] if is_left_out(case, names, flown) else [])
-            for case in cases
-        ]
+        given = [((name, effect_id), effect_id) for name, effect_id in cases]
         metafunc.parametrize(("rig", "effect_id"), given, indirect=["rig"], ids=[f"{r}-{e}" for r, e in cases])
     else:
         metafunc.parametrize("rig", [(name, "") for name in names], indirect=True, ids=names)
-
-
-def is_left_out(case: tuple[str, str], names: tuple[str, ...], flown: Mapping[str, bool]) -> bool:
-    """Whether the drone has the effect of a case in its other rig this time."""
-    name, effect_id = case
-    return {"flown", "replayed"} <= set(names) and name != "cart" and flown[effect_id] != (name == "flown")
 
 
 def pytest_configure(config: pytest.Config) -> None:
