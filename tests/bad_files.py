@@ -39,43 +39,27 @@ def damage_pose(value: float) -> list[Message]:
     return poses
 
 
-def write_text_topic(path: Path) -> Path:
-    """A log with strings on /mocap/pose."""
-    bag = Bag(path).add("/mocap/pose", "std_msgs/msg/String", [{"data": "here"}], "string data\n")
-    return bag.add(
-        "/rotor/command", ROTOR_COMMAND, [{"header": stamp_header(EPOCH), "blade_pitch": [0.1, 0.1]}]
-    ).write()
-
-
 LOGS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "empty": (lambda path: path.write_bytes(b""), ("is empty (0 bytes)", "MCAP", "record again")),
     "truncated": (
         lambda path: path.write_bytes(DEMO.read_bytes()[: DEMO.stat().st_size // 2]),
         ("ends inside a record", "a complete MCAP file", "mcap recover"),
     ),
-    "picture": (lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(99)), ("PNG picture", "give the .mcap")),
     "no_pose": (lambda path: write_log(path, []), ("no messages on /mocap/pose, only on /rotor/command", "topic map")),
     "nan": (
         lambda path: write_log(path, damage_pose(float("nan"))),
         ("/mocap/pose", "position.x is NaN in 1 of 1200 messages", "3.000 s", "finite numbers"),
     ),
-    "other_type": (write_text_topic, ("/mocap/pose is of type std_msgs/msg/String", "geometry_msgs/msg/PoseStamped")),
-    "backwards": (
-        lambda path: write_log(path, [swing(k, 1200 - k) for k in range(1200)]),
-        ("time runs backwards on /mocap/pose", "stamps that increase", "clock that was set"),
-    ),
     "set_back": (
         lambda path: write_log(path, [swing(k, k if k < 900 else k - 300) for k in range(1200)]),
         ("time runs backwards", "message 901 of 1200", "2.990 s before an earlier one"),
     ),
-    "no_such_file": (lambda path: None, ("no file", "check the path")),
-    "empty_folder": (lambda path: path.mkdir(), ("holds nothing", "logs, or a rosbag2 folder")),
     "folder_of_videos": (
         lambda path: (path.mkdir(), (path / "flight.mp4").write_bytes(b"x")),
         ("holds flight.mp4", "logs, or a rosbag2 folder"),
     ),
 }
-"""Damaged logs that no command takes: how to make each, and what the line must say."""
+"""Damaged logs that no command takes, one of each kind: how to make each, and what the line must say."""
 
 SHORT: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "one_second": (
@@ -109,10 +93,8 @@ TWINS: dict[str, tuple[str, tuple[str, ...]]] = {
 """Twin files that no command takes, one of each kind; tests/twin/test_spec.py has the others."""
 
 MAPS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "number": ("/mocap/pose: {topic: 3}", ("/mocap/pose.topic", "valid string")),
     "unknown_topic": ("/mocap/pos: /vicon", ("/mocap/pos;", "one of /mocap/pose")),
     "not_in_log": ("/mocap/pose: /vicon", ("/mocap/pose (mapped to /vicon)", "only on /rotor/command")),
-    "not_yaml": ("{", ("expected",)),
 }
 
 
