@@ -60,6 +60,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first; skip the tests marked `browser` where there is no Chromium."""
     place = {file: i for i, file in enumerate(LONG)}
     tests = Path(__file__).parent
+    assert all((tests / file).is_file() for file in LONG), "LONG names a file that is gone"
     items.sort(key=lambda item: place.get(item.path.relative_to(tests).as_posix(), len(LONG)))
     if shutil.which("chromium"):
         return
