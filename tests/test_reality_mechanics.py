@@ -1,4 +1,4 @@
-"""The independent simulation moves as mechanics says: fall, drag, sticking; tests/twin/test_independent.py has the rest."""
+"""The independent simulation moves as mechanics says: fall, drag, sticking; twin/test_independent.py has the rest."""
 
 from __future__ import annotations
 
