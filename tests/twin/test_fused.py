@@ -11,6 +11,7 @@ import pytest
 
 from tests import servo_arm
 from tests.effects.rigs import Rig, load_rigs
+from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.layout import agrees, read_layout
 
@@ -28,7 +29,8 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
 
 def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
     """A twin with every effect on, at values drawn from the priors, half of them at off."""
-    twin = Twin(rig.spec, ROWS, active=[effect.id for effect in rig.spec.catalogue], num_threads=2)
+    with share_kernel():
+        twin = Twin(rig.spec, ROWS, active=[effect.id for effect in rig.spec.catalogue], num_threads=2)
     for effect in rig.spec.catalogue:
         for p in effect.parameters:
             twin.set_parameter(effect.id, p.name, np.where(rng.random(ROWS) < 0.5, p.off, p.draw(rng, ROWS)))

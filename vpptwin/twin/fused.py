@@ -31,6 +31,7 @@ def fly(address, begin, end, room):
     reach = Reach({reach})
     rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
 {room}
+    dt = timestep[0]
     for i in range(begin, end):
         shape = Shape({shape})
         gravity = float64_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, 3)
@@ -63,7 +64,7 @@ def fly(address, begin, end, room):
                 for j in range({nv}):
                     velocity[a] += moment[a, j] * qvel[j]
             view = View(
-                clock[0], {timestep!r}, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
+                clock[0], dt, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
                 inertia, row_length, row_start, column, shape.dof_damping, shape.dof_armature, shape.body_mass, gravity,
                 moment_flat, moment_length, moment_start, moment_column, length, velocity, gain, bias, gain_type,
                 bias_type, ctrl_limited, force_limited, ctrl_range, force_range, joint, joint_limited, joint_range,
@@ -84,11 +85,11 @@ def fly(address, begin, end, room):
                 exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
             solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
             if damped:
-                solve_inertia(mass, shape.dof_damping, {timestep!r}, dense, exerted, faster)
+                solve_inertia(mass, shape.dof_damping, dt, dense, exerted, faster)
             for j in range({nv}):
-                qvel[j] += {timestep!r} * (faster[j] if damped else warmstart[j])
-                qpos[j] += {timestep!r} * qvel[j]
-            clock[0] += {timestep!r}
+                qvel[j] += dt * (faster[j] if damped else warmstart[j])
+                qpos[j] += dt * qvel[j]
+            clock[0] += dt
         else:
             int64_at(context.stuck, i + 1)[i] = 0
 """
@@ -111,6 +112,7 @@ def list_statics(layout: Layout, model: mujoco.MjModel) -> dict[str, np.ndarray]
         "ctrl_range": np.array(model.actuator_ctrlrange, float),
         "joint": np.arange(nv, dtype=np.int32), "joint_limited": np.array(model.jnt_actfrclimited, np.bool_),
         "joint_range": np.array(model.jnt_actfrcrange, float), "joint_lifted": np.zeros(nv, np.bool_),
+        "timestep": np.array([model.opt.timestep]),
     }  # fmt: skip
     return {name: np.ascontiguousarray(array) for name, array in shared.items()}
 
@@ -167,7 +169,7 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
         room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
         gain=order["gain"], bias=order["bias"], force_range=order["force_range"],
         ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
-        timestep=float(model.opt.timestep), step=step,
+        step=step,
     )  # fmt: skip
 
 
