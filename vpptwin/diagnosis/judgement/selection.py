@@ -214,8 +214,10 @@ def is_faint(search: Search, fit: Fit, effect: str) -> bool:
     own, criteria = [u for u in search.unknowns if u.effect.id == effect], search.criteria
     if all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return True
-    away = abs(fit.values[own[0].key] - own[0].nominal)
-    return trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * fit.stated_std(own[0])
+    if not trusts_errors(search) or own[0].is_limit:
+        return False
+    strengths = [u for u in own if u.parameter in u.effect.strengths]
+    return all(abs(fit.values[u.key] - u.nominal) < criteria.clear_of_off * fit.stated_std(u) for u in strengths)
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
