@@ -42,16 +42,17 @@ def observe(
 class PolicyPilot:
     """Flies a batch by a policy. It knows the nominal rig's limits, which scale the actions, and nothing else."""
 
-    def __init__(self, policy: Policy, targets: np.ndarray) -> None:
+    def __init__(self, policy: Policy, targets: np.ndarray, strength: float = 1.0) -> None:
         """Take a seat.
 
         Args:
             policy: Who decides.
             targets: x m, z m, theta rad of each policy period; the last one stays. (ticks, 3, flights).
+            strength: Of the rotors, as of a `FlightPlan`.
         """
         self.policy, self.setpoint = policy, targets
         self.integral = np.zeros(targets[0, :PITCH].shape)
-        control = load_nominal()["control"]
+        control = load_nominal(strength)["control"]
         self.limits = np.array([[control["thrust_max"]], [control["rate_max"]]])
 
     def command(
@@ -87,4 +88,5 @@ def fly_policy(
     """
     if targets.shape[:1] + targets.shape[2:] != (len(plans), 3):
         raise ValueError(f"targets {targets.shape}, expected ({len(plans)}, ticks, 3)")
-    return fly_many(plans, PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0))), firmware)
+    pilot = PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0)), plans[0].get("strength", 1.0))
+    return fly_many(plans, pilot, firmware)
