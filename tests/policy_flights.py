@@ -127,9 +127,9 @@ def read_drone() -> tuple[dict[str, Effect], Vehicle]:
 
 
 @cache
-def read_strong(thrust_to_weight: float | None) -> Vehicle:
-    """The nominal vehicle with rotors of that strength."""
-    return strengthen(load_twin(), thrust_to_weight).vehicle
+def read_strong(thrust_to_weight: float | None, commanded: float | None) -> Vehicle:
+    """The nominal vehicle with rotors of that strength, commanded as a policy was trained."""
+    return strengthen(load_twin(), thrust_to_weight, commanded).vehicle
 
 
 def assign(task: Task, sky: Sky, number: int, seed: int, catalogue: Mapping[str, Effect]) -> Assignment:
@@ -160,7 +160,7 @@ def assign(task: Task, sky: Sky, number: int, seed: int, catalogue: Mapping[str,
         "jitter": sky.jitter,
         "dropouts": sky.dropouts,
         "initial": [*pose[0], *velocity[0]],
-        "strength": read_strong(task.thrust_to_weight).control.thrust_max / load_vehicle().control.thrust_max,
+        "strength": read_strong(task.thrust_to_weight, task.commanded).rotor.k_t / load_vehicle().rotor.k_t,
     }
     return Assignment(number, plan, targets, turn)
 
@@ -211,15 +211,16 @@ def fly_assignments(
     policy: Policy, task: Task, sky: Sky, count: int, seed: int, first: int = 0
 ) -> Iterator[tuple[Assignment, Recording]]:
     """Fly the flights number `first` to `first + count` of a seed, some at a time."""
-    catalogue, _ = read_drone()
+    catalogue, nominal = read_drone()
+    vehicle = read_strong(task.thrust_to_weight, task.commanded)
+    strength = vehicle.control.thrust_max / nominal.control.thrust_max
     for start in range(first, first + count, TOGETHER):
         numbers = range(start, min(start + TOGETHER, first + count))
         batch = [assign(task, sky, number, seed, catalogue) for number in numbers]
-        ours = partial(
-            VpptwinFirmware, adaptive=sky.controller == "adaptive", vehicle=read_strong(task.thrust_to_weight)
-        )
+        ours = partial(VpptwinFirmware, adaptive=sky.controller == "adaptive", vehicle=vehicle)
         firmware = None if sky.controller == "own" else ours
-        recordings = fly_policy(policy, np.stack([a.targets for a in batch]), [a.plan for a in batch], firmware)
+        targets, plans = np.stack([a.targets for a in batch]), [a.plan for a in batch]
+        recordings = fly_policy(policy, targets, plans, firmware, strength)
         yield from zip(batch, recordings)
 
 

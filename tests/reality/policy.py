@@ -73,6 +73,7 @@ def fly_policy(
     targets: np.ndarray,
     plans: Sequence[FlightPlan],
     firmware: Callable[[int], Controller] | None = None,
+    strength: float | None = None,
 ) -> list[Recording]:
     """Fly a batch of flights by a policy.
 
@@ -82,11 +83,13 @@ def fly_policy(
         plans: As `fly_many` takes them; the manoeuvre is a name for the recording. Without an initial state the craft
             settles at its first target before the log starts.
         firmware: As `fly_many` takes it.
+        strength: Of the rotors that the policy commands, by default of those that fly.
 
     Returns:
         A recording per flight.
     """
     if targets.shape[:1] + targets.shape[2:] != (len(plans), 3):
         raise ValueError(f"targets {targets.shape}, expected ({len(plans)}, ticks, 3)")
-    pilot = PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0)), plans[0].get("strength", 1.0))
+    strength = plans[0].get("strength", 1.0) if strength is None else strength
+    pilot = PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0)), strength)
     return fly_many(plans, pilot, firmware)

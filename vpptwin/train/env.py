@@ -364,7 +364,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     _ = spec.vehicle  # refuses other rigs
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
-    spec = strengthen(spec, config.task.thrust_to_weight)
+    spec = strengthen(spec, config.task.thrust_to_weight, config.task.commanded)
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,

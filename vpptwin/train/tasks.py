@@ -171,6 +171,8 @@ class Task:
             wild, few of them decide.
         thrust_to_weight: largest commanded thrust over the weight of craft and slider; null for the vehicle's own. The
             rotors are made stronger by as much.
+        commanded: largest commanded thrust over that weight where the rotors are others than in training; null for
+            what they give.
         start: initial states.
         target: what to reach.
         weights: reward.
@@ -184,6 +186,7 @@ class Task:
     gamma: float = 0.98
     again: float = 0.0
     thrust_to_weight: float | None = None
+    commanded: float | None = None
     start: Start = field(default_factory=Start)
     target: Target = field(default_factory=Target)
     weights: RewardWeights = field(default_factory=RewardWeights)
@@ -254,8 +257,10 @@ def check_task(task: Task) -> None:
         raise InputError(f"task.training_episode={task.training_episode}", "a time above 0, or null", "correct it")
     if not 0.0 <= task.again <= 1.0:
         raise InputError(f"task.again={task.again}", "a share from 0 to 1", "correct it")
-    if task.thrust_to_weight is not None and not 1.0 < task.thrust_to_weight <= 10.0:
-        raise InputError(f"task.thrust_to_weight={task.thrust_to_weight}", "more than 1, at most 10", "correct it")
+    for name in ("thrust_to_weight", "commanded"):
+        ratio = getattr(task, name)
+        if ratio is not None and not 1.0 < ratio <= 10.0:
+            raise InputError(f"task.{name}={ratio}", "more than 1, at most 10", "correct it")
 
 
 def check_task_name(task: str | None) -> None:

@@ -30,8 +30,8 @@ EffectValues = dict[str, dict[str, float]]
 Controller = Literal["map", "adaptive"]
 """How the drone's firmware turns thrust into blade pitch: by the vehicle's map, or learning what the map gets wrong."""
 
-SHIPPED = ("nominal", "typical")
-"""Twins that ship with the package, by name: every effect off, and with the MJCF's own friction, damping and drag."""
+SHIPPED = ("nominal", "typical", "strong")
+"""Twins that ship, by name: every effect off; the MJCF's own friction, damping and drag; wall-backtrack's rotors."""
 
 
 def refuse_bool(value: object) -> object:
