@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from vpptwin.actuators.blade import weigh
 from vpptwin.errors import InputError
 from vpptwin.files import write_json
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
@@ -19,7 +20,7 @@ from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
 from vpptwin.train.pilot import choose_task
 from vpptwin.train.randomize import PAPER
-from vpptwin.train.rotors import load_trained_twin, weigh
+from vpptwin.train.rotors import load_trained_twin
 from vpptwin.train.stored import find_commit, find_versions
 from vpptwin.train.tasks import Task, check_task, check_task_name
 from vpptwin.trust import trust
