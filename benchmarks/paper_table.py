@@ -7,7 +7,8 @@
 
 Every run is `vpptwin train task=flip` and `vpptwin evaluate` over 1000 tracks with sensor noise, wide random initial
 states and twins drawn from the catalogue's priors; the flights that choose a run's checkpoint are others. Runs are kept
-in --folder: an interrupted campaign goes on where it was.
+in --folder and, once they are evaluated, in --json: an interrupted campaign goes on where it was, and one of the same
+options takes what that file has and adds what it lacks.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ sys.path.insert(0, str(ROOT))
 from same_rig.report import describe_machine  # noqa: E402
 from training.campaign import SETUPS, VARIANTS, Run, run_campaign  # noqa: E402
 
+from vpptwin.errors import InputError  # noqa: E402
+from vpptwin.files import write_whole  # noqa: E402
 from vpptwin.viz.curves import draw_curves  # noqa: E402
 from vpptwin.viz.plot import write_story  # noqa: E402
 
@@ -64,16 +67,41 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = ("task=flip", *threads, *args.options)
         folder = args.folder.resolve()
         runs = [Run(variant, seed, folder, options) for seed in range(args.seeds) for variant in args.variants]
-        results = run_campaign(runs, args.jobs, args.tracks)
-    if args.json and not args.report:
-        about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), "options": args.options, "jobs": args.jobs}
-        args.json.write_text(json.dumps(about | describe_machine() | {"runs": results}) + "\n")
+        try:
+            known = read_known(args.json, args.options, args.tracks)
+        except InputError as error:
+            print(error, file=sys.stderr)
+            return 2
+        about = {"options": args.options, "jobs": args.jobs} | describe_machine()
+
+        def keep(results: list[dict]) -> None:
+            if args.json:
+                date = {"date": datetime.now(UTC).isoformat(timespec="seconds")}
+                write_whole(args.json, json.dumps(date | about | {"runs": results}) + "\n")
+
+        results = run_campaign(runs, args.jobs, args.tracks, known, keep)
     print(format_table(results))
     if args.pictures:
         curves = {name: [r["curve"] for r in results if r["variant"] == name] for name in args.variants}
         curves = {name: runs for name, runs in curves.items() if runs}
         write_story(draw_curves(curves, "Training curves"), args.pictures / "training_curves.svg")
     return 0
+
+
+def read_known(file: Path | None, options: list[str], tracks: int) -> list[dict]:
+    """Runs that a results file has; none without such a file.
+
+    Raises:
+        InputError: if it is of other options or evaluations.
+    """
+    if file is None or not file.exists():
+        return []
+    content = json.loads(file.read_text())
+    found = {run["tracks"] for run in content["runs"]} - {tracks}
+    if content["options"] != options or found:
+        other = f"--options {' '.join(content['options'])}" if content["options"] != options else f"--tracks {found}"
+        raise InputError(f"{file} is of {other}", "results of this campaign", "name another --json")
+    return content["runs"]
 
 
 def format_table(results: list[dict]) -> str:

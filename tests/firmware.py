@@ -11,7 +11,7 @@ from vpptwin.actuators.adaptive import start_memory
 from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.layer import layer_dtype
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.vehicle import load_vehicle
+from vpptwin.vehicle import Vehicle, load_vehicle
 
 STEP = 0.001  # s
 NOMINAL = load_vehicle()
@@ -36,10 +36,10 @@ def _run(vehicle, memories, thrust, rate, gyro, speed, current, pitch):  # noqa:
 
 
 class VpptwinFirmware:
-    """`tests.reality.control.Controller` of a batch of crafts: vpptwin's loops, with the nominal vehicle believed."""
+    """`tests.reality.control.Controller` of a batch of crafts: vpptwin's loops, which believe in a vehicle."""
 
-    def __init__(self, count: int, adaptive: bool) -> None:
-        self.vehicle = record_vehicle(NOMINAL)[0]
+    def __init__(self, count: int, adaptive: bool, vehicle: Vehicle = NOMINAL) -> None:
+        self.vehicle = record_vehicle(vehicle)[0]
         self.memories = start_memories((count,), 2, adaptive)
 
     def command(

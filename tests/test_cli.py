@@ -11,6 +11,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from PIL import Image
@@ -21,6 +22,7 @@ from vpptwin.cli import main
 from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.diagnosis.report.words import format_value
 from vpptwin.effects import CATALOGUE, find_effect
+from vpptwin.logs import read_flight
 from vpptwin.twin import load_twin
 from vpptwin.twin.signals import Signals
 
@@ -350,3 +352,15 @@ def test_play_writes_a_page_of_a_twin_from_a_diagnosis(diagnosed: Run, tmp_path:
     assert main(["play", str(UNSEEN), "--twin", str(diagnosed.out / "twin.yaml"), "--html", str(page)]) == 0
     assert [file.name for file in tmp_path.iterdir()] == ["flip.html"]
     assert "twin.yaml" in page.read_text(encoding="utf-8")
+
+
+def test_the_demo_shows_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The shipped policy reaches the vertical while that is asked for, and the page is there."""
+    demo.show_wall(tmp_path)
+    flight = read_flight(tmp_path / "wall.mcap")
+    target, pose = flight.streams["/setpoint/pose"], flight.streams["/mocap/pose"]
+    (up,) = np.flatnonzero(target["theta"] > 1.0)
+    asked = (pose.time >= target.time[up]) & (pose.time <= target.time[up + 1])
+    assert pose["theta"][asked].max() > math.radians(75.0)
+    assert "wall.html" in capsys.readouterr().out
+    assert (tmp_path / "wall.html").stat().st_size > 1e5

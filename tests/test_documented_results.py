@@ -56,14 +56,19 @@ def test_a_picture_is_the_one_that_its_record_draws(picture: str, folder: Path) 
     assert (ROOT / "docs/pictures" / picture).read_text() == (folder / picture).read_text(), RECORDED[PICTURES[picture]]
 
 
-@pytest.mark.parametrize("picture", ["flight.svg", "policy_flip.svg"])
+@pytest.mark.parametrize("picture", ["flight.svg", "policy_flip.svg", "wall.svg"])
 def test_the_picture_of_a_flight_is_the_one_that_its_commands_draw(tmp_path: Path, picture: str) -> None:
     """The same words, and lines within a hundredth of its size: another machine rounds otherwise."""
     log = ROOT / "demo/flights/flip.mcap"
     if picture == "policy_flip.svg":
         log = tmp_path / "flip.mcap"
         assert main(["fly", "flip", "--out", str(log)]) == 0
-    assert main(["plot", str(log), "--twin", "nominal", "--out", str(tmp_path / picture)]) == 0
+    if picture == "wall.svg":
+        log = tmp_path / "wall.mcap"
+        given = ["wall-backtrack", "--flights", "1", "--effects", "none", "--log", str(log)]
+        subprocess.run([sys.executable, "benchmarks/policy_in_reality.py", *given], cwd=ROOT, check=True)
+    twin = "strong" if picture == "wall.svg" else "nominal"
+    assert main(["plot", str(log), "--twin", twin, "--out", str(tmp_path / picture)]) == 0
     texts = [path.read_text(encoding="utf-8") for path in (tmp_path / picture, ROOT / "docs/pictures" / picture)]
     words, lines = zip(*((re.findall(r">([^<>]+)</text>", text), re.findall(r' d="([^"]+)"', text)) for text in texts))
     assert words[0] == words[1]

@@ -1,4 +1,4 @@
-"""Running and evaluating: one folder a run, finished ones are kept, so that a campaign can be interrupted."""
+"""Running and evaluating: finished runs are kept, in a folder each and in a file, so that a campaign can go on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import re
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,9 +30,24 @@ ABLATIONS = {
     "no randomization": ["randomize=[]"],
     "no averaging": ["average=0"],
     "paper's reward": ["task.weights.near=0"],
+    "no magnified inputs": ["magnify=false"],
+    "no failed starts again": ["curriculum.again=0"],
+    "no groups of advantages": ["advantage_groups=1"],
+    "no cut at surprises": ["task.target.expected=true"],
+    "no nominal share": ["curriculum.nominal=0"],
+    "exploration learned": ["learn_exploration=true"],
+    "whole episodes": ["task.training_episode=null"],
+    "paper's learning rate": [
+        "learning_rate.start=3e-4",
+        "learning_rate.end=9e-5",
+        "learning_rate.begin=0.1",
+        "learning_rate.finish=0.7",
+        "minibatch=512",
+    ],
+    "paper's curriculum": ["curriculum.difficulty.begin=0.1", "curriculum.difficulty.finish=0.5"],
     "estimated states": ["estimator=kalman"],
 }
-"""One thing left out or exchanged, the rest as `All`."""
+"""One thing left out or exchanged, the rest as `All`: with the preset `fast` every difference to `paper` by itself."""
 TASKS = {
     "hover": ["task=hover", "total_steps=800000"],
     "wall-backtrack": ["task=wall-backtrack"],
@@ -69,16 +85,35 @@ class Run:
         return [*self.options, *VARIANTS[self.variant], *own]
 
 
-def run_campaign(runs: list[Run], jobs: int, tracks: int) -> list[dict]:
-    """Train and evaluate every run, `jobs` at a time; results in the order of `runs`."""
-    with ThreadPoolExecutor(jobs) as pool, tqdm(total=len(runs), unit="run") as bar:
+def run_campaign(
+    runs: list[Run], jobs: int, tracks: int, known: Sequence[dict] = (), tell: Callable[[list[dict]], object] = list
+) -> list[dict]:
+    """Train and evaluate every run, `jobs` at a time.
 
-        def do(run: Run) -> dict:
-            result = finish(run, tracks)
+    Args:
+        runs: to finish.
+        jobs: side by side.
+        tracks: of each evaluation.
+        known: results of an earlier campaign, whose runs are not flown again.
+        tell: hears of all results after every run.
+
+    Returns:
+        Results in the order of `runs`, then those of `known` that are none of them.
+    """
+    found = {(result["variant"], result["seed"]): result for result in known}
+    order = [(run.variant, run.seed) for run in runs]
+    left = [run for run, key in zip(runs, order) if key not in found]
+
+    def gather() -> list[dict]:
+        return [found[key] for key in dict.fromkeys([*order, *found]) if key in found]
+
+    with ThreadPoolExecutor(jobs) as pool, tqdm(total=len(left), unit="run") as bar:
+        for done in as_completed([pool.submit(finish, run, tracks) for run in left]):
+            result = done.result()
+            found[result["variant"], result["seed"]] = result
+            tell(gather())
             bar.update()
-            return result
-
-        return list(pool.map(do, runs))
+    return gather()
 
 
 def finish(run: Run, tracks: int) -> dict:

@@ -46,7 +46,7 @@ def test_results_are_shown_and_written(checkpoint: Path, tmp_path: Path) -> None
     ("arguments", "found"),
     [
         (["nothing.pt"], "no checkpoint nothing.pt"),
-        (["--task", "wall-backtrack"], "stronger rotors"),
+        (["--thrust-to-weight", "0.5"], "task.thrust_to_weight=0.5"),
         (["--json", "/nowhere/x.json"], "cannot write"),
     ],
 )
@@ -57,7 +57,7 @@ def test_bad_input_ends_in_a_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """No such policy, a task that the rig there is too weak for, nowhere to write."""
+    """No such policy, rotors that cannot carry the craft, nowhere to write."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     main = importlib.import_module("policy_in_reality").main
     given = arguments if arguments[0].endswith(".pt") else [str(checkpoint), *arguments]

@@ -69,7 +69,18 @@ EXTENDED: dict[str, dict[str, Size]] = {
     "gyro.scale": {"scale": Size("1", 1.0, ((0.90, 0.96), (1.04, 1.10)))},
 }
 
-EFFECTS: dict[str, dict[str, Size]] = CORE | EXTENDED | ALIEN | {name: form.sizes for name, form in FORMS.items()}
+# What of the rig gives. Hidden where it is asked for: the draws of others stay what they were.
+FRAME: dict[str, dict[str, Size]] = {
+    "rail_x.elastic": {
+        "share": Size("1", 0.0, ((0.08, 0.25),)),
+        "frequency": Size("Hz", 8.0, ((5.0, 11.0),)),
+        "zeta": Size("1", 0.03, ((0.01, 0.05),)),
+    },
+}
+
+EFFECTS: dict[str, dict[str, Size]] = (
+    CORE | EXTENDED | FRAME | ALIEN | {name: form.sizes for name, form in FORMS.items()}
+)
 
 # Acts only where there is friction already, which is drawn with it.
 COMPANIONS: dict[str, dict[str, Size]] = {
@@ -89,7 +100,7 @@ LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
         "command.delay servo.lag servo.rate_limit servo.backlash",
         "airframe.inertia gyro.scale rotor.thrust_gain rotor.stall",
         "mocap.delay clock.drift",
-        "rail_x.spring carriage.mass rail_x.bias",
+        "rail_x.spring carriage.mass rail_x.bias rail_x.elastic",
         "rail_x.coulomb rail_x.stiction rail_x.jamming rail_x.tight_spot rail_x.viscous rail_x.asymmetry",
         "rail_z.coulomb rail_z.stiction rail_z.jamming rail_z.viscous rail_z.asymmetry",
         "pitch.coulomb pitch.viscous rotor.inflow",

@@ -40,7 +40,7 @@ _GUST_WEIGHTS = ((np.arange(SUBSTEPS) + 0.5) / SUBSTEPS)[:, None, None]
 
 
 class FlightPlan(TypedDict, total=False):
-    """One flight of a batch: the arguments of `fly`."""
+    """One flight of a batch: the arguments of `fly`, and how strong its rotors are, 1 for those of vehicle.yaml."""
 
     effects: Effects
     manoeuvre: str
@@ -54,6 +54,7 @@ class FlightPlan(TypedDict, total=False):
     distractors: bool
     outliers: bool
     initial: Sequence[float] | None
+    strength: float
 
 
 _DEFAULTS: FlightPlan = {
@@ -66,6 +67,7 @@ _DEFAULTS: FlightPlan = {
     "outliers": False,
     "initial": None,
     "session": None,
+    "strength": 1.0,
 }
 
 
@@ -131,8 +133,8 @@ def fly_many(
         A recording per flight. A flight does not depend on the others of its batch.
     """
     batch = [_DEFAULTS | plan for plan in plans]
-    if len({(plan["duration"], plan["initial"] is None) for plan in batch}) != 1:
-        raise ValueError("flights of one batch need the same duration, and all or none an initial state")
+    if len({(plan["duration"], plan["strength"], plan["initial"] is None) for plan in batch}) != 1:
+        raise ValueError("flights of one batch need the same duration and rotors, and all or none an initial state")
     return Batch(batch, pilot, firmware).run()
 
 
@@ -155,7 +157,8 @@ class Batch:
         self.lead = round(SETTLING / STEP) if settle else 0
         self.steps = self.lead + round(flights[0]["duration"] / STEP)
         sessions = [f["seed"] if f["session"] is None else f["session"] for f in flights]
-        self.rig = Rig([f["effects"] for f in flights], [s if f["jitter"] else None for f, s in zip(flights, sessions)])
+        effects, strength = [f["effects"] for f in flights], flights[0]["strength"]
+        self.rig = Rig(effects, [s if f["jitter"] else None for f, s in zip(flights, sessions)], strength=strength)
         nominal = self.rig.nominal
         self.chances = draw_chances(flights, self.steps + 1, nominal)
         self.field = Field(flights, nominal)

@@ -1,4 +1,4 @@
-"""Forces of effects outside the catalogue, and of those of the catalogue whose law is another (outside.py)."""
+"""Forces of effects outside the catalogue, of those of it whose law is another (outside.py), and of an elastic rail."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ class Foreign:
     def __init__(self, rig: Rig) -> None:
         hidden = rig.hidden
         self.here = {
-            effect for effects in hidden.flights for effect in effects if effect.startswith(("alien.", "form."))
+            effect
+            for effects in hidden.flights
+            for effect in effects
+            if effect.startswith(("alien.", "form.")) or effect == "rail_x.elastic"
         }
 
         def get(effect: str, *names: str) -> list[np.ndarray]:
@@ -30,6 +33,9 @@ class Foreign:
         self.creep, self.grease = get("form.creep", "force", "velocity"), get("form.grease", "damping", "exponent")
         self.drag, self.ground = get("form.drag", "k_d", "exponent"), get("form.ground", "gain", "height")
         self.spring = get("form.spring", "stiffness", "rest", "stretch")
+        share, tone, self.zeta = get("rail_x.elastic", "share", "frequency", "zeta")
+        self.loose, self.tone = share * rig.mass_x, 2 * np.pi * tone  # kg, rad/s
+        self.sway, self.sway_rate = np.zeros(rig.count), np.zeros(rig.count)  # m, m/s, of what gives, from the carriage
         self.time = 0.0  # s since the plant's start
         self.bristle = np.zeros(rig.count)  # 1, -1 to 1
         self.climb = np.zeros(rig.count)  # m/s^2, of the craft, a substep ago
@@ -72,6 +78,8 @@ class Foreign:
             force[X] -= self.cogging[0] * np.sin(2 * np.pi * position[X] / self.cogging[1])
         if "alien.hysteresis" in here:
             force[X] -= self.hysteresis[0] * self.bristle
+        if "rail_x.elastic" in here:
+            force[X] += self.loose * self._pull_sway()
         if "form.creep" in here:
             force[X] -= self.creep[0] * np.tanh(velocity[X] / self.creep[1])
         if "form.grease" in here:
@@ -85,12 +93,19 @@ class Foreign:
         """Acceleration m/s^2 by which the hanging mass is drawn back to where it hangs at rest."""
         return self.omega * (self.omega * self.swing + 2 * _SLOSH_DAMPING * self.swing_rate)
 
+    def _pull_sway(self) -> np.ndarray:
+        """Acceleration m/s^2 by which what gives on the rail is drawn back to the carriage, turned round."""
+        return self.tone * (self.tone * self.sway + 2 * self.zeta * self.sway_rate)
+
     def advance(self, velocity: np.ndarray, accel: np.ndarray, step: float) -> None:
         """Advance what has memory by `step` s under the craft's motion, (3, flights) each."""
         self.time += step
         if "alien.hysteresis" in self.here:
             rate = velocity[X] / self.hysteresis[1]
             self.bristle = np.clip(self.bristle + step * (rate - np.abs(rate) * self.bristle), -1.0, 1.0)
+        if "rail_x.elastic" in self.here:
+            self.sway_rate = self.sway_rate - step * (self._pull_sway() + accel[X])
+            self.sway = self.sway + step * self.sway_rate
         if "alien.slosh" in self.here:
             self.climb = accel[Z]
             self.swing_rate = self.swing_rate - step * (self._pull_swing() + self.climb)

@@ -42,16 +42,17 @@ def observe(
 class PolicyPilot:
     """Flies a batch by a policy. It knows the nominal rig's limits, which scale the actions, and nothing else."""
 
-    def __init__(self, policy: Policy, targets: np.ndarray) -> None:
+    def __init__(self, policy: Policy, targets: np.ndarray, strength: float = 1.0) -> None:
         """Take a seat.
 
         Args:
             policy: Who decides.
             targets: x m, z m, theta rad of each policy period; the last one stays. (ticks, 3, flights).
+            strength: Of the rotors, as of a `FlightPlan`.
         """
         self.policy, self.setpoint = policy, targets
         self.integral = np.zeros(targets[0, :PITCH].shape)
-        control = load_nominal()["control"]
+        control = load_nominal(strength)["control"]
         self.limits = np.array([[control["thrust_max"]], [control["rate_max"]]])
 
     def command(
@@ -72,6 +73,7 @@ def fly_policy(
     targets: np.ndarray,
     plans: Sequence[FlightPlan],
     firmware: Callable[[int], Controller] | None = None,
+    strength: float | None = None,
 ) -> list[Recording]:
     """Fly a batch of flights by a policy.
 
@@ -81,10 +83,13 @@ def fly_policy(
         plans: As `fly_many` takes them; the manoeuvre is a name for the recording. Without an initial state the craft
             settles at its first target before the log starts.
         firmware: As `fly_many` takes it.
+        strength: Of the rotors that the policy commands, by default of those that fly.
 
     Returns:
         A recording per flight.
     """
     if targets.shape[:1] + targets.shape[2:] != (len(plans), 3):
         raise ValueError(f"targets {targets.shape}, expected ({len(plans)}, ticks, 3)")
-    return fly_many(plans, PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0))), firmware)
+    strength = plans[0].get("strength", 1.0) if strength is None else strength
+    pilot = PolicyPilot(policy, np.ascontiguousarray(targets.transpose(1, 2, 0)), strength)
+    return fly_many(plans, pilot, firmware)

@@ -17,9 +17,12 @@ VEHICLE = Path(__file__).resolve().parents[2] / "models" / "vehicle.yaml"
 
 
 @cache
-def load_nominal() -> dict:
-    """Read models/vehicle.yaml."""
-    return yaml.safe_load(VEHICLE.read_text())
+def load_nominal(strength: float = 1.0) -> dict:
+    """Read models/vehicle.yaml, its rotors and the largest thrust that is commanded so many times as strong."""
+    nominal = yaml.safe_load(VEHICLE.read_text())
+    nominal["rotor"]["k_t"] *= strength
+    nominal["control"]["thrust_max"] *= strength
+    return nominal
 
 
 class Hidden:
@@ -85,15 +88,18 @@ def true_size(effect: str, parameter: str, value: float, session: int) -> float:
 class Rig:
     """Constants of the true rigs. Arrays end in the flight axis."""
 
-    def __init__(self, flights: Sequence[Effects], sessions: Sequence[int | None], free: bool = False) -> None:
+    def __init__(
+        self, flights: Sequence[Effects], sessions: Sequence[int | None], free: bool = False, strength: float = 1.0
+    ) -> None:
         """Put the rigs together.
 
         Args:
             flights: Hidden effects of each flight.
             sessions: Session number of each flight, None for a rig without tolerances.
             free: Whether the craft flies free: no carriage, no slider, nothing to run into.
+            strength: Of the rotors, 1 for those of models/vehicle.yaml.
         """
-        nominal = load_nominal()
+        nominal = load_nominal(strength)
         self.nominal = nominal
         self.count = len(flights)
         self.hidden = hidden = Hidden(flights)

@@ -30,7 +30,14 @@ def test_the_papers_preset() -> None:
     assert paper.curriculum.difficulty == Ramp(0.0, 1.0, begin=0.1, finish=0.5)
     assert paper.privileged
     assert paper.task.weights.near == 0.0
+    ours = (paper.magnify, paper.advantage_groups, paper.average, paper.curriculum.nominal, paper.curriculum.again)
+    assert ours == (False, 1, 0.0, 0.0, 0.0)
+    assert paper.learn_exploration
+    flip = compose_config(["task=flip", "preset=paper"])
+    assert flip.task.target.expected
+    assert flip.task.training_episode is None
     assert make_policy(paper).body[1].out_features == 96
+    assert not make_policy(paper).body[0].share.any()
 
 
 def test_a_preset_changes_what_it_lists_and_nothing_else() -> None:
@@ -87,8 +94,9 @@ def test_the_last_of_two_presets_counts() -> None:
 def test_help_covers_every_option() -> None:
     """Each option has its default and a line of help, on a line of readable width."""
     text = describe_options()
+    options = text.split("\n\npreset=")[0].splitlines()
     for name in (name for name in list_options() if "." not in name):
-        (line,) = [line for line in text.splitlines() if line.startswith(f"  {name}=")]
+        (line,) = [line for line in options if line.startswith(f"  {name}=")]
         assert len(line.split(None, 1)[1]) > 5, name
     assert max(map(len, text.splitlines())) <= 140
 

@@ -12,6 +12,7 @@ from tests.train.conftest import step, tiny_env
 from vpptwin.train.config import Curriculum, Lesson
 from vpptwin.train.env import VppEnv
 from vpptwin.train.observe import wrap_angle
+from vpptwin.train.privileged import FORESIGHT, STATE
 from vpptwin.train.tasks import FLIP, WALL_BACKTRACK, Target
 
 PERIOD = 0.01
@@ -224,6 +225,32 @@ def test_training_ends_where_an_angle_was_missed() -> None:
         # Up after 0.1 s, down after another 0.1 s; a trigger comes with the first step at or after its time.
         assert failed in ([[]] if env is flown else [list(range(20, 26)), list(range(21, 26))])
         assert not any(follows for follows, _ in ended)
+
+
+def test_training_ends_where_an_angle_is_late() -> None:
+    """What may be taken away after 0.1 s has to be met by then, though it is taken away after 0.2; flown it need not.
+
+    A critic is shown that time until it is met, from then on when the trigger comes.
+    """
+    overrides = ("task=wall-backtrack", "task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.2]")
+    # A time has come with the first step at or after it.
+    for lesson, ends in ((None, [[]]), (Lesson(Curriculum(enabled=False), 1000), [[20, 21, 22], [21, 22]])):
+        env, ended = tiny_env(*overrides, lesson=lesson), []
+        env.reset()
+        for k in range(1, 28):
+            # Row 0 is there in time, row 1 after 0.12 s.
+            env.state.qpos[:], env.state.qvel[:] = env.episodes.target, 0.0
+            env.state.qpos[1, 2] *= k > 22
+            env.episodes.switch[env.episodes.stage == 1] = 0.3  # s on the clock
+            terminated = step(env)["terminated"][:2, 0].tolist()
+            assert not terminated[0]
+            ended += [k] * terminated[1]
+            if k == 15:
+                soon = env.episodes.seen[:2, -1, STATE.index("trigger_soon")]
+                left = [0.3, env.episodes.due[1]] - env.episodes.elapsed[:2]
+                assert 0.04 < left[1] < 0.07
+                assert soon == pytest.approx(np.exp(-left / FORESIGHT), abs=1e-6)
+        assert ended in ends
 
 
 def test_success_is_of_the_end_of_an_episode() -> None:

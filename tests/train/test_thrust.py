@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from tests.train.conftest import step, tiny_env
+from vpptwin.diagnosis.report.twin_file import name_twin
+from vpptwin.resources import models_dir
 from vpptwin.train.env import VppEnv
 from vpptwin.train.rotors import strengthen
 from vpptwin.twin import load_twin
@@ -75,3 +77,20 @@ def test_observation_and_weight_stay() -> None:
     assert torch.equal(plain.reset()["observation"], strong.reset()["observation"])
     np.testing.assert_allclose(climb(plain, 0.0), climb(strong, 0.0), rtol=1e-3)
     assert climb(strong, 0.0) == pytest.approx(-9.81, rel=1e-3)
+
+
+def test_weaker_rotors_than_trained_saturate() -> None:
+    """Thrust is commanded as with the rotors of training, newton for newton, up to what the others can give."""
+    trained = tiny_env("task.thrust_to_weight=2.5", *LEVEL)
+    weaker = tiny_env("task.thrust_to_weight=1.5", "task.commanded=2.5", *LEVEL)
+    assert ratio_of(weaker) == pytest.approx(2.5)
+    assert climb(weaker, 0.45) == pytest.approx(climb(trained, 0.45), abs=0.02 * 9.81)  # 1.125 of the weight
+    assert climb(weaker, 1.0) == pytest.approx(0.5 * 9.81, abs=0.05 * 9.81)
+
+
+def test_a_twin_of_strong_rotors() -> None:
+    """`strong` has the rotors that wall-backtrack is trained with, and stays as it is when the task asks for them."""
+    spec = load_twin("strong")
+    assert spec.vehicle == strengthen(load_twin(), 2.5).vehicle
+    assert strengthen(spec, 2.5).vehicle.rotor.k_t == pytest.approx(spec.vehicle.rotor.k_t, rel=1e-12)
+    assert name_twin(spec, models_dir())["thrust_to_weight"] == 2.5

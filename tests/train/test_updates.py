@@ -230,3 +230,12 @@ def test_a_learning_rate_that_explodes_ends_a_run(
         run_train([*EXAMINED, f"out={tmp_path}", "learning_rate.start=1e30", f"lipschitz={lipschitz}"])
     assert "\n" not in str(caught.value)
     assert not (tmp_path / FILE_NAME).exists()
+
+
+def test_exploration_may_be_learned(tmp_path: Path) -> None:
+    """With the paper's preset its width is a weight for each output, from where the schedule starts."""
+    out = run_train([*EXAMINED, "preset=paper", f"out={tmp_path}", "total_steps=512", "exam_every=0", "lipschitz=null"])
+    weights = read_checkpoint(out, flying=False)["training"]["trainer"]["loss_module"]
+    (learned,) = [value for key, value in weights.items() if key.endswith("log_std")]
+    assert learned.shape == (2,)
+    assert 1e-4 < float((learned.exp() - 0.55).abs().max()) < 0.2

@@ -304,7 +304,7 @@ def test_missing_twin_is_refused(tmp_path: Path) -> None:
     """A path that leads nowhere, to a folder or to a binary is refused in one line that names `nominal`."""
     (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
     for name in ("absent.yaml", ".", "binary.yaml"):
-        refuse(tmp_path / name, "no readable twin.*`nominal`, `typical` or a twin YAML")
+        refuse(tmp_path / name, "no readable twin.*`nominal`, `typical`, `strong` or a twin YAML")
 
 
 @pytest.mark.parametrize(

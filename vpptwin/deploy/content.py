@@ -77,7 +77,7 @@ def make_content(policy: Actor, trained: TrainConfig, about: dict[str, Any], twi
     Raises:
         InputError: if the twin is not what it should be.
     """
-    spec = strengthen(load_trained_twin(trained, twin), trained.task.thrust_to_weight)
+    spec = strengthen(load_trained_twin(trained, twin), trained.task.thrust_to_weight, trained.task.commanded)
     inputs = draw_observations(trained, VECTORS, seed=1)
     metadata = {
         "vpptwin": __version__, **about, "exported_at": find_commit(), "versions": find_versions(),

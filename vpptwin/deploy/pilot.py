@@ -50,5 +50,5 @@ def load_exported_pilot(
     check_task_name(task)
     exported = load_exported(path)
     chosen = choose_task(exported.trained, task)
-    spec = strengthen(spec, chosen.thrust_to_weight)
+    spec = strengthen(spec, chosen.thrust_to_weight, chosen.commanded)
     return ExportedPilot(exported, chosen, spec.vehicle, duration, seed), spec

@@ -51,7 +51,7 @@ def build_policy(content: dict[str, Any], source: object) -> tuple[Policy, Train
 
 def make_policy(config: TrainConfig) -> Policy:
     """An untrained policy of the configured size."""
-    return Policy(config.sight, (config.hidden[0], config.hidden[1]))
+    return Policy(config.sight, (config.hidden[0], config.hidden[1]), config.magnify)
 
 
 class SaveCheckpoint(Hook):

@@ -80,7 +80,7 @@ class TrainConfig:
 
     Attributes:
         task: what to fly.
-        preset: values to start from, fast, paper (its networks, schedules, reward) or finetune (from init_from on).
+        preset: values to start from, fast, paper (what it says, nothing of ours) or finetune (from init_from on).
         twin: `nominal`, `typical` or a twin YAML.
         controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
@@ -98,6 +98,7 @@ class TrainConfig:
         paper_inputs: observe the paper's inputs, without the target's angle.
         curriculum: what gets harder in the course of training.
         desynchronize: start the first episodes at random clock times.
+        magnify: magnify position errors and integrals where they are small, on their way into the networks.
         hidden: actor, units of the ReLU layer and of the tanh layer.
         lipschitz: bound of the actor's Lipschitz constant, inputs scaled; null for none.
         critic: mlp, or lstm over the last five steps and then the layers of critic_hidden.
@@ -114,6 +115,7 @@ class TrainConfig:
         max_grad_norm: gradients are clipped to this norm.
         learning_rate: over the course of training.
         exploration: standard deviation of the action before its squashing, over the course of training.
+        learn_exploration: learn that standard deviation, from where it starts, instead of following a schedule.
         average: share of the averaged weights, those that fly, that stays at every update; 0 for no averaging.
         checkpoint_every: policy steps between checkpoints.
         exam_every: policy steps between evaluations on a fixed set, whose best policy is kept; 0 for none.
@@ -147,6 +149,7 @@ class TrainConfig:
     paper_inputs: bool = False
     curriculum: Curriculum = field(default_factory=Curriculum)
     desynchronize: bool = True
+    magnify: bool = True
     hidden: list[int] = field(default_factory=lambda: [96, 64])
     lipschitz: float | None = 30.0
     critic: str = "mlp"
@@ -163,6 +166,7 @@ class TrainConfig:
     max_grad_norm: float = 1.0
     learning_rate: Ramp = field(default_factory=lambda: Ramp(1e-3, 5e-5, finish=0.95))
     exploration: Ramp = field(default_factory=lambda: Ramp(0.55, 0.06, finish=0.9))
+    learn_exploration: bool = False
     average: float = 0.97
     checkpoint_every: int = 100_000
     exam_every: int = 200_000
@@ -208,8 +212,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "critic": "lstm", "critic_hidden": [512, 512], "critic_lstm": 64, "total_steps": 4_400_000, "minibatch": 512,
         "exam_from": 0.8,
         "learning_rate": {"start": 3e-4, "end": 9e-5, "begin": 0.1, "finish": 0.7}, "torch_threads": 2,
-        "curriculum": {"difficulty": {"start": 0.0, "end": 1.0, "begin": 0.1, "finish": 0.5}},
-        "task": {"weights": {"near": 0.0}},
+        "curriculum": {
+            "difficulty": {"start": 0.0, "end": 1.0, "begin": 0.1, "finish": 0.5}, "nominal": 0.0, "again": 0.0,
+        },
+        "magnify": False, "advantage_groups": 1, "average": 0.0, "learn_exploration": True,
+        "task": {"weights": {"near": 0.0}, "target": {"expected": True}, "training_episode": None},
     },
     "finetune": {
         "init_from": "flip", "total_steps": 1_000_000, "randomize": ["identified"],

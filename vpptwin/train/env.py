@@ -210,10 +210,11 @@ class VppEnv(EnvBase):
     def _schedule(self, ids: np.ndarray) -> None:
         """Draw when the next triggers come; none in an episode judged by its position, nor in the quiet of a flight."""
         episodes, target = self.episodes, self.task.target
-        time = episodes.elapsed[ids] + target.draw_dwell(self.rng, episodes.stage[ids])
+        now, stage = episodes.elapsed[ids], episodes.stage[ids]
+        time, soonest = now + target.draw_dwell(self.rng, stage), now + target.span_dwell(stage)[0]
         last = np.inf if self.lesson is not None else self.duration - target.quiet
         never = (time > last) | (episodes.criterion[ids] == POSITION)
-        episodes.switch[ids] = np.where(never, np.inf, time)
+        episodes.switch[ids], episodes.due[ids] = np.where(never, np.inf, [time, soonest])
 
     def _measure(self, rows: Rows = EVERY) -> None:
         """Advance the integral and take a fresh observation."""
@@ -237,7 +238,7 @@ class VppEnv(EnvBase):
             episodes.seen[rows, :-1] = episodes.seen[rows, 1:]
             now = episodes.observation[rows]
             if self.privileged:
-                now = see_everything(state, episodes, self.twin.vehicle, rows)
+                now = see_everything(state, episodes, self.twin.vehicle, rows, self._unmet())
             episodes.seen[rows, -1] = now
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -262,7 +263,7 @@ class VppEnv(EnvBase):
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | broken
         if self.lesson is not None:
             self._remember(terminated)
-            terminated |= episodes.missed
+            terminated |= episodes.missed | ((episodes.elapsed >= episodes.due) & self._unmet())
         truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
 
@@ -304,7 +305,7 @@ class VppEnv(EnvBase):
         ids = np.flatnonzero(episodes.elapsed >= episodes.switch)
         if not len(ids):
             return
-        episodes.missed[ids] |= episodes.closest[ids] > (self.task.success.reach or np.inf)
+        episodes.missed[ids] |= self._unmet()[ids]
         episodes.closest[ids] = np.inf
         episodes.stage[ids] += 1
         episodes.surprised[ids] = not target.expected
@@ -314,6 +315,10 @@ class VppEnv(EnvBase):
         episodes.turn[ids] = turn
         episodes.target[ids, 2] = np.where(turn == 0.0, other, now)
         self._schedule(ids)
+
+    def _unmet(self) -> np.ndarray:
+        """Whose angle has not been met since the last trigger, (N,) bool."""
+        return self.episodes.closest > (self.task.success.reach or np.inf)
 
     def _pack(self, terminated: np.ndarray, truncated: np.ndarray, reward: np.ndarray | None = None) -> TensorDict:
         """Fresh tensors of what an agent sees now, with the reward after a step."""
@@ -359,7 +364,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     _ = spec.vehicle  # refuses other rigs
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
-    spec = strengthen(spec, config.task.thrust_to_weight)
+    spec = strengthen(spec, config.task.thrust_to_weight, config.task.commanded)
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,

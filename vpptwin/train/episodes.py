@@ -25,6 +25,7 @@ class Episodes:
         age: time since the start, (N,) s.
         elapsed: clock of the episode, which may start later than at 0, (N,) s.
         switch: when the next trigger comes, (N,) s.
+        due: when it may come at the earliest, (N,) s.
         total: sum of rewards so far, (N,).
         action: last one taken, (N, 2) in [-1, 1].
         drawn: values of the randomized parameters, as the critic is told them, (N, K).
@@ -45,6 +46,7 @@ class Episodes:
     age: np.ndarray
     elapsed: np.ndarray
     switch: np.ndarray
+    due: np.ndarray
     total: np.ndarray
     action: np.ndarray
     drawn: np.ndarray
@@ -60,7 +62,7 @@ class Episodes:
             surprised=np.zeros(count, bool), missed=np.zeros(count, bool),
             integral=np.zeros((count, 2)), true_integral=np.zeros((count, 2)),
             started=np.zeros((count, 9)), age=np.zeros(count),
-            elapsed=np.zeros(count), switch=np.full(count, np.inf),
+            elapsed=np.zeros(count), switch=np.full(count, np.inf), due=np.full(count, np.inf),
             total=np.zeros(count), action=np.zeros((count, 2)), drawn=np.zeros((count, parameters)),
             observation=np.zeros((count, inputs), np.float32),
             seen=np.zeros((count, memory, width), np.float32),

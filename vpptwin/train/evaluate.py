@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from vpptwin.actuators.blade import weigh
 from vpptwin.errors import InputError
 from vpptwin.files import write_json
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
@@ -19,9 +20,11 @@ from vpptwin.train.flights import fly_tracks
 from vpptwin.train.networks import Policy
 from vpptwin.train.pilot import choose_task
 from vpptwin.train.randomize import PAPER
+from vpptwin.train.rotors import load_trained_twin
 from vpptwin.train.stored import find_commit, find_versions
-from vpptwin.train.tasks import check_task, check_task_name
+from vpptwin.train.tasks import Task, check_task, check_task_name
 from vpptwin.trust import trust
+from vpptwin.vehicle import Vehicle
 
 
 def load_policy(checkpoint: Path | str) -> Policy:
@@ -44,7 +47,7 @@ class Conditions:
         twin: `nominal` or a twin YAML; None for that of training.
         noise: sensor noise, 1 = that of vehicle.yaml.
         randomize: effects, or groups of them, drawn from their priors for every flight.
-        thrust_to_weight: None for the task's.
+        thrust_to_weight: of the rotors, None for the task's; what is commanded is scaled as in training either way.
         effects: Python files with effects of the user's own; those of training come with its twin, if trusted.
         estimator: what the policy is shown, `sensors` or `kalman`; None for that of training.
     """
@@ -110,16 +113,28 @@ def configure_flights(trained: TrainConfig, given: Conditions) -> TrainConfig:
         raise InputError(f"unknown estimator {given.estimator!r}", f"one of {', '.join(ESTIMATORS)}", "check the name")
     check_task_name(given.task)
     task = choose_task(trained, given.task)
-    if given.thrust_to_weight is not None:
-        task = replace(task, thrust_to_weight=given.thrust_to_weight)
-        check_task(task)
     own = trained.effects if given.twin is None else []
     trust(given.effects)
-    return replace(
+    config = replace(
         trained, task=task, num_envs=given.tracks, seed=given.seed, twin=given.twin or trained.twin, noise=given.noise,
         randomize=list(given.randomize), desynchronize=False, effects=[*own, *given.effects],
         estimator=given.estimator or trained.estimator,
     )  # fmt: skip
+    if given.thrust_to_weight is None:
+        return config
+    return replace(config, task=arm(task, given.thrust_to_weight, load_trained_twin(config).vehicle))
+
+
+def arm(task: Task, thrust_to_weight: float, vehicle: Vehicle) -> Task:
+    """The task with rotors of another strength, under the thrusts that are commanded of the task's own.
+
+    Raises:
+        InputError: if the ratio makes no sense.
+    """
+    own = task.thrust_to_weight or vehicle.control.thrust_max / weigh(vehicle)
+    armed = replace(task, thrust_to_weight=thrust_to_weight, commanded=task.commanded or own)
+    check_task(armed)
+    return armed
 
 
 def summarize(errors: np.ndarray) -> dict[str, float | None]:

@@ -32,17 +32,18 @@ class ScaleInputs(nn.Module):
 
     Args:
         names: of the inputs.
+        magnify: False for the first part alone.
     """
 
     scale: torch.Tensor
     fine: torch.Tensor
     share: torch.Tensor
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], magnify: bool = True) -> None:
         super().__init__()
         self.register_buffer("scale", torch.tensor([INPUT_SCALE.get(name, 1.0) for name in names]))
         self.register_buffer("fine", torch.tensor([FINE_SCALE.get(name, 1.0) for name in names]))
-        self.register_buffer("share", torch.tensor([FINE * (name in FINE_SCALE) for name in names]))
+        self.register_buffer("share", torch.tensor([FINE * (magnify and name in FINE_SCALE) for name in names]))
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """Scaled inputs, (..., len(names))."""
@@ -60,16 +61,17 @@ class Policy(nn.Module):
     Args:
         sight: what it is shown.
         hidden: units of the ReLU layer and of the tanh layer.
+        magnify: see `ScaleInputs`.
     """
 
-    def __init__(self, sight: Sight, hidden: tuple[int, int] = (96, 64)) -> None:
+    def __init__(self, sight: Sight, hidden: tuple[int, int] = (96, 64), magnify: bool = True) -> None:
         super().__init__()
         first, second = hidden
         last = nn.Linear(second, 2)
         with torch.no_grad():
             last.weight.mul_(0.1)
             last.bias.zero_()
-        scale, inputs = ScaleInputs(sight.names), len(sight.names)
+        scale, inputs = ScaleInputs(sight.names, magnify), len(sight.names)
         self.body = nn.Sequential(scale, nn.Linear(inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
@@ -135,20 +137,26 @@ def surely_within(weight: torch.Tensor, bound: float) -> bool:
 class Exploration(nn.Module):
     """A policy's outputs before the squashing as location and scale of the exploring distribution.
 
-    The scale is scheduled from outside, not learned: see `updates.ExplorationRamp`.
+    Args:
+        policy: whose outputs.
+        std: scale to begin with. It is scheduled from outside, see `updates.ExplorationRamp`, unless it is learned.
+        learned: one for each output, as PPO has it.
     """
 
     std: torch.Tensor
 
-    def __init__(self, policy: Policy, std: float) -> None:
+    def __init__(self, policy: Policy, std: float, learned: bool = False) -> None:
         super().__init__()
         self.policy = policy
-        self.register_buffer("std", torch.tensor(std))
+        if learned:
+            self.log_std = nn.Parameter(torch.full((2,), std).log())
+        else:
+            self.register_buffer("std", torch.tensor(std))
 
     def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Location and scale, each (..., 2)."""
         location = self.policy.body(observation)
-        return location, self.std.expand_as(location)
+        return location, (self.log_std.exp() if hasattr(self, "log_std") else self.std).expand_as(location)
 
 
 def make_actor(exploration: Exploration) -> ProbabilisticActor:
@@ -168,11 +176,14 @@ class Critic(nn.Module):
         width: number of all inputs of one step.
         hidden: units of the layers.
         lstm: units of an LSTM over the steps that comes first; 0 for none, and the last step only.
+        magnify: see `ScaleInputs`.
     """
 
-    def __init__(self, names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0) -> None:
+    def __init__(
+        self, names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0, magnify: bool = True
+    ) -> None:
         super().__init__()
-        self.scale = ScaleInputs([*names, *[""] * (width - len(names))])
+        self.scale = ScaleInputs([*names, *[""] * (width - len(names))], magnify)
         self.lstm = nn.LSTM(width, lstm, batch_first=True) if lstm else None
         units = lstm or width
         layers: list[nn.Module] = []
@@ -189,6 +200,8 @@ class Critic(nn.Module):
         return self.body(steps[:, -1]).unflatten(0, seen.shape[:-2])
 
 
-def make_critic(names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0) -> ValueOperator:
+def make_critic(
+    names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0, magnify: bool = True
+) -> ValueOperator:
     """A critic for `critic_observation`; arguments as `Critic`."""
-    return ValueOperator(Critic(names, width, hidden, lstm), in_keys=["critic_observation"])
+    return ValueOperator(Critic(names, width, hidden, lstm, magnify), in_keys=["critic_observation"])

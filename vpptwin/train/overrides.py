@@ -134,4 +134,4 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[st
         if isinstance(value, Mapping):
             yield from flatten(value, f"{prefix}{key}.")
         else:
-            yield prefix + key, str(value).replace(" ", "")
+            yield prefix + key, "null" if value is None else str(value).replace(" ", "")

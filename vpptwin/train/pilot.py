@@ -96,7 +96,7 @@ def load_pilot(
     check_task_name(task)
     actor, trained = build_actor(open_checkpoint(checkpoint), checkpoint)
     chosen = choose_task(trained, task)
-    spec = strengthen(spec, chosen.thrust_to_weight)
+    spec = strengthen(spec, chosen.thrust_to_weight, chosen.commanded)
     return PolicyPilot(actor, trained, chosen, spec.vehicle, duration, seed), spec
 
 

@@ -97,11 +97,12 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     policy = make_policy(config).to(device)
     if saved is None and config.init_from is not None:
         start_from(policy, config)
-    exploration = Exploration(policy, config.exploration.at(0.0)).to(device)
+    exploration = Exploration(policy, config.exploration.at(0.0), config.learn_exploration).to(device)
     actor = make_actor(exploration)
     names = OBSERVATION if config.privileged else config.sight.names
     lstm = config.critic_lstm if config.critic == "lstm" else 0
-    critic = make_critic(names, env.episodes.seen.shape[-1], config.critic_hidden, lstm).to(device)
+    width = env.episodes.seen.shape[-1]
+    critic = make_critic(names, width, config.critic_hidden, lstm, config.magnify).to(device)
     collection = make_collector(config, actor, env, folder / FAULTS, saved["steps"] if saved else 0)
     batch = config.num_envs * config.rollout
     loss = ClipPPOLoss(
@@ -123,10 +124,10 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
         )  # fmt: skip
     statistics = EpisodeStatistics(collection.simulations)
     bar = ProgressBar(statistics, batches * batch, config.progress)
-    averaging = Averaging(policy, config.average)
+    averaging, explore = Averaging(policy, config.average), ExplorationRamp(exploration, config.exploration)
     hooks = (
         Minibatches(config.minibatch), LipschitzBound(policy, config.lipschitz), statistics,
-        LRSchedulerHook(scheduler), ExplorationRamp(exploration, config.exploration), averaging, bar,
+        LRSchedulerHook(scheduler), *([] if config.learn_exploration else [explore]), averaging, bar,
         Exam(config, averaging.averaged, folder),
         SaveCheckpoint(folder / FILE_NAME, config, averaging.averaged, collection.env),
     )  # fmt: skip
@@ -134,6 +135,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
         hook.register(trainer)
     if saved is not None:
         trainer.load_state_dict(saved["training"]["trainer"])
-        exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))
+        if not config.learn_exploration:
+            exploration.std.fill_(config.exploration.at(trainer.collected_frames / config.total_steps))
         torch.set_rng_state(saved["training"]["torch_random"])
     return Training(trainer, collection.simulations, policy, bar)

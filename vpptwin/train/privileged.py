@@ -18,7 +18,10 @@ STATE = (
 SPEED_SPAN = 50.0
 """Typical deviation of the rotor speed from nominal, rad/s."""
 FORESIGHT = 0.5
-"""How far ahead a trigger is shown, as exp(-time / FORESIGHT), s: a value that did not know would jump at every one."""
+"""How far ahead a trigger is shown, as exp(-time / FORESIGHT), s: a value that did not know would jump at every one.
+
+Where an angle is still to be met, that is when it has to be: a value that did not know drowned what a tilt is worth in
+the noise of when the flight ends, and a policy never tilted at all."""
 
 
 def privileged_size(parameters: int) -> int:
@@ -26,9 +29,14 @@ def privileged_size(parameters: int) -> int:
     return len(STATE) + parameters
 
 
-def see_everything(state: TwinState, episodes: Episodes, vehicle: Vehicle, rows: np.ndarray | slice) -> np.ndarray:
-    """The privileged state of the simulations `rows` (n), in the order of `STATE`, then the parameters, (n, width)."""
-    criterion = episodes.criterion[rows]
+def see_everything(
+    state: TwinState, episodes: Episodes, vehicle: Vehicle, rows: np.ndarray | slice, unmet: np.ndarray
+) -> np.ndarray:
+    """The privileged state of the simulations `rows` (n), in the order of `STATE`, then the parameters, (n, width).
+
+    `unmet`, (N,) bool, says whose angle is still to be met.
+    """
+    criterion, soon = episodes.criterion[rows], np.where(unmet, episodes.due, episodes.switch)[rows]
     return np.column_stack([
         observe(state.qpos[rows], state.qvel[rows], episodes.target[rows], episodes.integral[rows]),
         episodes.action[rows],
@@ -37,6 +45,6 @@ def see_everything(state: TwinState, episodes: Episodes, vehicle: Vehicle, rows:
         criterion == POSITION,
         criterion == ANGLE,
         episodes.turn[rows] / (2.0 * np.pi),
-        np.exp((episodes.elapsed[rows] - episodes.switch[rows]) / FORESIGHT),
+        np.exp((episodes.elapsed[rows] - soon) / FORESIGHT),
         episodes.drawn[rows],
     ])  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vpptwin.actuators.blade import strengthen_rotor
+from vpptwin.actuators import blade
 from vpptwin.train.config import TrainConfig
 from vpptwin.trust import check_trusted
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -23,13 +23,8 @@ def load_trained_twin(config: TrainConfig, twin: str | Path | None = None) -> Tw
     return spec if config.controller is None else spec.with_controller(config.controller)
 
 
-def strengthen(spec: TwinSpec, thrust_to_weight: float | None) -> TwinSpec:
-    """A twin whose rotors, and what is believed of them, give this thrust-to-weight ratio; itself for None."""
+def strengthen(spec: TwinSpec, thrust_to_weight: float | None, commanded: float | None = None) -> TwinSpec:
+    """A twin with rotors as `vpptwin.actuators.blade.strengthen` makes them; itself for None."""
     if thrust_to_weight is None:
         return spec
-    vehicle = spec.vehicle
-    weight = (vehicle.airframe.mass + vehicle.rig.slider_mass) * vehicle.gravity
-    factor = thrust_to_weight * weight / vehicle.control.thrust_max
-    rotor = strengthen_rotor(vehicle.rotor, factor)
-    control = vehicle.control.model_copy(update={"thrust_max": vehicle.control.thrust_max * factor})
-    return spec.with_robot(rotorcraft=vehicle.model_copy(update={"rotor": rotor, "control": control}))
+    return spec.with_robot(rotorcraft=blade.strengthen(spec.vehicle, thrust_to_weight, commanded))

@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal, cast, get_args
 
 import mujoco
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from vpptwin.actuators.blade import strengthen
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError, suggest
@@ -30,8 +31,8 @@ EffectValues = dict[str, dict[str, float]]
 Controller = Literal["map", "adaptive"]
 """How the drone's firmware turns thrust into blade pitch: by the vehicle's map, or learning what the map gets wrong."""
 
-SHIPPED = ("nominal", "typical")
-"""Twins that ship with the package, by name: every effect off, and with the MJCF's own friction, damping and drag."""
+SHIPPED = ("nominal", "typical", "strong")
+"""Twins that ship, by name: every effect off; the MJCF's own friction, damping and drag; wall-backtrack's rotors."""
 
 
 def refuse_bool(value: object) -> object:
@@ -67,6 +68,7 @@ class TwinFile(BaseModel):
     controller: Controller = "map"
     actuator: str | None = None
     losses: Literal["none", "mjcf"] = "none"
+    thrust_to_weight: Annotated[float, Field(gt=1.0, le=10.0)] | None = None
     provenance: Origin = Origin()
 
 
@@ -84,6 +86,7 @@ class TwinSpec:
         effect_files: Python files whose effects follow those of ours in the catalogue.
         controller: of the drone's actuators.
         actuator_file: whose numbers stand in `vehicle` in place of those of its file.
+        thrust_to_weight: that its rotors were made stronger to; None for the vehicle's own.
         intervals: "effect.parameter" → its 90 % interval, of values that a diagnosis or identification found.
     """
 
@@ -96,6 +99,7 @@ class TwinSpec:
     effect_files: tuple[Path, ...] = ()
     controller: Controller = "map"
     actuator_file: Path | None = None
+    thrust_to_weight: float | None = None
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -213,7 +217,7 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
         return build_twin(str(name), file, path.parent, list_effect_files(own, given))
     except (OSError, UnicodeDecodeError) as error:
         advice = suggest(str(name), SHIPPED, "check the path")
-        raise InputError(f"no readable twin {path}", "`nominal`, `typical` or a twin YAML", advice) from error
+        raise InputError(f"no readable twin {path}", "`nominal`, `typical`, `strong` or a twin YAML", advice) from error
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML ({error})", "a twin YAML", "check its syntax") from error
     except ValidationError as error:
@@ -225,7 +229,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
     key = ".".join(map(str, first["loc"])) or "the file"
-    keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses"
+    keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses, thrust_to_weight"
     if first["type"] == "missing":
         return f"no key {key}", keys
     if first["type"] == "extra_forbidden":
@@ -256,6 +260,10 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
         vehicle = equip(vehicle, actuator)
         if actuator.servo.delay > 0.0:
             given.setdefault("command.delay", {"delay": actuator.servo.delay})
+    if file.thrust_to_weight is not None:
+        if vehicle is None:
+            raise InputError(f"{name}: thrust_to_weight without vehicle", "it with our drone only", "leave it out")
+        vehicle = strengthen(vehicle, file.thrust_to_weight)
     if vehicle is not None and file.signals is not None:
         raise InputError(f"{name}: vehicle and signals", "one of them: our drone needs no signals", "remove one")
     robot = (
@@ -277,6 +285,7 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     effects = check_effects(given, catalogue, name)
     spec = TwinSpec(
         name, model_file, robot, catalogue, effects, vehicle_file, effect_files,
-        actuator_file=actuator_file, intervals=file.provenance.intervals_90_percent,
+        actuator_file=actuator_file, thrust_to_weight=file.thrust_to_weight,
+        intervals=file.provenance.intervals_90_percent,
     )  # fmt: skip
     return spec.with_controller(file.controller)

@@ -53,6 +53,8 @@ def name_twin(spec: TwinSpec, folder: Path) -> dict[str, object]:
         names = {file.resolve(): name for name, file in list_installed().items()}
         files = [file.resolve() for file in spec.effect_files]
         content["effects_from"] = [names.get(file) or os.path.relpath(file, folder.resolve()) for file in files]
+    if spec.thrust_to_weight is not None:
+        content["thrust_to_weight"] = spec.thrust_to_weight
     if spec.actuator_file is not None:
         content["actuator"] = os.path.relpath(spec.actuator_file.resolve(), folder.resolve())
     if spec.controller != "map":
