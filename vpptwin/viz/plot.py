@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from vpptwin.errors import InputError
 from vpptwin.files import write_whole
@@ -26,6 +27,8 @@ MOST_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
 FEW = 5
 """Points of a line; fewer are marked."""
+LABEL_GAP = 0.28
+"""Between an axis and its label, besides the numbers there, which may be a digit longer in the end, inch."""
 DPI = 150
 FORMATS = (".png", ".svg", ".html")
 PLOTLY_DASH = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
@@ -105,7 +108,16 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
         fitting = max(110 // (max(map(len, labels)) + 8), 1)
         figure.legend(handles, labels, loc="outside lower center", ncols=min(fitting, len(labels)))
     figure.suptitle(story.title, x=0.01, horizontalalignment="left", fontsize=11.0)
-    figure.align_ylabels()
+    for column in grid.T:
+        align_labels(column, figure)
+
+
+def align_labels(column: np.ndarray, figure: Figure) -> None:
+    """Put the labels of y axes in one line, left of the widest number; `align_ylabels` measures all for each of them."""
+    widest = max(number.get_window_extent().width for axes in column for number in axes.get_yticklabels())
+    away = ScaledTranslation(-widest / figure.dpi - LABEL_GAP, 0.0, figure.dpi_scale_trans)
+    for axes in column:
+        axes.yaxis.set_label_coords(0.0, 0.5, transform=axes.transAxes + away)
 
 
 def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None:
@@ -146,7 +158,8 @@ def render_png(figure: Figure, theme: Theme) -> bytes:
     """The drawn figure as PNG."""
     FigureCanvasAgg(figure)
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata={"Software": "vpptwin"})
+    about, packing = {"Software": "vpptwin"}, {"compress_level": 3}
+    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata=about, pil_kwargs=packing)
     return out.getvalue()
 
 
