@@ -113,7 +113,7 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
 
 
 def align_labels(column: np.ndarray, figure: Figure) -> None:
-    """Put the labels of y axes in one line, left of the widest number; `align_ylabels` measures all for each of them."""
+    """Put the labels of y axes in one line, left of the widest number, which `align_ylabels` measures anew for each."""
     widest = max(number.get_window_extent().width for axes in column for number in axes.get_yticklabels())
     away = ScaledTranslation(-widest / figure.dpi - LABEL_GAP, 0.0, figure.dpi_scale_trans)
     for axes in column:
