@@ -198,11 +198,14 @@ def render_page(story: Story, theme: Theme) -> str:
     faint = "rgba(127,127,127,0.25)"
     figure.update_xaxes(gridcolor=faint, zeroline=False).update_yaxes(gridcolor=faint, zeroline=False)
     style: dict[str, object] = {
-        "margin": {"l": 80, "r": 20}, "template": "none", "paper_bgcolor": theme.paper, "plot_bgcolor": theme.paper,
-        "font": {"color": theme.ink},
+        "margin": {"l": 70, "r": 20, "t": 60}, "template": "none", "font": {"color": theme.ink},
+        "paper_bgcolor": theme.paper, "plot_bgcolor": theme.paper,
     }  # fmt: skip
     height = (190 if story.columns == 1 else 420) * rows + 120
-    figure.update_layout(title=escape(story.title), shapes=shapes, height=height, hovermode="x unified", **style)
+    title = {"text": escape(story.title), "side": "top", "font": {"size": 16}}
+    above = {"title": title, "orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom"}  # a phone has no room beside
+    figure.update_layout(legend=above, showlegend=True, shapes=shapes, height=height, hovermode="x unified", **style)
     text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
-    text = text.replace("<head>", '<head><meta name="generator" content="vpptwin">', 1)
+    head = '<meta name="generator" content="vpptwin"><meta name="viewport" content="width=device-width">'
+    text = text.replace("<head>", f"<head>{head}<title>{escape(story.title)}</title>", 1)
     return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)
