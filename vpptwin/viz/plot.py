@@ -27,7 +27,7 @@ MOST_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
 FEW = 5
 """Points of a line; fewer are marked."""
-LABEL_GAP = 0.28
+LABEL_GAP = 0.24
 """Between an axis and its label, besides the numbers there, which may be a digit longer in the end, inch."""
 DPI = 150
 FORMATS = (".png", ".svg", ".html")
@@ -108,7 +108,7 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
         fitting = max(110 // (max(map(len, labels)) + 8), 1)
         figure.legend(handles, labels, loc="outside lower center", ncols=min(fitting, len(labels)))
     figure.suptitle(story.title, x=0.01, horizontalalignment="left", fontsize=11.0)
-    for column in grid.T:
+    for column in grid.T if story.rows > 1 else ():
         align_labels(column, figure)
 
 
