@@ -29,7 +29,15 @@ COMMANDS = {
     "vpptwin --help": [*VPPTWIN, "--help"],
     "vpptwin effects": [*VPPTWIN, "effects"],
     "vpptwin plot LOG --twin nominal": [*VPPTWIN, "plot", FLIP, "--twin", "nominal", "--out", "flip.png"],
-    "vpptwin play LOG --twin nominal --html": [*VPPTWIN, "play", FLIP, "--twin", "nominal", "--html", "flip.html"],
+    "vpptwin play LOG --twin nominal --html flip.html": [
+        *VPPTWIN,
+        "play",
+        FLIP,
+        "--twin",
+        "nominal",
+        "--html",
+        "flip.html",
+    ],
     "vpptwin fly flip": [*VPPTWIN, "fly", "flip", "--out", "flip.mcap"],
     "vpptwin export flip --format c": [*VPPTWIN, "export", "flip", "--format", "c"],
 }
