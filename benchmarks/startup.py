@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import shlex
 import statistics
 import subprocess
 import sys
@@ -22,30 +23,23 @@ from same_rig.report import describe_machine
 
 REFERENCE = 'python -c "import mujoco, numpy"'
 FLIP = str(Path(__file__).resolve().parents[1] / "demo/flights/flip.mcap")
-VPPTWIN = ["-m", "vpptwin"]
-COMMANDS = {
-    REFERENCE: ["-c", "import mujoco, numpy"],
-    "import vpptwin": ["-c", "import vpptwin"],
-    "vpptwin --help": [*VPPTWIN, "--help"],
-    "vpptwin effects": [*VPPTWIN, "effects"],
-    "vpptwin plot LOG --twin nominal": [*VPPTWIN, "plot", FLIP, "--twin", "nominal", "--out", "flip.png"],
-    "vpptwin play LOG --twin nominal --html flip.html": [
-        *VPPTWIN,
-        "play",
-        FLIP,
-        "--twin",
-        "nominal",
-        "--html",
-        "flip.html",
-    ],
-    "vpptwin fly flip": [*VPPTWIN, "fly", "flip", "--out", "flip.mcap"],
-    "vpptwin export flip --format c": [*VPPTWIN, "export", "flip", "--format", "c"],
-}
-"""What is timed, by name: arguments of Python."""
+COMMANDS = (
+    REFERENCE,
+    'python -c "import vpptwin"',
+    "vpptwin --help",
+    "vpptwin effects",
+    "vpptwin plot LOG --twin nominal",
+    "vpptwin play LOG --twin nominal --html flip.html",
+    "vpptwin fly flip --out flown.mcap",
+    "vpptwin export flip --format c",
+)
+"""What is timed."""
 
 
-def time_command(arguments: Sequence[str], folder: Path) -> tuple[float, float]:
+def time_command(command: str, folder: Path) -> tuple[float, float]:
     """Wall and processor time of a command that must succeed [s]."""
+    words = shlex.split(command.replace("LOG", FLIP))
+    arguments = words[1:] if words[0] == "python" else ["-m", *words]
     begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, *arguments], cwd=folder, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -59,7 +53,7 @@ def measure(names: Sequence[str], rounds: int) -> list[dict]:
     with TemporaryDirectory() as folder:
         for k in range(rounds + 1):
             for name in names:
-                times = time_command(COMMANDS[name], Path(folder))
+                times = time_command(name, Path(folder))
                 spent[name] += [times] if k else []
     rows = []
     for name, times in spent.items():
@@ -77,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print a table in Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="after the first (default 5)")
-    parser.add_argument("--only", nargs="*", default=list(COMMANDS), metavar="NAME", help="commands by name")
+    parser.add_argument("--only", nargs="*", default=COMMANDS, metavar="NAME", help="commands by name")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args(arguments)
     rows = measure([REFERENCE, *(name for name in args.only if name != REFERENCE)], args.rounds)
