@@ -128,10 +128,11 @@ def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None
         name = f" {line.name}" if line.name.startswith("_") else line.name  # which matplotlib would hide
         time, values = thin_line(line)
         log = line.colour == INK
-        style = "steps-post" if line.steps else "default"
+        style, sparse = "steps-post" if line.steps else "default", is_sparse(line)
         axes.plot(
             time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=name,
-            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0, marker="o" if is_sparse(line) else "", ms=4.0,
+            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0, ms=4.0,
+            marker="o" if sparse else "", clip_on=not sparse,
         )  # fmt: skip
         if line.band is not None:
             axes.fill_between(line.time, *line.band, color=line.colour, alpha=0.12, linewidth=0.0)
