@@ -56,6 +56,8 @@ def test_policies_ship_by_name(tiny_run: Path, tmp_path: Path, monkeypatch: pyte
     for name in ("loop", "policies/spin", "spin.pt"):
         with pytest.raises(InputError, match="no checkpoint"):
             load_policy(name)
+    with pytest.raises(InputError, match=r"did you mean spin\?"):
+        load_policy("spinn")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     shutil.copytree(tiny_run, tmp_path / "here" / "spin")
