@@ -244,9 +244,7 @@ def write_view(model: mujoco.MjModel) -> str:
     return "\n".join(lines)
 
 
-def compile_entry(
-    source: str, name: str, key: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype]
-) -> Any:  # noqa: ANN401
+def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401
     """The C function of a name that a text defines, kept on disk under a key."""
     file = open_entry(key, source)
 
