@@ -37,6 +37,13 @@ def test_importing_it_loads_nothing() -> None:
     assert (ROOT / "vpptwin/py.typed").is_file()
 
 
+def test_reading_a_twin_loads_no_compiler() -> None:
+    """`vpptwin effects` and every refusal of a twin wait for numba otherwise."""
+    script = "import sys, vpptwin; vpptwin.load_twin('strong'); sys.exit('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
+    assert done.returncode == 0
+
+
 @pytest.mark.parametrize("name", [name for name in vpptwin.__all__ if name != "__version__"])
 def test_every_name_leads_somewhere(name: str) -> None:
     """To a class or a function with a docstring, as the type checker is told."""

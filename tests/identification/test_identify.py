@@ -13,8 +13,9 @@ import yaml
 
 from tests.bench_logs import write_bench
 from tests.viz.browser import Browser
-from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust, strengthen_rotor
+from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust
 from vpptwin.actuators.file import equip, load_actuator
+from vpptwin.actuators.strength import strengthen_rotor
 from vpptwin.cli import main
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.actuators.blade import weigh
+from vpptwin.actuators.strength import weigh
 from vpptwin.errors import InputError
 from vpptwin.files import write_json
 from vpptwin.train.checkpoint import build_policy, read_checkpoint

@@ -13,8 +13,8 @@ import mujoco
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from vpptwin.actuators.blade import strengthen
 from vpptwin.actuators.file import equip, load_actuator
+from vpptwin.actuators.strength import strengthen
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError, suggest
 from vpptwin.installed import locate_effects
