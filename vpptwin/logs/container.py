@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import mmap
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +22,8 @@ from tqdm import tqdm
 from zstandard import ZstdError
 
 from vpptwin.errors import InputError, escape_text
+from vpptwin.fields import Stamp
+from vpptwin.logs.span import Span
 from vpptwin.logs.unpack import Unpacker
 from vpptwin.progress import open_bar
 
@@ -53,9 +55,29 @@ class Rows:
     columns: Mapping[str, np.ndarray]
 
 
+@dataclass(frozen=True)
+class Batch:
+    """What is wanted of messages of one shape.
+
+    Attributes:
+        number: (n,) record numbers in the file.
+        log_time: (n,) ns.
+        values: path -> (n,) or (n, k).
+        texts: path of a string sequence -> its strings, the same in all messages of the batch.
+    """
+
+    number: np.ndarray
+    log_time: np.ndarray
+    values: dict[str, np.ndarray]
+    texts: dict[str, tuple[str, ...]]
+
+
 @dataclass
 class RawChannel:
-    """One channel of a file with its payloads or rows. type and definition: of its schema; count: of messages seen."""
+    """One channel of a file with its payloads, rows, or what was decoded of its payloads as they came.
+
+    type and definition: of its schema; count: of messages seen.
+    """
 
     topic: str
     message_type: str
@@ -65,11 +87,16 @@ class RawChannel:
     count: int = 0
     blocks: list[Block] = field(default_factory=list)
     rows: list[Rows] = field(default_factory=list)
+    batches: list[Batch] = field(default_factory=list)
 
     @property
     def is_kept(self) -> bool:
         """Whether it holds messages, or rows."""
-        return bool(self.blocks or self.rows)
+        return bool(self.blocks or self.rows or self.batches)
+
+    def forget(self) -> None:
+        """Hold nothing any more."""
+        self.blocks, self.rows, self.batches = [], [], []
 
 
 @dataclass(frozen=True)
@@ -83,15 +110,58 @@ class RawFile:
     notes: list[str] = field(default_factory=list)
 
 
-Take = Callable[[RawChannel], None]
+def is_alike(held: np.ndarray, new: np.ndarray) -> bool:
+    """Whether one array can be continued by another."""
+    return held.dtype == new.dtype and held.shape[1:] == new.shape[1:]
 
 
-def hand_over(channels: Iterable[RawChannel], take: Take) -> None:
-    """Let all that is held of channels be looked at, and forget it."""
-    for channel in channels:
-        if channel.is_kept:
-            take(channel)
-            channel.rows, channel.blocks = [], []
+def extend(held: np.ndarray, new: np.ndarray) -> None:
+    """Put numbers behind those held, in place: logs of gigabytes leave no room for both and their sum."""
+    held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
+    held[-len(new) :] = new
+
+
+Take = Callable[[Sequence[RawChannel]], None]
+"""Looks at what the channels of a file hold so far, and may forget it."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What of a log is wanted.
+
+    Attributes:
+        channel: tells whether a channel's messages are.
+        fields: topic -> the fields of a table that are enough; all of those that it leaves out.
+        stamps: topic -> where its time lies, where somebody says.
+        take: what looks at a large log's channels as they fill.
+        span: which messages are wanted, None for all.
+        texts: whether columns of text are.
+    """
+
+    channel: Callable[[RawChannel], bool]
+    fields: Mapping[str, Collection[str]] = field(default_factory=dict)
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    take: Take | None = None
+    span: Span | None = None
+    texts: bool = False
+
+    def name_table(self, topic: str) -> str:
+        """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
+        return next(iter(self.fields)) if len(self.fields) == 1 else topic
+
+
+class Hold:
+    """Counts what channels hold [bytes], and lets it be looked at where that is much."""
+
+    def __init__(self, take: Take | None) -> None:
+        self.take, self.size = take, 0
+
+    def add(self, size: int, channels: Collection[RawChannel]) -> None:
+        """Channels have grown by so much."""
+        self.size += size
+        if self.take is not None and self.size > LARGE:
+            self.take(list(channels))
+            self.size = 0
 
 
 def show_reading(path: Path, **options: object) -> tqdm:
@@ -122,11 +192,9 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(
-        self, wanted: Callable[[RawChannel], bool], take: Take | None, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm
-    ) -> None:
-        self.wanted, self.take, self.unpacker, self.mapped, self.bar = wanted, take, unpacker, mapped, bar
-        self.forgotten = self.held = 0
+    def __init__(self, wish: Wish, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm) -> None:
+        self.wish, self.unpacker, self.mapped, self.bar = wish, unpacker, mapped, bar
+        self.hold, self.forgotten = Hold(wish.take), 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -190,7 +258,7 @@ class _Scan:
             escape_text(record.topic), escape_text(known.name), record.message_encoding, known.encoding, text
         )
         self.channels[record.id] = channel
-        if self.wanted(channel):
+        if self.wish.channel(channel):
             self.keep.add(record.id)
 
     def store(self, data: bytes | memoryview, found: list[tuple[int, int, int, int]]) -> None:
@@ -201,30 +269,28 @@ class _Scan:
         number = self.count + np.arange(len(found))
         self.count += len(found)
         self.log_time = (min(self.log_time[0], int(log_time.min())), max(self.log_time[1], int(log_time.max())))
-        content = np.frombuffer(data, np.uint8)
-        for identifier in np.unique(channel).tolist():
-            mine = channel == identifier
+        content, size = np.frombuffer(data, np.uint8), 0
+        inside = self.wish.span.choose(log_time.astype(np.int64)) if self.wish.span else np.ones(len(found), bool)
+        for identifier in np.unique(channel[inside]).tolist():
+            mine = (channel == identifier) & inside
             if identifier in self.channels:
                 self.channels[identifier].count += int(np.count_nonzero(mine))
-            for size in np.unique(length[mine]).tolist() if identifier in self.keep else ():
-                rows = np.flatnonzero(mine & (length == size))
+            for width in np.unique(length[mine]).tolist() if identifier in self.keep else ():
+                rows = np.flatnonzero(mine & (length == width))
                 # An empty message at the very end has no window of its own, so it borrows the one before.
-                windows = sliding_window_view(content, max(size, 1))
-                payload = windows[start[rows].astype(np.intp) - (size == 0), :size]
+                windows = sliding_window_view(content, max(width, 1))
+                payload = windows[start[rows].astype(np.intp) - (width == 0), :width]
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
-                self.held += payload.nbytes
-        if self.take is not None and self.held > LARGE:
-            hand_over(self.channels.values(), self.take)
-            self.held = 0
+                size += payload.nbytes
+        self.hold.add(size, self.channels.values())
 
 
-def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take | None = None) -> RawFile:
+def read_container(path: Path, wish: Wish) -> RawFile:
     """Take an MCAP file apart.
 
     Args:
         path: the file.
-        wanted: tells whether a channel's payloads are to be kept.
-        take: looks at the payloads of a large file as they come; those are forgotten.
+        wish: tells which channels' payloads are to be kept.
 
     Returns:
         All channels; those wanted with their payloads.
@@ -234,7 +300,7 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take 
     """
     bar = show_reading(path, unit="B", total=path.stat().st_size)
     with path.open("rb") as file, bar, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        scan = _Scan(wanted, take, Unpacker(path, path.stat().st_size), mapped, bar)
+        scan = _Scan(wish, Unpacker(path, path.stat().st_size), mapped, bar)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:
