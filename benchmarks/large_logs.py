@@ -117,13 +117,14 @@ def compose_text(version: int) -> str:
 
 def write_csv(path: Path, size: float, columns: int = 3) -> None:
     """A CSV of at least so many bytes, of a time and so many columns."""
-    random, step = np.random.default_rng(0), 0
-    text = ["".join(f",{v:.4f}" for v in row) for row in random.normal(size=(1000, columns))]
+    rows = np.random.default_rng(0).normal(size=(1000, columns))
+    text = "".join(f"S.{k:03d}" + "".join(f",{v:.4f}" for v in row) + "\n" for k, row in enumerate(rows))
+    second = 0
     with path.open("w") as file:
         file.write(",".join(["time", *(f"v{i}" for i in range(columns))]) + "\n")
         while file.tell() < size:
-            file.write("".join(f"{(step + k) / 1e3:.3f}{line}\n" for k, line in enumerate(text)))
-            step += len(text)
+            file.write(text.replace("S", str(second)))
+            second += 1
 
 
 def write_rows(

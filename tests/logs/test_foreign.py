@@ -286,13 +286,14 @@ def test_ulog_is_read(tmp_path: Path) -> None:
         read_joint(log, "servo", position="angle[1]")
 
 
+def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
+    """A message of DataFlash that describes others."""
+    fields = (name.encode(), form.encode(), columns.encode())
+    return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
+
+
 def write_dataflash(path: Path) -> Path:
     """A DataFlash log by ArduPilot's format: descriptions first, as a board writes them."""
-
-    def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
-        fields = (name.encode(), form.encode(), columns.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
-
     parts = [describe(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
     parts.append(describe(150, "ATT", "Qcf", "TimeUS,Roll,Pitch", 3 + 8 + 2 + 4))
     for t, q in ROWS:
@@ -320,11 +321,6 @@ def test_dataflash_is_read(tmp_path: Path) -> None:
 
 def write_instances(path: Path) -> Path:
     """A DataFlash log of two sensors, with text, halves and an array, and a torn message amid them."""
-
-    def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
-        fields = (name.encode(), form.encode(), columns.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
-
     parts = [describe(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
     parts.append(describe(151, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", 44))
     parts.append(describe(152, "IMU", "QBgLna", "TimeUS,I,G,Lat,S,A", 3 + 8 + 1 + 2 + 4 + 4 + 64))
@@ -389,11 +385,10 @@ def test_rosbag2_in_sqlite_is_read(
     monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
     monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)
     monkeypatch.setattr("vpptwin.logs.container.LARGE", 500)
-    for log in (tmp_path / "bag", source):
-        parts = survey(log)[1]
-        assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
-        assert sum(len(part.stretches) for part in parts) > 2 * len(parts) or log == source
-        assert "\rread " in capsys.readouterr().err
+    parts = survey(tmp_path / "bag")[1]
+    assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
+    assert sum(len(part.stretches) for part in parts) > 2 * len(parts)
+    assert "\rread " in capsys.readouterr().err
     (file,) = (tmp_path / "bag").glob("*.db3")
     file.write_bytes(file.read_bytes()[:5000])
     with pytest.raises(InputError, match="is damaged"):

@@ -299,8 +299,10 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     assert part.joints["/joint_states"]["q"]["position"].tolist() == list(range(250, 261))
     assert main(["convert", f"{log}@2-4", str(tmp_path / "part.mcap")]) == 0
     assert "200 messages on 1 topics" in capsys.readouterr().out
-    with pytest.raises(InputError, match="holds no messages"):
+    with pytest.raises(InputError, match="@20-30 holds no messages; expected a stretch in which there are some"):
         read_flight(f"{log}@20-30")
+    with pytest.raises(InputError, match="from 3 to 2 s; expected a start before the end"):
+        read_flight(f"{log}@3-2")
 
 
 def test_a_stretch_of_split_files_counts_from_their_first(tmp_path: Path) -> None:

@@ -37,11 +37,11 @@ _FORMS = {
 _UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
 _TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
           "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
-_SUFFIXES = {"_ns": "ns", "_nsec": "ns", "_nanoseconds": "ns", "_us": "us", "_usec": "us", "_microseconds": "us",
-             "_ms": "ms", "_msec": "ms", "_millis": "ms", "_milliseconds": "ms", "_s": "s", "_sec": "s",
-             "_seconds": "s", "us": "us", "ms": "ms", "ns": "ns"}  # fmt: skip
-_WORDS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us",
-          "nsec": "ns", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}  # fmt: skip
+_SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds", "us": "us usec microseconds µs μs",
+            "ns": "ns nsec nanoseconds"}  # fmt: skip
+_WORDS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+_SUFFIXES = {f"_{word}": unit for word, unit in _WORDS.items()} | {"us": "us", "ms": "ms", "ns": "ns"}
+"""What names of clocks end with → unit."""
 _SLOWEST, _FASTEST = 5.0, 5000.0  # samples a second of a log whose clock tells no unit; three decades leave one unit
 
 _DATES = 1e9, 4e9  # seconds since 1970: 2001 to 2096

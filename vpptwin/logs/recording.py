@@ -132,6 +132,9 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
         held = sum(block.payload.nbytes for channel in channels for block in channel.blocks)
         if wish.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
             wish.take(channels)
+    if origin and not any(channel.count for file in files for channel in file.channels):
+        advice = "look with `vpptwin inspect` how long the log is"
+        raise InputError(f"{paths[0]} holds no messages", "a stretch in which there are some", advice)
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):

@@ -116,6 +116,8 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
     found = read_fields(recording, topic, route.stamp, paths, label)
+    if not len(found.stamp):
+        return found
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     for column, data in values.items():
         if data.ndim != 1 and len(route.sources[column].paths) == 1:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vpptwin.errors import InputError
+
 
 @dataclass(frozen=True)
 class Span:
@@ -26,8 +28,15 @@ class Span:
 
 
 def part_span(path: Path, origin: list[int] | None = None) -> tuple[Path, Span | None]:
-    """A log and which stretch of it is given; spans of files of one recording share their origin."""
+    """A log and which stretch of it is given; spans of files of one recording share their origin.
+
+    Raises:
+        InputError: if it ends before it begins.
+    """
     given = re.fullmatch(r"(.+)@(\d+\.?\d*)-(\d+\.?\d*)", str(path), flags=re.DOTALL)
     if given is None or path.exists():
         return path, None
-    return Path(given.group(1)), Span(float(given.group(2)), float(given.group(3)), [] if origin is None else origin)
+    start, end = float(given.group(2)), float(given.group(3))
+    if start >= end:
+        raise InputError(f"{path}: from {start:g} to {end:g} s", "a start before the end", "turn them round")
+    return Path(given.group(1)), Span(start, end, [] if origin is None else origin)
