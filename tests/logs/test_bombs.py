@@ -23,7 +23,8 @@ from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, stamp_header
 from tests.measured import run_measured
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
-from vpptwin.logs.container import Wish, read_container
+from vpptwin.logs.container import read_container
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.unpack import FREE, MOST_RATIO
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))

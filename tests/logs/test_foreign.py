@@ -18,7 +18,7 @@ from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
 from vpptwin.logs import Flight, read_flight, vehicles
-from vpptwin.logs.container import Wish
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import open_recording
 from vpptwin.logs.survey import survey
@@ -384,7 +384,7 @@ def test_rosbag2_in_sqlite_is_read(
     whole = survey(tmp_path / "bag")[1]
     monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
     monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)
-    monkeypatch.setattr("vpptwin.logs.container.LARGE", 500)
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 500)
     parts = survey(tmp_path / "bag")[1]
     assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
     assert sum(len(part.stretches) for part in parts) > 2 * len(parts)
@@ -520,7 +520,7 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
     if kind == "mcap":
         transcribe(log, log := tmp_path / "state.mcap")
     whole = survey(log)[1]
-    monkeypatch.setattr("vpptwin.logs.container.LARGE", 20_000)
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 20_000)
     monkeypatch.setattr("vpptwin.logs.container._MANY", 300)
     parts = survey(log)[1]
     assert len(whole[1].stretches) == 1

@@ -14,9 +14,10 @@ from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, ma
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.logs import Flight, Stream, read_flight, write_flight
-from vpptwin.logs.container import Wish, read_container
+from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import decode_channel
 from vpptwin.logs.messages import compose_definition
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import list_flights
 from vpptwin.logs.transcribe import transcribe
@@ -260,7 +261,7 @@ def test_large_logs_are_read_and_converted_as_they_come(
     for log in (flip, bag.write(), table, tmp_path / "table.mcap"):
         given = tmp_path / "map.yaml" if log.stem == "table" else None
         whole = read_flight(log, given)
-        monkeypatch.setattr("vpptwin.logs.container.LARGE", large if log == flip else 100)
+        monkeypatch.setattr("vpptwin.logs.raw.LARGE", large if log == flip else 100)
         monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
         monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 100)
         parts = read_flight(log, given)
@@ -282,7 +283,7 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a line that says what to write; LOG@START-END is that part of a file, of a table, of a folder."""
-    monkeypatch.setattr("vpptwin.logs.container.LARGE", 10_000)
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 10_000)
     monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
     monkeypatch.setattr("vpptwin.logs.condense.ROOM", 50_000.0)
     log = pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10**7 for k in range(1000)])

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text, load_extra
-from vpptwin.logs.container import Block, Hold, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
 
 _GATHERED = 1 << 14  # messages of a channel that are kept apart at most
 _LENGTH = struct.Struct("<I")

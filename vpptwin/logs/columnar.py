@@ -11,8 +11,8 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
-from vpptwin.logs.container import Wish
 from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields
 
 _ROWS = 1 << 16  # rows converted at once

@@ -9,9 +9,9 @@ import numpy as np
 from vpptwin.errors import InputError
 from vpptwin.fields import Stamp
 from vpptwin.logs.channels import JOINT_COLUMNS, is_joint_state, is_spatial
-from vpptwin.logs.container import Batch, RawChannel, extend, is_alike
 from vpptwin.logs.convert import list_fields
 from vpptwin.logs.decode import DecodeError, decode_channel
+from vpptwin.logs.raw import Batch, RawChannel, extend, is_alike
 from vpptwin.logs.recording import refuse_messages
 from vpptwin.logs.samples import list_stamp_fields, list_vectors
 from vpptwin.logs.tables import find_field

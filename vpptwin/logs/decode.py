@@ -11,7 +11,6 @@ import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from vpptwin.logs.container import Batch, Block, RawChannel
 from vpptwin.logs.layout import (
     LITTLE_ENDIAN,
     STAMP,
@@ -23,6 +22,7 @@ from vpptwin.logs.layout import (
     locate_fields,
     parse_definition,
 )
+from vpptwin.logs.raw import Batch, Block, RawChannel
 
 MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
 MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each

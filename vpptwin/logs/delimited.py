@@ -16,7 +16,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.container import Wish
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields, list_names
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, SPATIAL_C
 from vpptwin.logs.check import check_gyro
 from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
 from vpptwin.logs.condense import Condenser
-from vpptwin.logs.container import RawChannel, Wish
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.logs.raw import RawChannel, Wish
 from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time

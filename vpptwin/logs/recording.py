@@ -16,10 +16,11 @@ from vpptwin.errors import InputError, check_name
 from vpptwin.fields import Stamp
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
-from vpptwin.logs.container import LARGE, RawChannel, RawFile, Wish, read_container
+from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
+from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
 from vpptwin.logs.tables import Table, find_field, keep_tables, name_topic
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd

@@ -15,8 +15,8 @@ from mcap.well_known import MessageEncoding
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import Stamp
 from vpptwin.logs.channels import is_joint_state
-from vpptwin.logs.container import RawChannel, RawFile, Wish
 from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fields, parse_definition
+from vpptwin.logs.raw import RawChannel, RawFile, Wish
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
 

@@ -11,9 +11,9 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
-from vpptwin.logs.container import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
 from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
+from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31

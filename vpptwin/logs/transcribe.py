@@ -12,7 +12,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files
-from vpptwin.logs.container import Block, RawChannel, Wish
+from vpptwin.logs.raw import Block, RawChannel, Wish
 from vpptwin.logs.recording import PathLike, Recording, find_files, open_recording
 from vpptwin.logs.span import part_span
 from vpptwin.logs.tables import pack_rows

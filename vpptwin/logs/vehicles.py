@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError, load_extra
-from vpptwin.logs.container import Wish
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table
 
 _CODES = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4",
