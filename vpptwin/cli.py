@@ -22,6 +22,7 @@ from vpptwin.trust import EVERY, trust
 
 WRITTEN = ("out", "json", "html", "video")
 """Options that name what a command writes: a file, or, by their metavar, a folder, whose files the command looks at."""
+PARTS = "FILE+FILE is one flight of several files, LOG@600-900 a part of a log [s]"
 
 
 class Parser(argparse.ArgumentParser):
@@ -180,7 +181,7 @@ def describe_history(parser: argparse.ArgumentParser) -> None:
 def describe_play(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin play`."""
     add = parser.add_argument
-    add("log", type=Path, nargs="*", metavar="LOG", help="an MCAP file, or the split files of one recording")
+    add("log", type=Path, nargs="*", metavar="LOG", help="a log of any kind, or the split files of one")
     add_beside(parser)
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
     add("--video", type=Path, help="write an animation, .gif, .webp or .mp4, instead of opening a server")
@@ -202,14 +203,14 @@ def describe_plot(parser: argparse.ArgumentParser) -> None:
 
 def describe_convert(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin convert`."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="a log of any kind, FILE+FILE for several of one flight")
+    parser.add_argument("log", type=Path, metavar="LOG", help=f"a log of any kind; {PARTS}")
     parser.add_argument("out", type=Path, metavar="OUT", help="MCAP file to write")
 
 
 def describe_inspect(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin inspect`."""
     add = parser.add_argument
-    add("logs", type=Path, nargs="+", metavar="LOG", help="logs of any kind, FILE+FILE for several of one flight")
+    add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
     add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
     add("--out", type=Path, help="twin YAML to write with the guesses (default MODEL_twin.yaml)")
 
@@ -280,7 +281,7 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
 
 def add_logs(parser: argparse.ArgumentParser) -> None:
     """Arguments of commands that compare logs with a twin."""
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="MCAP flight logs, one a flight")
+    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=f"flight logs of any kind; {PARTS}")
     parser.add_argument(
         "--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the log leaves no doubt"
     )

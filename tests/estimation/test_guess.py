@@ -4,118 +4,35 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.guesses import RIGS, score_rig, write_model
 from vpptwin.cli import main
-from vpptwin.estimation.free_body import tell_body
-from vpptwin.estimation.guess import Guess, guess_signals
+from vpptwin.estimation.guess import guess_signals
 from vpptwin.estimation.inspect import ask
 from vpptwin.logs.survey import survey
 from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[2]
-SO_ARM = {
-    "Rotation": (-2.2, 2.2), "Pitch": (-3.14158, 0.2), "Elbow": (0.0, 3.14158), "Wrist_Pitch": (-2.0, 1.8),
-    "Wrist_Roll": (-3.14158, 3.14158), "Jaw": (-0.2, 2.0),
-}  # fmt: skip
-"""Joints of the menagerie's trs_so_arm100 and their ranges [rad]."""
-
-
-def write_model(path: Path, joints: dict[str, tuple[float, float] | None], kind: str, slide: bool = False) -> Path:
-    """A chain of hinges or slides, each with an actuator of its name."""
-    body = "".join(
-        f"<body pos='0 0 0.1'><inertial pos='0 0 0' mass='0.1' diaginertia='1e-4 1e-4 1e-4'/><joint name='{name}' "
-        f"type='{'slide' if slide else 'hinge'}' axis='0 1 0'" + (f" range='{r[0]} {r[1]}'/>" if r else "/>")
-        for name, r in joints.items()
-    )
-    drive = "".join(f"<{kind} name='{name}' joint='{name}'/>" for name in joints)
-    text = (
-        f"<compiler angle='radian'/><worldbody>{body}{'</body>' * len(joints)}</worldbody><actuator>{drive}</actuator>"
-    )
-    path.write_text(f"<mujoco>{text}</mujoco>")
-    return path
-
-
-def score(guesses: list[Guess], truth: Callable[[Guess, str], str]) -> tuple[int, int, int]:
-    """Right, asked and wrong fields; `truth` gives the field of a joint's or actuator's quantity."""
-    count = [0, 0, 0]
-    for guess in guesses:
-        for quantity in ("position", "velocity") if guess.group == "joints" else ("effort",):
-            found = guess.fields.get(quantity)
-            if not guess.sure or found is None:
-                count[1] += 1
-            else:
-                good = (found.name or found.field) == truth(guess, quantity)
-                count[0 if good else 2] += 1
-    return count[0], count[1], count[2]
-
-
-def know_so101(guess: Guess, quantity: str) -> str:
-    """positions[k] and velocities[k] of joint k, positions[k] of control for servo k."""
-    place = list(SO_ARM).index(guess.target)
-    return f"{'velocities' if quantity == 'velocity' else 'positions'}[{place}]"
-
-
-def know_double(guess: Guess, quantity: str) -> str:
-    """Column 1 of the shoulder, 2 of the elbow."""
-    stem = {"position": "pos_meas", "velocity": "vel_meas", "effort": "tau_con"}[quantity]
-    return f"{stem}{1 if guess.target.startswith('shoulder') else 2}"
-
-
-SCORES = {
-    "so101": ("*/control.csv", None, know_so101),
-    "double_pendulum": ("*.csv", "double_pendulum/double_pendulum.xml", know_double),
-    "simple_pendulum": ("*.csv", "simple_pendulum/pendulum.xml",
-                        lambda guess, quantity: "torque" if quantity == "effort" else quantity),
-    "antx": ("*.mcap", "antx/antx.xml", lambda guess, quantity: guess.target),
-}  # fmt: skip
 
 
 def read_table() -> dict[str, tuple[int, ...]]:
-    """Log → right, asked, wrong, as docs/logs.md says."""
+    """Rig → logs, right, asked, wrong, as docs/logs.md says."""
     text = (ROOT / "docs/logs.md").read_text()
-    rows = re.findall(r"^\| (\w+) \| \d+ \| (\d+) \| (\d+) \| (\d+) \|", text, flags=re.MULTILINE)
+    rows = re.findall(r"^\| (\w+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|", text, flags=re.MULTILINE)
     return {name: tuple(map(int, numbers)) for name, *numbers in rows}
 
 
-@pytest.mark.parametrize("name", SCORES)
+@pytest.mark.parametrize("name", RIGS)
 def test_guesses_of_real_rigs_are_never_wrong(shared_data: Path, tmp_path: Path, name: str) -> None:
-    """Right or asked, as often as the table in docs/logs.md says."""
-    pattern, model, truth = SCORES[name]
-    path = ROOT / "examples" / model if model else write_model(tmp_path / "arm.xml", dict(SO_ARM), "position")
-    compiled = mujoco.MjModel.from_xml_path(str(path))
-    total = np.zeros(3, dtype=int)
-    for log in sorted((shared_data / name).glob(pattern)):
-        joined = f"{log}+{log.with_name('state_motor.csv')}" if name == "so101" else log
-        total += score(guess_signals(compiled, survey(joined)[1]), truth)
-    assert total[2] == 0
-    assert tuple(total) == read_table()[name]
-
-
-TRUE_OF_BODIES = (
-    r"attitude: /\S+ (att_stateestimate_)?qx, y, z, w is a quaternion", r"position: /\S+ px, y, z, velocity vx, vy, vz",
-    r"position: /\S+ (est_)?stateestimate[_.]x, y, z, velocity (est_)?stateestimate[_.]vx",
-    r"angles: /\S+ roll, pitch, yaw in rad; ", r"accelerometer: /\S+ imu_acc_x, .* in g$",
-    r"gyro: /\S+ imu_gyro_x, y, z in rad/s",
-    r"angles: /\S+ att_stateestimate_roll, pitch, yaw in deg, pitch with the other sign",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(("name", "pattern"), [("nanobench", "*.csv.gz"), ("crazypad", "*/E9_log*")])
-def test_guesses_of_flying_bodies_are_never_wrong(shared_data: Path, name: str, pattern: str) -> None:
-    """Attitude, position, angles, gyro and accelerometer of a Crazyflie, with their units and signs."""
-    total = [0, 0, 0]
-    for log in sorted((shared_data / name).glob(pattern)):
-        for told in tell_body(survey(log)[1]):
-            good = any(re.match(known, told.text) for known in TRUE_OF_BODIES)
-            total[(0 if good else 2) if told.sure else 1] += 1
-    assert total[2] == 0
-    assert tuple(total) == read_table()[name]
+    """Joints and servos, or attitude, position, angles, gyro, accelerometer: right or asked, as docs/logs.md says."""
+    found = score_rig(shared_data, name, tmp_path)
+    assert found[-1] == 0
+    assert found == read_table()[name]
 
 
 def write_log(path: Path, columns: dict[str, np.ndarray]) -> Path:

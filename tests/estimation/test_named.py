@@ -12,6 +12,7 @@ import pytest
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.estimation.models import find_model
+from vpptwin.estimation.named import list_entries
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,13 +20,20 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_a_log_without_doubt_needs_no_twin(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The mapping is printed first, and the twin kept; what it would replace by another is refused."""
+    """The mapping is printed first, and the twin kept, for other logs too; replacing it by another is refused."""
     monkeypatch.chdir(tmp_path)
     log, model = shared_data / "antx/rail_velocity_doublets_1.mcap", ROOT / "examples/antx/antx.xml"
     assert main(["compare", str(log), "--model", str(model)]) == 0
     shown = capsys.readouterr().out
     assert shown.index("slide (joint)") < shown.index("prediction error of twin antx_twin.yaml")
     assert main(["compare", str(log), "--twin", "antx_twin.yaml"]) == 0
+    text = "# another log\n" + Path("antx_twin.yaml").read_text()
+    Path("antx_twin.yaml").write_text(text)
+    assert main(["compare", str(log), "--model", str(model)]) == 0
+    assert Path("antx_twin.yaml").read_text() == text
+    capsys.readouterr()
+    one, other = (f"signals: {{joints: {{j: {{topic: {topic}, position: q}}}}}}" for topic in ("run_1", "run_2"))
+    assert list_entries(one) == list_entries(f"# of a table\n{other}") != list_entries(one.replace(" q", " v"))
     Path("antx_twin.yaml").write_text("mine")
     assert main(["compare", str(log), "--model", str(model)]) == 2
     assert "antx_twin.yaml is there already" in capsys.readouterr().err

@@ -24,6 +24,7 @@ from tests.measured import run_measured
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
 from vpptwin.logs.container import read_container
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.unpack import FREE, MOST_RATIO
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -87,7 +88,7 @@ def test_what_logs_do_unpack_to_is_read(tmp_path: Path) -> None:
     count = FREE // len(MESSAGE)
     data = zstandard.compress(MESSAGE * count)
     raw = read_container(
-        write_chunks(tmp_path / "full.mcap", [Chunk("zstd", data, 0, 0, 0, len(MESSAGE) * count)]), lambda _: True
+        write_chunks(tmp_path / "full.mcap", [Chunk("zstd", data, 0, 0, 0, len(MESSAGE) * count)]), Wish(lambda _: True)
     )
     assert raw.channels == []
     assert raw.log_time == (EPOCH, EPOCH)

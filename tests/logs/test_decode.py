@@ -21,10 +21,11 @@ from vpptwin.errors import InputError
 from vpptwin.logs import decode as decoding
 from vpptwin.logs import read_flight
 from vpptwin.logs.channels import CHANNELS
-from vpptwin.logs.container import Block, RawChannel, read_container
+from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.layout import LayoutError, compose_message, locate_fields, parse_definition
 from vpptwin.logs.messages import DEFINITIONS, compose_definition
+from vpptwin.logs.raw import Block, RawChannel, Wish
 
 RANGES = {"bool": (0, 1), "int8": (-128, 127), "uint8": (0, 255), "byte": (0, 255)}
 RANGES |= {f"{'u' * u}int{b}": (-(2 ** (b - 1)) * (1 - u), 2 ** (b - 1 + u) - 1) for b in (16, 32, 64) for u in (0, 1)}
@@ -67,7 +68,7 @@ def read_channel(bag: Bag) -> RawChannel:
     """Write a bag of one channel and read it undecoded."""
     with tempfile.TemporaryDirectory() as folder:
         bag.path = Path(folder) / "bag.mcap"
-        (channel,) = read_container(bag.write(), lambda _: True).channels
+        (channel,) = read_container(bag.write(), Wish(lambda _: True)).channels
     return channel
 
 

@@ -18,10 +18,11 @@ from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
 from vpptwin.logs import Flight, read_flight, vehicles
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import open_recording
 from vpptwin.logs.survey import survey
-from vpptwin.logs.tables import Table, Wish
+from vpptwin.logs.tables import Table
 from vpptwin.logs.transcribe import transcribe
 
 ALL = Wish(lambda channel: True)
@@ -74,6 +75,8 @@ FIELD = {
     "text beside": (compose("kind,time,q", "STATE,{t},{q}"), "q"),
     "mixed line endings": (compose("time,q", "{t},{q}").replace("\n", "\r\n", 20), "q"),
     "carriage returns": (compose("time,q", "{t},{q}", end="\r"), "q"),
+    "dates": ("date_time,q\n" + "".join(f"2026-01-31 23:59:59.{round(t * 1e3):03d},{q}\n" for t, q in ROWS), "q"),
+    "dates of a zone": ("t,q\n" + "".join(f"2026-01-31T23:59:59.{round(t * 1e6):06d}Z,{q}\n" for t, q in ROWS), "q"),
     "a mark of UTF-8": ("\ufeff" + compose("time,q", "{t},{q}"), "q"),
     "empty lines at the end": (compose("time,q", "{t},{q}") + "\n,\n,\n", "q"),
 }
@@ -112,6 +115,9 @@ BAD = {
     "a cell too few": (spoil(lambda lines: lines.__setitem__(9, "0.08")), "line 10: 1 cells"),
     "cut in a line": (compose("time,q", "{t},{q}").rstrip("\n")[:-5], "line 41: 1 cells"),
     "no time in a row": (spoil(lambda lines: lines.__setitem__(9, ",4.0")), "line 10: no number as time"),
+    "a time that is no number": (compose("time,q", "12h{t},{q}"), "line 2: '12h0.0' as time"),
+    "a date that is none": ("t,q\n2026-01-31 12:00:00.0,1\n2026-01-31 12:00:00.1,2\nnoon,3\n", "line 4: 'noon' as t"),
+    "numbers nowhere": (compose("time,q", "{t},nan"), "no row with a number as q"),
     "names alone": ("time,q\n", "has no rows"),
     "nothing but blanks": ("\n\n \n", "has no rows"),
     "no time at all": (compose("a,b", "{q},{q}"), "columns a, b; expected a column time, t or timestamp"),
@@ -272,19 +278,22 @@ def test_ulog_is_read(tmp_path: Path) -> None:
         assert np.allclose(stream.time, [t for t, _ in ROWS])
         assert stream["position"].tolist() == [sign * q for _, q in ROWS]
     log.write_bytes(log.read_bytes()[:900])
-    assert 0 < len(read_joint(log, "servo", position="angle[1]").joints["/joint_states"]["j"]) < 40
+    flight = read_joint(log, "servo", position="angle[1]")
+    assert 0 < len(flight.joints["/joint_states"]["j"]) < 40
+    assert flight.warnings == ("log.ulg ends within a message: what is before it is used",)
     log.write_bytes(log.read_bytes()[:20])
     with pytest.raises(InputError, match=r"ULog"):
         read_joint(log, "servo", position="angle[1]")
 
 
+def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
+    """A message of DataFlash that describes others."""
+    fields = (name.encode(), form.encode(), columns.encode())
+    return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
+
+
 def write_dataflash(path: Path) -> Path:
     """A DataFlash log by ArduPilot's format: descriptions first, as a board writes them."""
-
-    def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
-        fields = (name.encode(), form.encode(), columns.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
-
     parts = [describe(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
     parts.append(describe(150, "ATT", "Qcf", "TimeUS,Roll,Pitch", 3 + 8 + 2 + 4))
     for t, q in ROWS:
@@ -301,6 +310,10 @@ def test_dataflash_is_read(tmp_path: Path) -> None:
     assert np.allclose(stream.time, [t for t, _ in ROWS])
     assert np.allclose(stream["position"], [q for _, q in ROWS])
     assert np.allclose(stream["velocity"], [-q for _, q in ROWS])
+    log.write_bytes(log.read_bytes()[:-5])
+    assert read_joint(log, "ATT", position="Roll").warnings == (
+        "00000001.BIN ends within a message: what is before it is used",
+    )
     log.write_bytes(log.read_bytes()[:150])
     with pytest.raises(InputError, match="DataFlash"):
         read_joint(log, "ATT", position="Roll")
@@ -308,11 +321,6 @@ def test_dataflash_is_read(tmp_path: Path) -> None:
 
 def write_instances(path: Path) -> Path:
     """A DataFlash log of two sensors, with text, halves and an array, and a torn message amid them."""
-
-    def describe(kind: int, name: str, form: str, columns: str, size: int) -> bytes:
-        fields = (name.encode(), form.encode(), columns.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *fields)
-
     parts = [describe(128, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns", 89)]
     parts.append(describe(151, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", 44))
     parts.append(describe(152, "IMU", "QBgLna", "TimeUS,I,G,Lat,S,A", 3 + 8 + 1 + 2 + 4 + 4 + 64))
@@ -352,7 +360,6 @@ def test_a_large_ulog_is_read_in_stretches(tmp_path: Path, monkeypatch: pytest.M
     """As it is in one piece."""
     log = write_ulog(tmp_path / "log.ulg")
     whole = read_all(log, "/servo", "angle")
-    monkeypatch.setattr(vehicles, "LARGE", 0)
     monkeypatch.setattr(vehicles, "_STRETCH", 300)
     assert np.array_equal(read_all(log, "/servo", "angle"), whole)
 
@@ -377,13 +384,11 @@ def test_rosbag2_in_sqlite_is_read(
     whole = survey(tmp_path / "bag")[1]
     monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
     monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)
-    for room in ("bags", "container"):
-        monkeypatch.setattr(f"vpptwin.logs.{room}.LARGE", 500)
-    for log in (tmp_path / "bag", source):
-        parts = survey(log)[1]
-        assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
-        assert sum(len(part.stretches) for part in parts) > 2 * len(parts) or log == source
-        assert "\rread " in capsys.readouterr().err
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 500)
+    parts = survey(tmp_path / "bag")[1]
+    assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
+    assert sum(len(part.stretches) for part in parts) > 2 * len(parts)
+    assert "\rread " in capsys.readouterr().err
     (file,) = (tmp_path / "bag").glob("*.db3")
     file.write_bytes(file.read_bytes()[:5000])
     with pytest.raises(InputError, match="is damaged"):
@@ -515,8 +520,7 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
     if kind == "mcap":
         transcribe(log, log := tmp_path / "state.mcap")
     whole = survey(log)[1]
-    monkeypatch.setattr("vpptwin.logs.tables.LARGE", 20_000)
-    monkeypatch.setattr("vpptwin.logs.container.LARGE", 20_000)
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 20_000)
     monkeypatch.setattr("vpptwin.logs.container._MANY", 300)
     parts = survey(log)[1]
     assert len(whole[1].stretches) == 1

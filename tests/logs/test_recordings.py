@@ -10,14 +10,17 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as PlainWriter
 from mcap_ros2.writer import Writer
 
-from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, Message, make_poses, stamp_header
+from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, make_poses, pose_bag, stamp_header
+from vpptwin.cli import main
 from vpptwin.errors import InputError
-from vpptwin.logs import Stream, read_flight, write_flight
+from vpptwin.logs import Flight, Stream, read_flight, write_flight
 from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import decode_channel
 from vpptwin.logs.messages import compose_definition
+from vpptwin.logs.raw import Wish
 from vpptwin.logs.read import read_flights
 from vpptwin.logs.recording import list_flights
+from vpptwin.logs.transcribe import transcribe
 
 MS = 10**6  # ns
 DEMO = Path(__file__).resolve().parents[2] / "demo" / "flights"
@@ -74,7 +77,9 @@ def test_every_compression_is_read(tmp_path: Path, compression: CompressionType)
 
 def test_files_without_chunks_are_read(tmp_path: Path) -> None:
     """Messages may lie in the file itself, between schemas, channels and records that mean nothing to us."""
-    source = read_container(Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), lambda _: True)
+    source = read_container(
+        Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), Wish(lambda _: True)
+    )
     with (tmp_path / "b.mcap").open("wb") as file:
         writer = PlainWriter(file, use_chunking=False, use_statistics=False)
         writer.start("ros2")
@@ -158,7 +163,7 @@ def test_a_written_flight_is_in_order_of_time(tmp_path: Path) -> None:
     streams = {"/battery": Stream(slow, {"voltage": 11.0 + 0 * slow})}
     joints = {"/joint_states": {"a": Stream(fast, {"position": fast, "effort": -fast})}}
     write_flight(tmp_path / "log.mcap", streams, joints)
-    raw = read_container(tmp_path / "log.mcap", lambda _: True)
+    raw = read_container(tmp_path / "log.mcap", Wish(lambda _: True))
     stamps = np.concatenate([block.log_time for channel in raw.channels for block in channel.blocks])
     number = np.concatenate([block.number for channel in raw.channels for block in channel.blocks])
     assert (np.diff(stamps[np.argsort(number)].astype(np.int64)) >= 0).all()
@@ -218,7 +223,7 @@ def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
     """The definition parser and the bulk decoder handle what ROS 2's own tests record."""
     seen = {}
     for path in list_flights(shared_data / "rosbag2"):
-        for channel in read_container(path, lambda channel: channel.encoding == "cdr").channels:
+        for channel in read_container(path, Wish(lambda channel: channel.encoding == "cdr")).channels:
             if channel.topic == "topic1":
                 (batch,) = decode_channel(channel, ["float64_value", "uint8_value"])
                 seen[channel.topic] = len(batch.number)
@@ -230,7 +235,82 @@ def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
 def test_split_bags_of_ros_itself_are_complete(shared_data: Path) -> None:
     """Both halves of the recording hold as many messages as their summaries say."""
     paths = [shared_data / "rosbag2" / f"split_{k}.mcap" for k in (1, 0)]
-    counts = [sum(channel.count for channel in read_container(path, lambda _: False).channels) for path in paths]
+    counts = [sum(channel.count for channel in read_container(path, Wish(lambda _: False)).channels) for path in paths]
     assert counts == [1240, 1246]
     with pytest.raises(InputError, match="none of our topics"):
         read_flight(paths)
+
+
+def list_streams(flight: Flight) -> dict[tuple[str, ...], Stream]:
+    """All that was read, by topic and name."""
+    joints = {(topic, name): stream for topic, names in flight.joints.items() for name, stream in names.items()}
+    return {(topic,): stream for topic, stream in {**flight.streams, **flight.spatial}.items()} | joints
+
+
+@pytest.mark.parametrize("large", [20_000, 300_000])
+def test_large_logs_are_read_and_converted_as_they_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: int
+) -> None:
+    """The flight is the same, to the last bit, whether all messages were held or only numbers that are wanted."""
+    flip, table = DEMO / "flip.mcap", tmp_path / "table.csv"
+    states = [make_state(k, name=["a", "b"][:: 1 - 2 * (k > 20)], position=[0.01 * k, -0.5]) for k in range(40)]
+    bag = Bag(tmp_path / "joints.mcap").add("/joint_states", JOINTS, states).add("/odd", IMU, [make_imu(EPOCH)])
+    table.write_text("time,Arm q,kind\n" + "".join(f"{0.01 * k:.2f},{k},A{k}\n" for k in range(99)))
+    transcribe(table, tmp_path / "table.mcap")
+    (tmp_path / "map.yaml").write_text("/joint_states: {names: {q: {topic: table, position: Arm q}}}")
+    for log in (flip, bag.write(), table, tmp_path / "table.mcap"):
+        given = tmp_path / "map.yaml" if log.stem == "table" else None
+        whole = read_flight(log, given)
+        monkeypatch.setattr("vpptwin.logs.raw.LARGE", large if log == flip else 100)
+        monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
+        monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 100)
+        parts = read_flight(log, given)
+        assert not any(channel.is_kept for channel in transcribe(log, tmp_path / "again.mcap").files[0].channels)
+        again = read_flight(tmp_path / "again.mcap", given)
+        for found in (parts, again):
+            streams = list_streams(found)
+            assert found.start_ns == whole.start_ns
+            assert found.warnings == whole.warnings
+            assert streams.keys() == list_streams(whole).keys()
+            for name, stream in list_streams(whole).items():
+                assert np.array_equal(streams[name].time, stream.time)
+                assert streams[name].values.keys() == stream.values.keys()
+                assert all(np.array_equal(streams[name][c], values) for c, values in stream.values.items())
+        monkeypatch.undo()
+
+
+def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line that says what to write; LOG@START-END is that part of a file, of a table, of a folder."""
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 10_000)
+    monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
+    monkeypatch.setattr("vpptwin.logs.condense.ROOM", 50_000.0)
+    log = pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10**7 for k in range(1000)])
+    table = tmp_path / "log.csv"
+    table.write_text("time,q\n" + "".join(f"{0.01 * k:.2f},{k}\n" for k in range(3000)))
+    (tmp_path / "map.yaml").write_text("/joint_states: {names: {q: {topic: log, position: q}}}")
+    for given in (log, table):
+        with pytest.raises(InputError, match=rf"{given}: the numbers .* of \d+ s .* such as {given}@0-\d+ \(seconds\)"):
+            read_flight(given, tmp_path / "map.yaml" if given == table else None)
+    part = read_flight(f"{log}@2-4")
+    assert part.path == Path(f"{log}@2-4")
+    assert part.streams["/mocap/pose"]["x"].tolist() == [0.01 * k for k in range(200, 400)]
+    part = read_flight(f"{table}@2.5-2.61", tmp_path / "map.yaml")
+    assert part.joints["/joint_states"]["q"]["position"].tolist() == list(range(250, 261))
+    assert main(["convert", f"{log}@2-4", str(tmp_path / "part.mcap")]) == 0
+    assert "200 messages on 1 topics" in capsys.readouterr().out
+    with pytest.raises(InputError, match="@20-30 holds no messages; expected a stretch in which there are some"):
+        read_flight(f"{log}@20-30")
+    with pytest.raises(InputError, match="from 3 to 2 s; expected a start before the end"):
+        read_flight(f"{log}@3-2")
+
+
+def test_a_stretch_of_split_files_counts_from_their_first(tmp_path: Path) -> None:
+    """Of a rosbag2 folder, of FILE+FILE, and of nothing that is not there."""
+    first, second = split_bag(tmp_path)
+    (tmp_path / "metadata.yaml").write_text("")
+    for given in (tmp_path, f"{first}+{second}"):
+        assert len(read_flight(f"{given}@0.1-0.4").streams["/mocap/pose"]) == 30
+    with pytest.raises(InputError, match=r"no file .*none.mcap; expected"):
+        read_flight(tmp_path / "none.mcap@0-1")

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.guess import (
+    CLOSE,
     SLOPE,
     Guess,
     compare_lag,
@@ -27,6 +28,7 @@ AXES = ("x", "y", "z")
 REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
+ANGLES = (("rad", 1.0), ("deg", UNITS["deg"][1]))
 GRAVITIES = (("m/s^2", 1.0), ("g", UNITS["g"][1]), ("mg", UNITS["mg"][1]))
 
 
@@ -130,7 +132,7 @@ def tell_positions(triples: Mapping[str, list[Signal]]) -> Iterator[Told]:
             continue
         tests = [compare_slope(p, v) for p, v in zip(group, velocity)]
         shares = [share for r, share in tests if np.isfinite(r) and r > SLOPE]
-        good = len(shares) >= 2 and all(0.6 < share < 1.6 for share in shares)
+        good = len(shares) >= 2 and all(CLOSE[0] < share < CLOSE[1] for share in shares)
         numbers = ", ".join(f"{share:.2f} (r {r:.2f})" for r, share in tests)
         text = f"position: {stem}x, y, z, velocity {base}vx, vy, vz; shares of the slope {numbers}"
         yield Told("position", text, good, tuple(group))
@@ -157,10 +159,7 @@ def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) ->
         _step, shown, turned = resample(replace(smooth, time=smooth.time - lag), turning)
         r = float(np.corrcoef(shown, turned)[0, 1]) if len(shown) else np.nan
         results.append((r, float(shown @ turned / (turned @ turned)) if len(shown) else np.nan))
-    strong = [share for r, share in results if r > SLOPE]
-    unit = next((u for u, one in TURNS if strong and all(0.6 < share * one < 1.6 for share in strong)), "")
-    numbers = ", ".join(f"{share:.3g} (r {r:.2f})" for r, share in results)
-    sure = bool(unit) and len(strong) == 3
+    unit, sure, numbers = choose_unit(results, TURNS)
     text = f"gyro: {stem}x, y, z in {unit or 'no known unit'}; shares of the turning {numbers}"
     text += f", {1e3 * lag:.0f} ms after the attitude" if lag else ""
     return Told("rate", text, sure, tuple(group), "" if unit == "rad/s" else unit)
@@ -181,16 +180,23 @@ def tell_angles(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) 
         shares.append(
             (float(np.corrcoef(shown, seen)[0, 1]), float(shown.std() / seen.std())) if good else (np.nan, np.nan)
         )
-    strong = [share for r, share in shares if abs(r) > SLOPE]
-    unit = next(
-        (u for u, one in (("rad", 1.0), ("deg", np.pi / 180)) if strong and all(0.6 < s * one < 1.6 for s in strong)),
-        "",
-    )
+    unit, sure, numbers = choose_unit([(abs(r), share) for r, share in shares], ANGLES)
     turned = [name for name, (r, _) in zip(("roll", "pitch", "yaw"), shares) if r < -SLOPE]
-    numbers = ", ".join(f"{share:.3g} (r {r:.2f})" for r, share in shares)
     told = f"angles: {stem}roll, pitch, yaw in {unit or 'no known unit'}"
     told += f", {' and '.join(turned)} with the other sign" if turned else ""
-    return Told("", f"{told}; shares of the attitude {numbers}", bool(unit) and len(strong) == 3, tuple(group))
+    return Told("", f"{told}; shares of the attitude {numbers}", sure, tuple(group))
+
+
+def choose_unit(tests: Sequence[tuple[float, float]], units: Sequence[tuple[str, float]]) -> tuple[str, bool, str]:
+    """The unit in which three axes show what they should, "" for none; whether all do; the numbers.
+
+    Tests are correlation and share of each axis, units their size in SI.
+    """
+    strong = [share for r, share in tests if r > SLOPE]
+    fits = (u for u, one in units if strong and all(CLOSE[0] < share * one < CLOSE[1] for share in strong))
+    unit = next(fits, "")
+    numbers = ", ".join(f"{share:.3g} (r {r:.2f})" for r, share in tests)
+    return unit, bool(unit) and len(strong) == len(tests), numbers
 
 
 def tell_gravity(stem: str, group: Sequence[Signal]) -> Told:

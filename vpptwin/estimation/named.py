@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml
+
 from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import guess_signals
@@ -43,6 +45,21 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
         raise InputError(found, "none, to go on without a twin YAML", action)
     out = Path(f"{path.stem}_twin.yaml")
     content = compose_twin(path, out, str(log), guesses)
-    if out.exists() and out.read_text() != content:
+    if not out.exists():
+        return write_whole(out, content)
+    if list_entries(out.read_text()) != list_entries(content):
         raise InputError(f"{out} is there already, and says something else", "none", f"give --twin {out}, or move it")
-    return write_whole(out, content)
+    return out
+
+
+def list_entries(text: str) -> object:
+    """What a twin YAML says, without its comments; its only topic goes unnamed, as it is called as the log."""
+    try:
+        content = yaml.safe_load(text)
+        entries = [e for group in content["signals"].values() for e in group.values() if isinstance(e, dict)]
+        if len({entry["topic"] for entry in entries}) == 1:
+            for entry in entries:
+                entry["topic"] = ""
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError):
+        return text
+    return content

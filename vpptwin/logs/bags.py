@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +11,11 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text, load_extra
-from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, hand_over, show_reading
-from vpptwin.logs.tables import Wish
+from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
 
 _GATHERED = 1 << 14  # messages of a channel that are kept apart at most
+_LENGTH = struct.Struct("<I")
+_MESSAGE = b"\x02"
 
 
 def read_bag(path: Path, wish: Wish) -> RawFile:
@@ -38,7 +41,17 @@ def _read_bag1(path: Path, wish: Wish) -> RawFile:
     from rosbags.rosbag1 import Reader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    with Reader(path) as reader:
+    class Chunks(Reader):
+        """A bag without the library's index of messages, which takes 150 bytes each."""
+
+        def read_index_data(self, pos: int, indexes: object) -> None:
+            """Pass over the index of a connection in a chunk: a head and its content."""
+            assert self.bio is not None
+            for _ in range(2):
+                (size,) = _LENGTH.unpack(self.bio.read(_LENGTH.size))
+                self.bio.seek(size, 1)
+
+    with Chunks(path) as reader:
         store = get_typestore(Stores.EMPTY)
         for connection in reader.connections:
             types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
@@ -50,10 +63,38 @@ def _read_bag1(path: Path, wish: Wish) -> RawFile:
             c.id: (c.topic, c.msgtype, store.generate_msgdef(c.msgtype, ros_version=2)[0]) for c in reader.connections
         }
         gather = _Gather(path, wish, texts)
-        for connection, stamp, raw in show_reading(path, iterable=reader.messages(), unit=" messages"):
-            if gather.note(connection.id, stamp):
-                gather.add(connection.id, stamp, bytes(store.ros1_to_cdr(raw, connection.msgtype)))
+        for key, stamp, raw in show_reading(path, iterable=list_messages(reader), unit=" messages"):
+            if gather.note(key, stamp):
+                gather.add(key, stamp, bytes(store.ros1_to_cdr(raw, texts[key][1])))
     return gather.finish()
+
+
+def list_messages(reader: Any) -> Iterator[tuple[int, int, bytes]]:  # noqa: ANN401
+    """Connection, time [ns] and content of the messages of a ROS 1 bag, chunk by chunk, as they were recorded."""
+
+    def take(data: bytes, place: int) -> tuple[bytes, int]:
+        """A piece that its length stands before, and the place behind it."""
+        start = place + _LENGTH.size
+        end = start + _LENGTH.unpack_from(data, place)[0]
+        if end > len(data):
+            raise ValueError(f"a record of {end - start} bytes where {len(data) - start} are left")
+        return data[start:end], end
+
+    for info in sorted(reader.chunk_infos, key=lambda info: info.start_time):
+        chunk, place = reader.chunks[info.pos], 0
+        reader.bio.seek(chunk.datapos)
+        data = chunk.decompressor(reader.bio.read(chunk.datasize))
+        while place < len(data):
+            head, place = take(data, place)
+            content, place = take(data, place)
+            fields, at = {}, 0
+            while at < len(head):
+                said, at = take(head, at)
+                name, _, value = said.partition(b"=")
+                fields[name] = value
+            if fields[b"op"] == _MESSAGE:
+                seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
+                yield _LENGTH.unpack(fields[b"conn"])[0], seconds * 10**9 + nanoseconds, content
 
 
 def _read_sqlite(path: Path, wish: Wish) -> RawFile:
@@ -87,7 +128,7 @@ class _Gather:
     """Messages one by one, into channels."""
 
     def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
-        self.path, self.number, self.times, self.take, self.size = path, 0, (2**63, -1), wish.take, 0
+        self.path, self.number, self.times, self.span, self.hold = path, 0, (2**63, -1), wish.span, Hold(wish.take)
         self.channels = {
             key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
             for key, (topic, kind, text) in texts.items()
@@ -97,6 +138,8 @@ class _Gather:
 
     def note(self, key: Any, stamp: int) -> bool:  # noqa: ANN401
         """Count a message; whether it is wanted."""
+        if self.span is not None and not self.span.choose(np.array([stamp]))[0]:
+            return False
         self.channels[key].count += 1
         self.number += 1
         self.times = min(self.times[0], stamp), max(self.times[1], stamp)
@@ -114,10 +157,7 @@ class _Gather:
         number, stamp, content = zip(*self.held.pop(place))
         payload = np.frombuffer(b"".join(content), np.uint8).reshape(len(number), place[1])
         self.channels[place[0]].blocks.append(Block(np.array(number, np.uint64), np.array(stamp, np.uint64), payload))
-        self.size += payload.nbytes
-        if self.take is not None and self.size > LARGE:
-            hand_over(self.channels.values(), self.take)
-            self.size = 0
+        self.hold.add(payload.nbytes, self.channels.values())
 
     def finish(self) -> RawFile:
         """All that was kept."""

@@ -12,7 +12,8 @@ import numpy as np
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
 from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
-from vpptwin.logs.tables import Table, Wish
+from vpptwin.logs.raw import Wish
+from vpptwin.logs.tables import Table, choose_fields
 
 _ROWS = 1 << 16  # rows converted at once
 _BUFFER = 1 << 16  # bytes of a column read at once
@@ -47,7 +48,7 @@ def read_rows(
             held = {n: columns for n, columns in held.items() if episode is None or n not in _ROWS_OF_SETS}
             if not held[clock] or held[clock][clock].dtype.kind not in "iuf":
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
-            fields = wish.choose(topic, [column for columns in held.values() for column in columns])
+            fields = choose_fields(wish, topic, [column for columns in held.values() for column in columns])
             given = {n: given[n] for n, columns in held.items() if n == clock or not fields.keys().isdisjoint(columns)}
             break
         wanted = [*given.values(), *(["episode_index"] if episode is not None else [])]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import mmap
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,82 +21,15 @@ from tqdm import tqdm
 from zstandard import ZstdError
 
 from vpptwin.errors import InputError, escape_text
+from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
 from vpptwin.logs.unpack import Unpacker
-from vpptwin.progress import open_bar
 
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _MANY = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
 _READ = 1 << 25  # bytes of a file held in memory at once
-LARGE = 1 << 27
-"""What is held of a log at once where it is looked at as it comes [bytes]."""
 # What mcap and the decompressors raise on records whose content makes no sense.
 _BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
-
-
-@dataclass(frozen=True)
-class Block:
-    """Payloads of one length: record number in the file (n,), log time [ns] (n,), bytes (n, length)."""
-
-    number: np.ndarray
-    log_time: np.ndarray
-    payload: np.ndarray
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Rows of a table in the place of messages: number of the first, time [ns] (n,), field -> (n,) or (n, k)."""
-
-    number: int
-    time: np.ndarray
-    columns: Mapping[str, np.ndarray]
-
-
-@dataclass
-class RawChannel:
-    """One channel of a file with its payloads or rows. type and definition: of its schema; count: of messages seen."""
-
-    topic: str
-    message_type: str
-    encoding: str
-    schema_encoding: str
-    definition: str
-    count: int = 0
-    blocks: list[Block] = field(default_factory=list)
-    rows: list[Rows] = field(default_factory=list)
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether it holds messages, or rows."""
-        return bool(self.blocks or self.rows)
-
-
-@dataclass(frozen=True)
-class RawFile:
-    """A file taken apart. profile: of its header; log_time: of its first and last message [ns]; notes: warnings."""
-
-    path: Path
-    profile: str
-    channels: list[RawChannel]
-    log_time: tuple[int, int]
-    notes: list[str] = field(default_factory=list)
-
-
-Take = Callable[[RawChannel], None]
-
-
-def hand_over(channels: Iterable[RawChannel], take: Take) -> None:
-    """Let all that is held of channels be looked at, and forget it."""
-    for channel in channels:
-        if channel.is_kept:
-            take(channel)
-            channel.rows, channel.blocks = [], []
-
-
-def show_reading(path: Path, **options: object) -> tqdm:
-    """A bar on standard error while a large file is read, with `options` of tqdm; of a small one none."""
-    small = not path.is_file() or path.stat().st_size < LARGE
-    return open_bar(desc=f"read {path.name}", disable=small, **options)
 
 
 class _DamageError(Exception):
@@ -122,11 +54,9 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(
-        self, wanted: Callable[[RawChannel], bool], take: Take | None, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm
-    ) -> None:
-        self.wanted, self.take, self.unpacker, self.mapped, self.bar = wanted, take, unpacker, mapped, bar
-        self.forgotten = self.held = 0
+    def __init__(self, wish: Wish, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm) -> None:
+        self.wish, self.unpacker, self.mapped, self.bar = wish, unpacker, mapped, bar
+        self.hold, self.forgotten = Hold(wish.take), 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -190,7 +120,7 @@ class _Scan:
             escape_text(record.topic), escape_text(known.name), record.message_encoding, known.encoding, text
         )
         self.channels[record.id] = channel
-        if self.wanted(channel):
+        if self.wish.channel(channel):
             self.keep.add(record.id)
 
     def store(self, data: bytes | memoryview, found: list[tuple[int, int, int, int]]) -> None:
@@ -201,30 +131,28 @@ class _Scan:
         number = self.count + np.arange(len(found))
         self.count += len(found)
         self.log_time = (min(self.log_time[0], int(log_time.min())), max(self.log_time[1], int(log_time.max())))
-        content = np.frombuffer(data, np.uint8)
-        for identifier in np.unique(channel).tolist():
-            mine = channel == identifier
+        content, size = np.frombuffer(data, np.uint8), 0
+        inside = self.wish.span.choose(log_time.astype(np.int64)) if self.wish.span else np.ones(len(found), bool)
+        for identifier in np.unique(channel[inside]).tolist():
+            mine = (channel == identifier) & inside
             if identifier in self.channels:
                 self.channels[identifier].count += int(np.count_nonzero(mine))
-            for size in np.unique(length[mine]).tolist() if identifier in self.keep else ():
-                rows = np.flatnonzero(mine & (length == size))
+            for width in np.unique(length[mine]).tolist() if identifier in self.keep else ():
+                rows = np.flatnonzero(mine & (length == width))
                 # An empty message at the very end has no window of its own, so it borrows the one before.
-                windows = sliding_window_view(content, max(size, 1))
-                payload = windows[start[rows].astype(np.intp) - (size == 0), :size]
+                windows = sliding_window_view(content, max(width, 1))
+                payload = windows[start[rows].astype(np.intp) - (width == 0), :width]
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
-                self.held += payload.nbytes
-        if self.take is not None and self.held > LARGE:
-            hand_over(self.channels.values(), self.take)
-            self.held = 0
+                size += payload.nbytes
+        self.hold.add(size, self.channels.values())
 
 
-def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take | None = None) -> RawFile:
+def read_container(path: Path, wish: Wish) -> RawFile:
     """Take an MCAP file apart.
 
     Args:
         path: the file.
-        wanted: tells whether a channel's payloads are to be kept.
-        take: looks at the payloads of a large file as they come; those are forgotten.
+        wish: tells which channels' payloads are to be kept.
 
     Returns:
         All channels; those wanted with their payloads.
@@ -234,7 +162,7 @@ def read_container(path: Path, wanted: Callable[[RawChannel], bool], take: Take 
     """
     bar = show_reading(path, unit="B", total=path.stat().st_size)
     with path.open("rb") as file, bar, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        scan = _Scan(wanted, take, Unpacker(path, path.stat().st_size), mapped, bar)
+        scan = _Scan(wish, Unpacker(path, path.stat().st_size), mapped, bar)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:

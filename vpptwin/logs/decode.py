@@ -6,13 +6,11 @@ import contextlib
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from vpptwin.logs.container import Block, RawChannel
 from vpptwin.logs.layout import (
     LITTLE_ENDIAN,
     STAMP,
@@ -24,26 +22,10 @@ from vpptwin.logs.layout import (
     locate_fields,
     parse_definition,
 )
+from vpptwin.logs.raw import Batch, Block, RawChannel
 
 MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
 MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Messages of one shape.
-
-    Attributes:
-        number: (n,) record numbers in the file.
-        log_time: (n,) ns.
-        values: path -> (n,) or (n, k).
-        texts: path of a string sequence -> its strings, the same in all messages of the batch.
-    """
-
-    number: np.ndarray
-    log_time: np.ndarray
-    values: dict[str, np.ndarray]
-    texts: dict[str, tuple[str, ...]]
 
 
 class DecodeError(ValueError):
@@ -65,6 +47,9 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         DecodeError: if a message does not fit its definition, or has no such field.
     """
     yield from _take_rows(channel, paths)
+    for held in channel.batches:
+        told = {path: held.texts[path] for path in texts}
+        yield Batch(held.number, held.log_time, {path: held.values[path] for path in paths}, told)
     reference = _ReferenceDecoder(channel)
     try:
         definitions = parse_definition(channel.message_type, channel.definition)

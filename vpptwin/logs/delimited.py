@@ -16,24 +16,32 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.tables import Table, Wish, list_names
+from vpptwin.logs.raw import Wish
+from vpptwin.logs.tables import Table, choose_fields, list_names
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _HEAD = 1 << 18  # characters that are looked at to see what kind of CSV it is
 _LONGEST_UNIT = 12  # characters
-_BLOCK = 1 << 24  # bytes of text converted at once
+_BLOCK = 1 << 22  # bytes of text converted at once, of which Arrow reads up to thirty ahead
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)|", re.IGNORECASE)
 _COMMA_NUMBER = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d(:?\d\d)?)?")
+_FORMS = {
+    "double": ("a number", _NUMBER),
+    "int64": ("a whole number", re.compile(r"[-+]?\d+")),
+    "timestamp": ("a date", _DATE),
+}
+"""Arrow's type of a column → what its cells should be."""
 _UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
 _TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
           "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
-_SUFFIXES = {"_ns": "ns", "_nsec": "ns", "_nanoseconds": "ns", "_us": "us", "_usec": "us", "_microseconds": "us",
-             "_ms": "ms", "_msec": "ms", "_millis": "ms", "_milliseconds": "ms", "_s": "s", "_sec": "s",
-             "_seconds": "s", "us": "us", "ms": "ms", "ns": "ns"}  # fmt: skip
-_WORDS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us",
-          "nsec": "ns", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}  # fmt: skip
+_SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds", "us": "us usec microseconds µs μs",
+            "ns": "ns nsec nanoseconds"}  # fmt: skip
+_WORDS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
+_SUFFIXES = {f"_{word}": unit for word, unit in _WORDS.items()} | {"us": "us", "ms": "ms", "ns": "ns"}
+"""What names of clocks end with → unit."""
 _SLOWEST, _FASTEST = 5.0, 5000.0  # samples a second of a log whose clock tells no unit; three decades leave one unit
 
 _DATES = 1e9, 4e9  # seconds since 1970: 2001 to 2096
@@ -78,13 +86,20 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
     form = sniff(path, notes)
     stamp = wish.stamps.get(topic)
     clock = find_clock(path, form.names, stamp)
-    fields = wish.choose(topic, form.names)
+    fields = choose_fields(wish, topic, form.names)
     wanted = [name for name in form.names if name in fields or name == clock]
     unit = stamp.unit if stamp is not None else form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
+    unit = "ns" if is_date(form, clock) else unit
     number = 0
     for batch in convert_batches(path, form, clock, wanted, pa):
         columns = {name: read_column(path, form, batch.column(name), name, number, pa) for name in wanted}
         time = columns[clock]
+        if time.dtype.kind not in "iuf":
+            line, said = find_line(path, form, number), time.reshape(len(time), -1)[0, 0]
+            found = f"{path}, line {line}: {said!r} as {clock}"
+            raise InputError(
+                found, "a number, or a date like 2026-01-31 12:00:00.5", "convert it, or name another column"
+            )
         blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
         if blank.any():
             filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
@@ -281,6 +296,12 @@ def guess_unit(time: np.ndarray) -> str:
     return "s"
 
 
+def is_date(form: Format, clock: str) -> bool:
+    """Whether the time is told as a date."""
+    place = form.names.index(clock)
+    return place < len(form.first) and bool(_DATE.fullmatch(form.first[place]))
+
+
 def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
     """Times in ns, (n,) int64."""
     factor = NANOSECONDS[unit]
@@ -308,7 +329,10 @@ def convert_batches(
         cell = form.first[place] if place < len(form.first) else ""
         number = is_number(cell, form.delimiter) and not cell.startswith(("[", "("))
         whole = name == clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
-        types[name] = pa.int64() if whole else pa.float64() if number else pa.string()
+        zone = re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:])
+        dates = pa.timestamp("ns", "UTC" if zone else None)
+        is_dates = name == clock and is_date(form, clock)
+        types[name] = dates if is_dates else pa.int64() if whole else pa.float64() if number else pa.string()
     with open_bytes(path) as file:
         try:
             reader = arrow_csv.open_csv(
@@ -327,7 +351,7 @@ def convert_batches(
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise refuse_damaged(path, error) from None
         except (pa.ArrowInvalid, UnicodeError) as error:
-            raise blame_line(path, form, {name: str(types[name]) for name in wanted}, error) from None
+            raise blame_line(path, form, {name: str(types[name]).partition("[")[0] for name in wanted}, error) from None
 
 
 def blame_line(path: Path, form: Format, types: dict[str, str], error: Exception) -> InputError:
@@ -342,20 +366,20 @@ def blame_line(path: Path, form: Format, types: dict[str, str], error: Exception
             if len(row) != len(form.names):
                 found = f"{path}, line {reader.line_num}: {len(row)} cells"
                 return InputError(found, expected, "complete or remove the line")
-            for place, cell in enumerate(row):
+            for kind, name, cell in zip(kinds, form.names, row):
                 text = cell.strip().replace(form.decimal, ".")
                 good = _NUMBER.fullmatch(text) or text.lower() in ("null", "none", "n/a", "na", "-", "-nan")
-                if kinds[place] in ("double", "int64") and not good:
-                    found = f"{path}, line {reader.line_num}: {cell!r} as {form.names[place]}"
-                    return InputError(found, "a number, as in the lines before", "correct the line")
-                if kinds[place] == "int64" and not re.fullmatch(r"\s*[-+]?\d+\s*", cell):
-                    found = f"{path}, line {reader.line_num}: {cell!r} as {form.names[place]}"
-                    return InputError(found, "a whole number, as in the lines before", "correct the line")
+                if kind not in _FORMS or (good if kind == "double" else _FORMS[kind][1].fullmatch(text)):
+                    continue
+                found = f"{path}, line {reader.line_num}: {cell!r} as {name}"
+                return InputError(found, f"{_FORMS[kind][0]}, as in the lines before", "correct the line")
     return InputError(f"{path}: {error}", "a CSV file", "correct it")
 
 
 def read_column(path: Path, form: Format, column: Any, name: str, number: int, pa: Any) -> np.ndarray:  # noqa: ANN401
     """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.int64())
     if not pa.types.is_string(column.type):
         if pa.types.is_int64(column.type) and column.null_count == 0:
             return np.asarray(column.to_numpy(zero_copy_only=False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from hashlib import sha256
@@ -11,12 +12,12 @@ from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, SPATIAL_COLUMNS, is_joint_state, is_spatial
 from vpptwin.logs.check import check_gyro
 from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
-from vpptwin.logs.container import RawChannel
+from vpptwin.logs.condense import Condenser
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.logs.raw import RawChannel, Wish
 from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time
-from vpptwin.logs.tables import Wish
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
 
@@ -46,7 +47,9 @@ def read_flight(
         named = slash(channel.topic) in sources or channel.topic in topics.joints
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
-    recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps()))
+    called = str(path) if isinstance(path, str | os.PathLike) else "+".join(str(file) for file in path)
+    take = Condenser(called, topics)
+    recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps(), take))
     warnings: list[str] = [note for file in recording.files for note in file.notes]
     samples = _read_table_topics(recording, topics, warnings)
     joints = _read_joint_topics(recording, topics, warnings)
@@ -151,7 +154,7 @@ def _assemble_flight(
     start = min(int(item.stamp[0]) for item in every)
     for file in recording.files:
         for channel in file.channels:
-            channel.blocks, channel.rows = [], []  # logs of gigabytes leave no room for what is not needed any more
+            channel.forget()  # logs of gigabytes leave no room for what is not needed any more
     stamps = {id(item.stamp): item.stamp for item in every}  # which all that was read of a topic may share
     times = {key: measure_time(stamp, start) for key, stamp in stamps.items()}
     streams = {topic: build_stream(item, times[id(item.stamp)], path, warnings) for topic, item in samples.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,13 @@ from vpptwin.errors import InputError, check_name
 from vpptwin.fields import Stamp
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
-from vpptwin.logs.container import RawChannel, RawFile, read_container
+from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.tables import Table, Wish, find_field, keep_tables, name_topic
+from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
+from vpptwin.logs.span import part_span
+from vpptwin.logs.tables import Table, find_field, keep_tables, name_topic
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.plain import read_yaml
 
@@ -113,11 +115,7 @@ class Recording:
                     values = {path: batch.values[name] for path, name in names.items()}
                     yield Batch(batch.number + (index << 40), batch.log_time, values, batch.texts)
             except DecodeError as error:
-                raise InputError(
-                    f"{self.path}: {topic} ({channel.message_type}) has {error}",
-                    f"messages with {', '.join(paths)} as the definition in the file says",
-                    "check the field names and the program that wrote it",
-                ) from None
+                raise refuse_messages(self.path, channel, paths, error) from None
 
 
 def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
@@ -127,7 +125,17 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
         InputError: if there is no such file, it is no log of a kind that is read, or damaged.
     """
     paths = find_files(path)
-    files = [_read_file(file, wish, len(paths) == 1) for file in paths]
+    files, origin = list[RawFile](), list[int]()
+    for given in paths:
+        plain, span = part_span(given, origin)
+        files.append(_read_file(plain, replace(wish, span=span), len(paths) == 1))
+        channels = [channel for file in files for channel in file.channels]
+        held = sum(block.payload.nbytes for channel in channels for block in channel.blocks)
+        if wish.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
+            wish.take(channels)
+    if origin and not any(channel.count for file in files for channel in file.channels):
+        advice = "look with `vpptwin inspect` how long the log is"
+        raise InputError(f"{paths[0]} holds no messages", "a stretch in which there are some", advice)
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
@@ -154,6 +162,15 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
             )
 
 
+def refuse_messages(path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError) -> InputError:
+    """What to say of messages that do not decode."""
+    return InputError(
+        f"{path}: {channel.topic} ({channel.message_type}) has {error}",
+        f"messages with {', '.join(paths)} as the definition in the file says",
+        "check the field names and the program that wrote it",
+    )
+
+
 def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
     """Files of one recording that is a file, a rosbag2 folder, or a list of files.
 
@@ -167,6 +184,9 @@ def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
     given = Path(path)
     if is_episode(given):
         return [given]
+    plain, span = part_span(given)
+    if span is not None:
+        return [Path(f"{file}{str(given)[len(str(plain)) :]}") for file in find_files(plain)]
     if not given.exists():
         if "+" in str(given):
             return find_files(str(given).split("+"))
@@ -244,7 +264,7 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
         return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
-    raw = read_container(path, wish.channel, wish.take)
+    raw = read_container(path, wish)
     if raw.profile not in ("ros2", ""):
         found = f"{path} has the MCAP profile '{raw.profile}'"
         raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -37,9 +38,9 @@ class Samples:
     fields: dict[str, np.ndarray]
     columns: tuple[Column, ...] = ()
 
-    def take(self, rows: np.ndarray) -> Samples:
-        """Samples of these rows, in this order."""
-        if len(rows) == len(self.stamp) and (rows == np.arange(len(rows))).all():
+    def take(self, rows: slice | np.ndarray) -> Samples:
+        """Samples of these rows, in this order; as they are for `slice(None)`."""
+        if isinstance(rows, slice):
             return self
         fields = {path: values[rows] for path, values in self.fields.items()}
         stamp = self.stamp[rows]
@@ -68,7 +69,7 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
         InputError: if messages do not decode, or stamps are no times.
     """
     told = recording.is_table(topic) and clock == Stamp()
-    stamp_paths = [STAMP] if told else _list_stamp_fields(clock)
+    stamp_paths = [STAMP] if told else list_stamp_fields(clock)
     parts: dict[str, list[np.ndarray]] = {path: [] for path in paths}
     numbers, stamps, log_times = [], [], []
     for batch in recording.decode(topic, [*stamp_paths, *paths]):
@@ -80,13 +81,18 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
             held.append(batch.values[path])
     if not numbers:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    rising = all((n[1:] > n[:-1]).all() for n in numbers) and all(a[-1] < b[0] for a, b in pairwise(numbers))
-    order = slice(None) if rising else np.argsort(np.concatenate(numbers), kind="stable")
+    order = find_order(numbers)
     del numbers  # logs of gigabytes leave no room for what is not needed any more
     log_time, stamp = _join(log_times, order), _join(stamps, order)
     log_time = stamp if np.array_equal(log_time, stamp) else log_time
     log_time, stamp = recording.times.setdefault((topic, clock), (log_time, stamp))
     return Samples(label, stamp, log_time, {path: _join(parts[path], order) for path in parts})
+
+
+def find_order(numbers: Sequence[np.ndarray]) -> slice | np.ndarray:
+    """What puts messages into record order that come in these parts."""
+    rising = all((n[1:] > n[:-1]).all() for n in numbers) and all(a[-1] < b[0] for a, b in pairwise(numbers))
+    return slice(None) if rising else np.argsort(np.concatenate(numbers), kind="stable")
 
 
 def _join(parts: list[np.ndarray], order: slice | np.ndarray) -> np.ndarray:
@@ -110,6 +116,8 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
     found = read_fields(recording, topic, route.stamp, paths, label)
+    if not len(found.stamp):
+        return found
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     for column, data in values.items():
         if data.ndim != 1 and len(route.sources[column].paths) == 1:
@@ -118,12 +126,16 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
         if route.sources[column].axis is not None:
             values[column] = np.unwrap(data)
     empty = np.any([np.isnan(data).reshape(len(data), -1).any(axis=1) for data in values.values()], axis=0)
+    if empty.all():
+        lacking = f"{recording.path}: {route.topic} has no row with a number as {' and '.join(paths)}"
+        raise InputError(lacking, "one in most rows", "name another column")
     if empty.any():
         warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
-    return replace(found, fields=values).take(np.flatnonzero(~empty))
+    return replace(found, fields=values).take(~empty if empty.any() else slice(None))
 
 
-def _list_stamp_fields(stamp: Stamp) -> list[str]:
+def list_stamp_fields(stamp: Stamp) -> list[str]:
+    """Fields that a time is made of."""
     if stamp.path == LOG_TIME:
         return []
     return [stamp.path] if stamp.unit else [f"{stamp.path}.sec", f"{stamp.path}.nanosec"]
@@ -137,7 +149,7 @@ def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_ti
     """
     if stamp.path == LOG_TIME:
         return _count_ns(label, log_time, 1)
-    parts = [fields[path] for path in _list_stamp_fields(stamp)]
+    parts = [fields[path] for path in list_stamp_fields(stamp)]
     if stamp.unit is None:
         return _count_ns(label, parts[0], 10**9) + _count_ns(label, parts[1], 1)
     return _count_ns(label, parts[0], NANOSECONDS[stamp.unit])
@@ -165,9 +177,7 @@ def read_spatial(recording: Recording, topic: str) -> Samples:
     Raises:
         InputError: if messages do not decode.
     """
-    kinds = {shorten_type(kind): columns for kind, columns in SPATIAL.items()}
-    columns = kinds[shorten_type(recording.check_type(topic))]
-    parts = {name: [f"{path}.{c}" for c in ("wxyz" if name == "attitude" else "xyz")] for name, path in columns.items()}
+    parts = list_vectors(recording.check_type(topic))
     found = read_fields(recording, topic, Stamp(), [path for paths in parts.values() for path in paths], topic)
     if not found.fields:
         return found
@@ -175,6 +185,12 @@ def read_spatial(recording: Recording, topic: str) -> Samples:
     # ROS marks what an IMU or an odometry does not tell by NaN, or by zeros throughout.
     told = {name: values for name, values in fields.items() if values.any() and not np.isnan(values).all()}
     return replace(found, fields=told)
+
+
+def list_vectors(message_type: str) -> dict[str, list[str]]:
+    """Column -> the fields of its components, of messages that `SPATIAL` has."""
+    columns = {shorten_type(kind): columns for kind, columns in SPATIAL.items()}[shorten_type(message_type)]
+    return {name: [f"{path}.{c}" for c in ("wxyz" if name == "attitude" else "xyz")] for name, path in columns.items()}
 
 
 @dataclass
@@ -197,7 +213,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
     Raises:
         InputError: if a message has another number of values than names.
     """
-    seconds, nanoseconds = _list_stamp_fields(Stamp())
+    seconds, nanoseconds = list_stamp_fields(Stamp())
     parts: dict[str, list[_Part]] = {}
     for batch in recording.decode(topic, (seconds, nanoseconds, *JOINT_COLUMNS), texts=("name",)):
         names = batch.texts["name"]
@@ -211,14 +227,25 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
                     "correct the program that publishes it",
                 )
         for index, name in enumerate(names):
-            values = {column: batch.values[column][:, index].astype(float) for column, width in widths.items() if width}
-            parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.astype(np.int64), values))
+            values = {
+                column: batch.values[column][:, index].astype(float, copy=False)
+                for column, width in widths.items()
+                if width
+            }
+            parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.view(np.int64), values))
     warnings: list[str] = []
-    joined = {name: _join_parts(f"{canonical} {escape_text(name)}", items, warnings) for name, items in parts.items()}
+    times: _Times = {}
+    joined = {
+        name: _join_parts(f"{canonical} {escape_text(name)}", items, warnings, times) for name, items in parts.items()
+    }
     return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
 
 
-def _join_parts(label: str, parts: list[_Part], warnings: list[str]) -> Samples:
+_Times = dict[tuple[int, ...], tuple[slice | np.ndarray, np.ndarray, np.ndarray]]
+
+
+def _join_parts(label: str, parts: list[_Part], warnings: list[str], times: _Times) -> Samples:
+    """Samples of one joint; joints that come in the same messages share order, stamps and log times: `times`."""
     total = sum(len(part.stamp) for part in parts)
     counts = {column: sum(len(p.stamp) for p in parts if column in p.values) for column in JOINT_COLUMNS}
     kept = [column for column, count in counts.items() if count > total / 2]
@@ -228,9 +255,12 @@ def _join_parts(label: str, parts: list[_Part], warnings: list[str]) -> Samples:
         warnings.append(f"{lost} of {total} messages on {label} lack {' or '.join(kept) or 'values'}, left out")
     if not usable:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    order = np.argsort(np.concatenate([part.number for part in usable]), kind="stable")
-    values = {column: np.concatenate([part.values[column] for part in usable])[order] for column in kept}
+    key = tuple(id(part.number) for part in usable)
+    if key not in times:
+        order = find_order([part.number for part in usable])
+        times[key] = order, _join([p.stamp for p in usable], order), _join([p.log_time for p in usable], order)
+    order, stamp, log_time = times[key]
+    values = {column: _join([part.values[column] for part in usable], order) for column in kept}
     values = {column: data for column, data in values.items() if not np.isnan(data).all()}
-    stamp, log_time = (np.concatenate([getattr(p, name) for p in usable])[order] for name in ("stamp", "log_time"))
     count = len(stamp) if values else 0
     return Samples(label, stamp[:count], log_time[:count], values)

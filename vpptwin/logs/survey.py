@@ -15,11 +15,10 @@ from mcap.well_known import MessageEncoding
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import Stamp
 from vpptwin.logs.channels import is_joint_state
-from vpptwin.logs.container import RawChannel, RawFile
 from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fields, parse_definition
+from vpptwin.logs.raw import RawChannel, RawFile, Wish
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
-from vpptwin.logs.tables import Wish
 
 _WIDEST = 64  # elements of a list that are signals of their own
 _DULL = re.compile(r"header\.|(^|\.)stamp\.|covariance|(^|\.)sequence$")
@@ -186,8 +185,13 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
             stretches.setdefault(key, []).append(look(stamp, values))
             first.setdefault(key, replace(signal, time=stamp, values=values))
 
-    def take(channel: RawChannel) -> None:
-        note(Recording(Path(channel.topic), (RawFile(Path(channel.topic), "ros2", [channel], (0, 0)),)), channel)
+    def take(channels: Sequence[RawChannel]) -> None:
+        for channel in channels:
+            if channel.is_kept:
+                note(
+                    Recording(Path(channel.topic), (RawFile(Path(channel.topic), "ros2", [channel], (0, 0)),)), channel
+                )
+                channel.forget()
 
     recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR, take=take))
     for channel in {c.topic: c for file in recording.files for c in file.channels if c.is_kept}.values():

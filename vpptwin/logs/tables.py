@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
-from vpptwin.fields import Stamp
-from vpptwin.logs.container import LARGE, Block, RawChannel, RawFile, Rows, Take, hand_over, show_reading
 from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
+from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31
@@ -39,34 +38,14 @@ class Table:
     fields: Mapping[str, str] | None = None
 
 
-@dataclass(frozen=True)
-class Wish:
-    """What of a log is wanted.
-
-    Attributes:
-        channel: tells whether a channel's messages are.
-        fields: topic -> the fields that are enough; all of those that it leaves out.
-        stamps: topic -> where its time lies, where somebody says.
-        take: what looks at a large log's numbers channel by channel as they come, before they are forgotten.
-    """
-
-    channel: Callable[[RawChannel], bool]
-    fields: Mapping[str, Collection[str]] = field(default_factory=dict)
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
-    take: Take | None = None
-
-    def name_table(self, topic: str) -> str:
-        """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
-        return next(iter(self.fields)) if len(self.fields) == 1 else topic
-
-    def choose(self, topic: str, columns: Iterable[str]) -> dict[str, str]:
-        """Which of all columns of a topic are wanted -> what messages call them."""
-        paths, names = self.fields.get(topic), name_fields(columns)
-        if paths is None:
-            return names
-        wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
-        found = {column: name for column, name in names.items() if column in wanted or name in wanted}
-        return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else names
+def choose_fields(wish: Wish, topic: str, columns: Iterable[str]) -> dict[str, str]:
+    """Which of all columns of a topic are wanted -> what messages call them."""
+    paths, names = wish.fields.get(topic), name_fields(columns)
+    if paths is None:
+        return names
+    wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
+    found = {column: name for column, name in names.items() if column in wanted or name in wanted}
+    return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else names
 
 
 def name_topic(path: Path) -> str:
@@ -121,13 +100,16 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
     """
     channels: dict[str, RawChannel] = {}
     fields: dict[str, Mapping[str, str]] = {}
-    first, last, number, held = 2**63, -1, 0, 0
+    first, last, number, hold = 2**63, -1, 0, Hold(wish.take)
     bar = show_reading(path, unit=" rows")
     for table in tables:
+        bar.update(len(table.time))
+        if wish.span is not None:
+            rows = wish.span.choose(table.time)
+            table = replace(table, time=table.time[rows], columns={n: c[rows] for n, c in table.columns.items()})
         count = len(table.time)
-        bar.update(count)
         if table.topic not in channels:
-            names = table.fields if table.fields is not None else wish.choose(table.topic, table.columns)
+            names = table.fields if table.fields is not None else choose_fields(wish, table.topic, table.columns)
             fields[table.topic] = {column: name for column, name in names.items() if column in table.columns}
             kind = f"vpptwin_msgs/msg/{_name_type(table.topic)}"
             text = define_message(table.columns, fields[table.topic], table.units)
@@ -142,13 +124,9 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         first, last = min(first, max(int(table.time.min()), 0)), max(last, int(table.time.max()), 0)
         if wish.channel(channel):
             kept = {name: table.columns[column] for column, name in fields[table.topic].items()}
-            if wish.take is not None:
-                kept = {name: data for name, data in kept.items() if not is_text(data)}
+            kept = {name: data for name, data in kept.items() if wish.texts or not is_text(data)}
             append_rows(channel.rows, Rows(number, table.time, kept))
-            held += table.time.nbytes + sum(data.nbytes for data in kept.values())
-            if wish.take is not None and held > LARGE:
-                hand_over(channels.values(), wish.take)
-                held = 0
+            hold.add(table.time.nbytes + sum(data.nbytes for data in kept.values()), channels.values())
         number += count
     bar.close()
     return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
@@ -158,14 +136,12 @@ def append_rows(pieces: list[Rows], rows: Rows) -> None:
     """Put rows behind those held: into the last piece where they follow it, which keeps no log of gigabytes twice."""
     last = pieces[-1] if pieces else rows
     pairs = [(last.time, rows.time), *((last.columns[name], data) for name, data in rows.columns.items())]
-    alike = all(held.dtype == new.dtype and held.shape[1:] == new.shape[1:] for held, new in pairs)
-    if last.number + len(last.time) != rows.number or not alike:
+    if last.number + len(last.time) != rows.number or not all(is_alike(*pair) for pair in pairs):
         own = {name: np.array(data) for name, data in rows.columns.items()}
         pieces.append(Rows(rows.number, np.array(rows.time), own))
         return
     for held, new in pairs:
-        held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
-        held[-len(new) :] = new
+        extend(held, new)
 
 
 def _name_type(topic: str) -> str:

@@ -15,7 +15,7 @@ GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
 
 
-def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray, tuple[str, ...]]:
+def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[slice | np.ndarray, tuple[str, ...]]:
     """Order messages by their stamps, (n,) ns in record order.
 
     Returns:
@@ -26,7 +26,7 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[np.ndarray,
     """
     _refuse_unset(stamps, f"{path}: {topic}")
     if (stamps[1:] > stamps[:-1]).all():
-        return np.arange(len(stamps)), ()
+        return slice(None), ()
     lateness = np.maximum.accumulate(stamps) - stamps
     late = int(np.count_nonzero(lateness))
     falling = int(np.count_nonzero(np.diff(stamps) < 0))
@@ -64,8 +64,8 @@ def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
     """Warn of gaps in a stream that should come at a constant rate; time (n,) s, increasing."""
     if len(time) < 3:
         return ()
+    threshold = GAP_PERIODS * float(np.median(np.diff(time), overwrite_input=True))
     steps = np.diff(time)
-    threshold = GAP_PERIODS * float(np.median(steps))
     gaps = np.flatnonzero(steps > threshold)
     if not len(gaps):
         return ()
@@ -103,7 +103,8 @@ def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
     if span <= MAX_CLOCK_DISTANCE:
         return
     count = sum(map(len, stamps.values()))
-    every = np.sort(np.concatenate(list({id(own): own for own in stamps.values()}.values())))  # topics share theirs
+    apart = list({id(own): own for own in stamps.values()}.values())  # topics share theirs
+    every = apart[0] if len(apart) == 1 else np.sort(np.concatenate(apart))
     steps = np.diff(every)
     if steps.max() <= MAX_CLOCK_DISTANCE * 1e9 and count >= MIN_RATE * span:
         return

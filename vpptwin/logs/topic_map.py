@@ -75,6 +75,13 @@ class Route:
             )
         return tuple(chosen)
 
+    def list_sources(self, message_type: str) -> list[Source]:
+        """Where the columns lie in messages of a type; [] where they can't be read."""
+        try:
+            return [column.source for column in self.choose_columns(message_type)]
+        except InputError:
+            return []
+
 
 @dataclass(frozen=True)
 class JointRoute:
@@ -93,6 +100,10 @@ class JointRoute:
     topic: str
     sources: dict[str, Source]
     stamp: Stamp
+
+    def list_sources(self, message_type: str) -> list[Source]:
+        """Where the columns lie, in messages of whatever type."""
+        return list(self.sources.values())
 
 
 SignalEntries = Mapping[str, Mapping[str, SignalEntry]]

@@ -12,9 +12,10 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files
-from vpptwin.logs.container import Block, RawChannel, RawFile
-from vpptwin.logs.recording import PathLike, Recording, open_recording
-from vpptwin.logs.tables import Wish, pack_rows
+from vpptwin.logs.raw import Block, RawChannel, Wish
+from vpptwin.logs.recording import PathLike, Recording, find_files, open_recording
+from vpptwin.logs.span import part_span
+from vpptwin.logs.tables import pack_rows
 from vpptwin.progress import open_bar
 
 
@@ -33,48 +34,54 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     """
     if out.suffix != ".mcap":
         raise InputError(f"{out} as the file to write", "a name that ends with .mcap", "rename it")
-    recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR))
-    if out.resolve() in [file.path.resolve() for file in recording.files]:
+    if out.resolve() in [part_span(file)[0].resolve() for file in find_files(log)]:
         raise InputError(f"{out} is the log itself", "another file to write", "choose another name")
     try:
         out.parent.stat()  # a log goes where somebody keeps logs
         with replace_files(out.parent, [out.name]) as drafts, (drafts / out.name).open("wb") as file:
-            write_messages(recording, Writer(file))
+            return write_messages(log, Writer(file))
     except OSError as error:
         found = f"{out} cannot be written ({error.strerror or error})"
         raise InputError(found, "a path to write a log to", "choose another") from None
+
+
+def write_messages(log: PathLike, writer: Writer) -> Recording:
+    """All messages of a log, file by file, in record order; those of a large one as they come."""
+    writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
+    schemas: dict[tuple[str, str], int] = {}
+    known: dict[int, int] = {}
+
+    def take(channels: Sequence[RawChannel]) -> None:
+        for channel in channels:
+            key = channel.message_type, channel.definition
+            if key not in schemas:
+                text = channel.definition.encode()
+                schemas[key] = writer.register_schema(channel.message_type, channel.schema_encoding, text)
+            if id(channel) not in known:
+                metadata = {"offered_qos_profiles": ""}
+                known[id(channel)] = writer.register_channel(channel.topic, channel.encoding, schemas[key], metadata)
+        for place, time, content in list_messages(channels):
+            writer.add_message(known[id(channels[place])], time, content, time)
+            bar.update()
+        for channel in channels:
+            channel.forget()
+
+    with open_bar(desc="convert", unit=" messages") as bar:
+        recording = open_recording(log, Wish(lambda c: c.encoding == MessageEncoding.CDR, take=take, texts=True))
+        for raw in recording.files:
+            take(raw.channels)
+    writer.add_metadata("vpptwin", {"source": ", ".join(os.fspath(file.path.name) for file in recording.files)})
+    writer.finish()
     return recording
 
 
-def write_messages(recording: Recording, writer: Writer) -> None:
-    """All messages of a recording, file by file, in record order."""
-    writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
-    schemas: dict[tuple[str, str], int] = {}
-    total = sum(channel.count for file in recording.files for channel in file.channels)
-    with open_bar(desc="convert", total=total, unit=" messages") as bar:
-        for raw in recording.files:
-            identifiers = []
-            for channel in raw.channels:
-                key = channel.message_type, channel.definition
-                if key not in schemas:
-                    text = channel.definition.encode()
-                    schemas[key] = writer.register_schema(channel.message_type, channel.schema_encoding, text)
-                metadata = {"offered_qos_profiles": ""}
-                identifiers.append(writer.register_channel(channel.topic, channel.encoding, schemas[key], metadata))
-            for place, time, content in list_messages(raw):
-                writer.add_message(identifiers[place], time, content, time)
-                bar.update()
-    writer.add_metadata("vpptwin", {"source": ", ".join(os.fspath(file.path.name) for file in recording.files)})
-    writer.finish()
-
-
-def list_messages(raw: RawFile) -> Iterator[tuple[int, int, bytes]]:
-    """Place of the channel, log time [ns] and content of every message that was kept, in record order."""
-    channels = list(enumerate(raw.channels))
+def list_messages(held: Sequence[RawChannel]) -> Iterator[tuple[int, int, bytes]]:
+    """Place of the channel, log time [ns] and content of every message that channels hold, in record order."""
+    channels = list(enumerate(held))
     yield from _merge([(place, block) for place, channel in channels for block in channel.blocks])
     pieces = [(rows.number, place, rows) for place, channel in channels for rows in channel.rows]
     for _, place, rows in sorted(pieces, key=lambda piece: piece[0]):
-        yield from _merge([(place, block) for block in pack_rows(raw.channels[place], rows)])
+        yield from _merge([(place, block) for block in pack_rows(held[place], rows)])
 
 
 def _merge(blocks: Sequence[tuple[int, Block]]) -> Iterator[tuple[int, int, bytes]]:
@@ -89,4 +96,5 @@ def _merge(blocks: Sequence[tuple[int, Block]]) -> Iterator[tuple[int, int, byte
 
 def list_kept(recording: Recording) -> list[RawChannel]:
     """The channels whose messages are written."""
-    return [channel for file in recording.files for channel in file.channels if channel.is_kept]
+    channels = [channel for file in recording.files for channel in file.channels]
+    return [channel for channel in channels if channel.count and channel.encoding == MessageEncoding.CDR]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError, load_extra
-from vpptwin.logs.container import LARGE
-from vpptwin.logs.tables import Table, Wish
+from vpptwin.logs.raw import Wish
+from vpptwin.logs.tables import Table
 
 _CODES = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4",
           "d": "f8", "e": "f2"}  # fmt: skip
@@ -35,7 +35,7 @@ def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[
     """
     pyulog = load_extra("pyulog", path)
     corrupt, lost, empty = False, [], True
-    for stretch in part_ulog(path) if path.stat().st_size > LARGE else [str(path)]:
+    for stretch in part_ulog(path, notes):
         try:
             with contextlib.redirect_stdout(io.StringIO()):
                 log = pyulog.ULog(stretch, disable_str_exceptions=True)
@@ -56,8 +56,12 @@ def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[
         notes.append(f"{path.name}: the logger lost {len(lost)} times, {sum(lost) / 1e3:.2f} s in all")
 
 
-def part_ulog(path: Path) -> Iterator[io.BytesIO]:
-    """A ULog as several: each has the formats and the subscriptions before it, and a stretch of whole messages."""
+def part_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
+    """A ULog as several: each has the formats and the subscriptions before it, and a stretch of whole messages.
+
+    The last has what is left, of which a warning is added to the notes if it is no whole message.
+    """
+    total = path.stat().st_size
     with path.open("rb") as file:
         formats, subscribed, data = file.read(_ULOG_HEAD), b"", b""
         while piece := file.read(_STRETCH):
@@ -71,8 +75,11 @@ def part_ulog(path: Path) -> Iterator[io.BytesIO]:
                 elif data[place + 2] == ord("F"):
                     formats += data[place:end]
                 place = end
-            yield io.BytesIO(head + data[:place])
+            is_last = file.tell() == total
+            yield io.BytesIO(head + (data if is_last else data[:place]))
             data = data[place:]
+    if data:
+        notes.append(f"{path.name} ends within a message: what is before it is used")
 
 
 def join_arrays(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -113,6 +120,8 @@ def read_dataflash(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iter
         raise InputError(f"{path}: a DataFlash log without samples", "messages with TimeUS", "check the log")
     if torn:
         notes.append(f"{path.name} is damaged in places, which are left out")
+    if rest:
+        notes.append(f"{path.name} ends within a message: what is before it is used")
 
 
 def find_messages(
