@@ -2,6 +2,7 @@
 
     python benchmarks/close_the_loop.py --seed 0 --json loop_0.json
     python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop_*.json --picture loop.svg
+    python benchmarks/close_the_loop.py --stuck flip --json stuck.json
 
 For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
 hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights are
@@ -10,6 +11,9 @@ extended twin, its effects drawn from the identified intervals, (5) it flies. Be
 under the adaptive controller of actuators, one with the paper's randomization, and an oracle trained on a twin of the
 truth, all by the same recipe and seed. What the twin at hand predicts of the same flights (its own engine, filter,
 gusts and noise) is compared with what was flown.
+
+With --stuck a policy that is there, such as the one that ships, flies on a rig whose slider sticks and jams, which the
+paper blames for its steady-state errors; besides it only that of the extended twin is trained and flown.
 
 Everything is kept in --folder: an interrupted run goes on where it was.
 """
@@ -34,11 +38,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 import torch  # noqa: E402
 from loop.report import draw_picture, format_table  # noqa: E402
-from loop.settings import SETTINGS, Rig, draw_rig  # noqa: E402
+from loop.settings import SETTINGS, STUCK, Rig, draw_rig  # noqa: E402
 from loop.steps import (  # noqa: E402
     COMPILE,
-    POLICIES,
     Budget,
+    adopt,
     diagnose,
     export,
     measure,
@@ -59,6 +63,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0, help="of training, rigs and flights")
+    parser.add_argument("--stuck", metavar="POLICY", help="one rig that sticks, flown by a policy that is there")
     parser.add_argument("--steps", type=int, default=Budget.steps, help="policy steps of every training")
     parser.add_argument("--flights", type=int, default=Budget.flights, help="of every policy on every rig")
     parser.add_argument("--jobs", type=int, default=2, help="processes side by side")
@@ -90,36 +95,43 @@ def run(args: argparse.Namespace) -> list[dict[str, Any]]:
     """The loop of one seed: a result for every rig."""
     seed, home = args.seed, (args.folder / f"seed_{args.seed}").resolve()
     budget = Budget(args.steps, args.flights, max((os.cpu_count() or 1) // args.jobs, 1))
-    rigs = [draw_rig(setting, seed) for setting in SETTINGS]
+    rigs = [draw_rig(setting, seed) for setting in ((STUCK,) if args.stuck else SETTINGS)]
     homes = [home / rig.setting.name for rig in rigs]
     for folder in homes:
         folder.mkdir(parents=True, exist_ok=True)
     given = (seed, budget)
-    tasks: list[tuple[Any, ...]] = [
-        (train, home / "nominal", "nominal", "[]", *given),
-        (train, home / "randomized", "nominal", "paper", *given),
-    ]
-    nominal, randomized = side_by_side(tasks, args.jobs, "train")
+    if args.stuck:
+        runs = {"nominal": adopt(args.stuck, home / "stuck" / "given")}
+    else:
+        tasks: list[tuple[Any, ...]] = [
+            (train, home / "nominal", "nominal", "[]", *given),
+            (train, home / "randomized", "nominal", "paper", *given),
+        ]
+        nominal, randomized = side_by_side(tasks, args.jobs, "train")
+        runs = {"nominal": nominal, "adaptive": nominal, "randomized": randomized}
+    nominal = runs["nominal"]
     export(nominal)
     found = side_by_side([(diagnose, h, nominal, rig, seed) for h, rig in zip(homes, rigs)], args.jobs, "diagnose")
-    truths = [write_truth(rig, h / "truth.yaml") for h, rig in zip(homes, rigs)]
-    extended = [folder / "twin.yaml" for folder in found]
     tasks = []
-    for h, twin, truth in zip(homes, extended, truths):
-        named = "identified" if read_verdict(twin.parent)["causes"] else "[]"
-        tasks += [(train, h / "extended", twin, named, *given), (train, h / "oracle", truth, "[]", *given)]
-    others = side_by_side(tasks, args.jobs, "train again")
+    for h, rig, folder in zip(homes, rigs, found):
+        named = "identified" if read_verdict(folder)["causes"] else "[]"
+        tasks.append((train, h / "extended", folder / "twin.yaml", named, *given))
+        if not args.stuck:
+            tasks.append((train, h / "oracle", write_truth(rig, h / "truth.yaml"), "[]", *given))
+    side_by_side(tasks, args.jobs, "train again")
+    own = [name for name in ("extended", "oracle") if (homes[0] / name).exists()]
     flying: list[tuple[Any, ...]] = []
-    for i, (h, rig) in enumerate(zip(homes, rigs)):
-        runs = dict(zip(POLICIES, (nominal, nominal, randomized, *others[2 * i : 2 * i + 2]), strict=True))
-        twins = dict(zip(POLICIES, (*3 * ["nominal"], extended[i], truths[i]), strict=True))
-        for name in POLICIES:
-            export(runs[name])
+    for h, rig, folder in zip(homes, rigs, found):
+        twins = {"extended": folder / "twin.yaml", "oracle": h / "truth.yaml"}
+        for name, flown_run in (runs | {name: h / name for name in own}).items():
+            export(flown_run)
             craft = replace(rig, controller="adaptive" if name == "adaptive" else "own")
-            flying.append((measure, h / f"{name}.json", runs[name], craft, twins[name], seed, budget.flights))
+            twin = twins.get(name, "nominal")
+            flying.append((measure, h / f"{name}.json", flown_run, craft, twin, seed, budget.flights))
     flown = iter(side_by_side(flying, args.jobs, "fly"))
+    names = [*runs, *own]
     return [
-        describe(rig, read_verdict(folder), {name: next(flown) for name in POLICIES}, seed)
+        describe(rig, read_verdict(folder), {name: next(flown) for name in names}, seed)
         for rig, folder in zip(rigs, found)
     ]
 

@@ -14,6 +14,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 WIDE = re.compile(r"^\|(?:[^|\n]*\|){10}", re.MULTILINE)  # a table that takes the width of the navigation too
+CODE = re.compile(r"`[^`\n]*`")  # in tables other readers need a backslash before its bars, this one shows it
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()([^)#\s:]+)((?:#[^)\s]*)?\))")
 
@@ -39,7 +40,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Turn links to where things lie on the site: docs is its root, a folder is its README."""
+    """Turn links to where things lie on the site: docs is its root, a folder is its README; bars in code are bars."""
     if WIDE.search(markdown):
         page.meta["hide"] = ["navigation", "toc"]
     here = page.file.src_uri
@@ -52,4 +53,4 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         site = target.removeprefix("docs/")
         return f"{match[1]}{posixpath.relpath(site, posixpath.dirname(here) or '.')}{match[3]}"
 
-    return LINK.sub(turn, markdown)
+    return CODE.sub(lambda match: match[0].replace("\\|", "|"), LINK.sub(turn, markdown))

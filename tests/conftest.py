@@ -39,21 +39,28 @@ def shared_data() -> Path:
 
 
 LONG = (
-    "test_hidden_mechanics.py", "test_hidden_effects.py", "twin/test_independent.py", "test_cli.py",
-    "effects/test_catalogue.py", "twin/test_own_effects.py", "train/test_training.py", "test_reality_log.py",
-    "train/test_ray.py", "engine/test_cache.py", "test_own_effects.py", "test_antx.py", "test_reality.py",
-    "test_double_pendulum.py", "test_simple_pendulum.py", "test_free_decay.py", "test_mechanisms.py",
-    "identification/test_identify.py", "identification/test_free_flight.py", "test_other_rigs.py",
-    "viz/test_browser.py", "viz/test_live.py", "viz/test_frames.py", "diagnosis/test_experiment.py",
-    "actuators/test_adaptive.py", "train/test_resume.py",
+    "test_hidden_mechanics.py", "test_double_pendulum.py", "test_hidden_effects.py", "test_reality.py",
+    "test_cli.py", "twin/test_own_effects.py", "effects/test_catalogue.py", "train/test_training.py",
+    "test_own_effects.py", "train/test_ray.py", "test_free_body.py", "test_antx.py", "test_reality_log.py",
+    "train/test_resume.py", "test_simple_pendulum.py", "engine/test_cache.py", "twin/test_independent.py",
+    "test_mechanism_sessions.py", "test_other_rigs.py", "test_free_decay.py", "test_five_minutes.py",
+    "test_tutorials.py", "test_notebooks.py", "viz/test_serve.py", "viz/test_browser.py", "viz/test_live.py",
+    "viz/test_frames.py", "test_mechanisms.py", "identification/test_identify.py", "identification/test_free_flight.py",
+    "diagnosis/judgement/test_experiment.py", "benchmarks/test_throughput.py", "benchmarks/test_peers.py",
+    "benchmarks/test_soak.py", "test_fuzz.py", "test_signals.py", "actuators/test_adaptive.py",
 )  # fmt: skip
-"""Files that take longest, first: two workers that share them file by file are then done at about the same time."""
+"""Files that take longest, first: two workers that share them file by file are then done at about the same time.
+
+The second and fourth need nothing that is compiled: while one worker does them, the other compiles the drone's step,
+which is on disk when both need it.
+"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first; skip the tests marked `browser` where there is no Chromium."""
     place = {file: i for i, file in enumerate(LONG)}
     tests = Path(__file__).parent
+    assert all((tests / file).is_file() for file in LONG), "LONG names a file that is gone"
     items.sort(key=lambda item: place.get(item.path.relative_to(tests).as_posix(), len(LONG)))
     if shutil.which("chromium"):
         return

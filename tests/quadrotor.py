@@ -6,12 +6,12 @@ thrusts [N] at 500 Hz, poses come from a tracker at 100 Hz, rates from a gyro at
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
+from tests.crafts import Hidden, draw_one, save_twin
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.write import START_NS, Message, write_flight
 
@@ -41,18 +41,14 @@ signals:
 effects:
   m1+m2+m3+m4.lag: {time_constant: 0.03}
 """
-Hidden = Mapping[str, Mapping[str, float]]
-"""Effect -> parameter -> value, in the catalogue's terms."""
 
 
 def write_twin(folder: Path) -> Path:
     """The nominal twin and its MJCF."""
-    (folder / "quadrotor.xml").write_text(MJCF)
-    (folder / "twin.yaml").write_text(TWIN)
-    return folder / "twin.yaml"
+    return save_twin(folder, "quadrotor", MJCF, TWIN)
 
 
-@njit
+@njit(cache=True)
 def _matrix(q):  # noqa: ANN001, ANN202
     w, x, y, z = q
     return np.array([
@@ -62,7 +58,7 @@ def _matrix(q):  # noqa: ANN001, ANN202
     ])  # fmt: skip
 
 
-@njit
+@njit(cache=True)
 def _turn(q, r):  # noqa: ANN001, ANN202
     angle = np.sqrt((r * r).sum())
     s = np.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
@@ -75,12 +71,12 @@ def _turn(q, r):  # noqa: ANN001, ANN202
     return found / np.sqrt((found * found).sum())
 
 
-@njit
+@njit(cache=True)
 def _skew(c):  # noqa: ANN001, ANN202
     return np.array([[0.0, -c[2], c[1]], [c[2], 0.0, -c[0]], [-c[1], c[0], 0.0]])
 
 
-@njit
+@njit(cache=True)
 def _accelerate(v, q, w, thrust, gust, body):  # noqa: ANN001, ANN202
     """Of the body's origin in the world's axes, and about its own; the centre of mass is `com` off the origin."""
     mass, com, inertia, drag, wind, twist, up, sides, spins = body
@@ -102,7 +98,7 @@ def _accelerate(v, q, w, thrust, gust, body):  # noqa: ANN001, ANN202
     return turn @ found[:3].copy(), found[3:].copy()
 
 
-@njit
+@njit(cache=True)
 def _fly(count, goals, yaws, noise, strength, craft):  # noqa: ANN001, ANN202
     mass, com, inertia, gain, lag, drag, wind, twist, sides, spins, moments = craft
     p, v, w = np.array([0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
@@ -150,18 +146,11 @@ SPANS = {
     **{f"quad.wind {axis}": (axis, 0.005, 0.05) for axis in "xy"},
     **{f"quad.twist {axis}": (axis, 5e-5, 5e-4) for axis in "xy"},
 }  # fmt: skip
-"""What may be hidden, a letter behind it for what has several: strength, and its span."""
 
 
 def draw_hidden(seed: int) -> Hidden:
-    """One effect, all equally likely, its strength log-uniform; in one of six sessions none."""
-    rng = np.random.default_rng([seed, 8])
-    if rng.random() < 1.0 / 6.0:
-        return {}
-    effect = str(rng.choice(list(SPANS)))
-    name, low, high = SPANS[effect]
-    value = float(low * (high / low) ** rng.random())
-    return {effect.split()[0]: {name: value * (rng.choice([-1.0, 1.0]) if " " in effect else 1.0)}}
+    """See `draw_one`."""
+    return draw_one([seed, 8], SPANS)
 
 
 def simulate(hidden: Hidden, duration: float, seed: int, gusts: float) -> np.ndarray:

@@ -5,19 +5,18 @@ Targets go to the servos at 50 Hz; encoders count 1.5 mrad. What is hidden is na
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 
+from tests.crafts import Hidden, draw_one, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 LENGTH, CENTRE, MASS, INERTIA = (0.15, 0.0), (0.08, 0.07), (0.12, 0.10), (2.5e-4, 2.0e-4)  # m, m, kg, kg m²
 ROTOR, STIFF, DAMP, MOST, DRY, VISCOUS, GRAVITY = 0.012, 9.0, 0.6, 1.6, 0.04, 0.02, 9.81
 STEP, PERIOD, COUNT, SLIDING = 2.5e-4, 0.02, 0.0015, 1e-3  # s, s, rad, rad/s
 JOINTS = ("shoulder", "elbow")
-Hidden = Mapping[str, Mapping[str, float]]
 MJCF = f"""<mujoco model="servo_arm"><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
 <default><joint axis="0 1 0" armature="{ROTOR}" frictionloss="{DRY}" damping="{VISCOUS}"/>
 <position kp="{STIFF}" kv="{DAMP}" forcerange="-{MOST} {MOST}"/></default>
@@ -37,7 +36,7 @@ SPANS = {
     "shoulder.coulomb": ("torque", 0.03, 0.2), "elbow.coulomb": ("torque", 0.03, 0.15),
     "shoulder.viscous": ("damping", 0.1, 0.6), "elbow.viscous": ("damping", 0.1, 0.4),
     "shoulder.load": ("mu", 0.1, 0.4), "elbow.load": ("mu", 0.1, 0.4),
-    "shoulder.offset": ("angle", 0.02, 0.1), "elbow.offset": ("angle", 0.02, 0.1),
+    "shoulder.offset angle": ("angle", 0.02, 0.1), "elbow.offset angle": ("angle", 0.02, 0.1),
     "shoulder.inertia": ("inertia", 0.004, 0.02), "elbow.inertia": ("inertia", 0.004, 0.02),
     "shoulder_servo.stiffness": ("stiffness", 0.5, 0.85), "elbow_servo.stiffness": ("stiffness", 0.5, 0.85),
     "shoulder_servo.dead_band": ("band", 0.01, 0.04), "elbow_servo.dead_band": ("band", 0.01, 0.04),
@@ -45,28 +44,19 @@ SPANS = {
     "shoulder_servo.force_limit": ("limit", 0.35, 0.6), "elbow_servo.force_limit": ("limit", 0.15, 0.35),
     "forearm.payload": ("mass", 0.03, 0.15),
 }  # fmt: skip
-"""What may be hidden: strength, and its span from what shows well to what shows badly or the other way round."""
 
 
 def write_twin(folder: Path) -> Path:
     """The nominal twin and its MJCF."""
-    (folder / "servo_arm.xml").write_text(MJCF)
-    (folder / "twin.yaml").write_text(TWIN)
-    return folder / "twin.yaml"
+    return save_twin(folder, "servo_arm", MJCF, TWIN)
 
 
 def draw_hidden(seed: int) -> Hidden:
-    """One effect, all equally likely, its strength log-uniform; in one of six sessions none."""
-    rng = np.random.default_rng([seed, 7])
-    if rng.random() < 1.0 / 6.0:
-        return {}
-    effect = str(rng.choice(list(SPANS)))
-    name, low, high = SPANS[effect]
-    value = float(low * (high / low) ** rng.random())
-    return {effect: {name: value * (rng.choice([-1.0, 1.0]) if name == "angle" else 1.0)}}
+    """See `draw_one`."""
+    return draw_one([seed, 7], SPANS)
 
 
-@njit
+@njit(cache=True)
 def _move(targets, laws, servos, payload):  # noqa: ANN001, ANN202
     samples = len(targets)
     steps, h = round(PERIOD / STEP), STEP

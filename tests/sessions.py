@@ -95,10 +95,16 @@ def read_seed() -> int:
     return int(os.environ["VPPTWIN_SEED"])
 
 
+def draw_names(names: Sequence[str], count: int) -> list[str]:
+    """The names that the seed of this run draws."""
+    order = np.random.default_rng([read_seed(), *names[0].encode()]).permutation(len(names))
+    return [names[i] for i in order[:count]]
+
+
 def mark_undrawn(names: Sequence[str], count: int) -> list[ParameterSet]:
-    """Parameters of a test, all marked `slow` but `count` that the seed of this run draws."""
-    drawn = np.random.default_rng([read_seed(), *names[0].encode()]).permutation(len(names))[:count]
-    return [pytest.param(name, marks=[] if i in drawn else [pytest.mark.slow]) for i, name in enumerate(names)]
+    """Parameters of a test, all marked `slow` but those that are drawn."""
+    drawn = draw_names(names, count)
+    return [pytest.param(name, marks=[] if name in drawn else [pytest.mark.slow]) for name in names]
 
 
 @dataclass(frozen=True)
@@ -143,7 +149,7 @@ class Session:
 
 
 class Sessions:
-    """Sessions of one test file, flown in one batch; one that is missed is drawn and flown once more.
+    """Sessions of one test file, those drawn flown in one batch; one that is missed is drawn and flown once more.
 
     What the diagnosis promises are rates, 95 of 100 (benchmarks/hidden_effects.py): of nine sessions one may well be
     missed. Two of the same kind in a row are a fault.
@@ -152,11 +158,15 @@ class Sessions:
         draws: name, by which `pytest -k` finds its test, → draws what is hidden.
         folder: for the logs.
         test: the test file.
+        drawn: names that this run is about; others are flown when they are asked for.
     """
 
-    def __init__(self, draws: Mapping[str, Callable[[np.random.Generator], Effects]], folder: Path, test: str) -> None:
+    def __init__(
+        self, draws: Mapping[str, Callable[[np.random.Generator], Effects]], folder: Path, test: str,
+        drawn: Sequence[str],
+    ) -> None:  # fmt: skip
         self._draws, self._folder, self._test = draws, folder, test
-        self._flown = self._fly(draws, 0)
+        self._flown = self._fly(drawn, 0)
 
     def _fly(self, names: Iterable[str], turn: int) -> dict[str, Flown]:
         seed, folder = read_seed(), self._folder / str(turn)
@@ -169,7 +179,8 @@ class Sessions:
         """Fail if what is wrong with the verdict, by `find`, is so in every one of `tries` sessions."""
         stories = []
         for turn in range(tries):
-            session = diagnose_session((self._fly([name], turn) if turn else self._flown)[name])
+            known = self._flown if not turn and name in self._flown else self._fly([name], turn)
+            session = diagnose_session(known[name])
             faults = find(session)
             if not faults:
                 return
@@ -188,7 +199,7 @@ def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: s
         folder: for the logs.
         test: the test file.
     """
-    rng = np.random.default_rng([seed, len(test)])
+    rng = np.random.default_rng([seed, len(test), *"".join(hidden).encode()])
     rigs = {name: int(rng.integers(2**31)) for name in hidden}
     winds = {name: draw_wind(rng, most=STRONGEST) for name in hidden}
     small = {name: draw_small(rng, effects, (*CORE, *EXTENDED)) if effects else {} for name, effects in hidden.items()}
@@ -198,7 +209,7 @@ def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: s
         home = folder / name.replace(" ", "_")
         home.mkdir()
         logs = [write_mcap(next(flights), home / f"{manoeuvre}.mcap") for manoeuvre in MANOEUVRES]
-        repeat = f"VPPTWIN_SEED={seed} python -m pytest {test} -k '{name}'"
+        repeat = f"VPPTWIN_SEED={read_seed()} python -m pytest {test} -k '{name}'"
         flown[name] = Flown(hidden[name], small[name], winds[name], rig, logs, repeat)
     return flown
 

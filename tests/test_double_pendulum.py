@@ -12,6 +12,7 @@ import pytest
 from examples.double_pendulum.by_hand import (
     FRICTION,
     RIGID,
+    Fit,
     Log,
     fit_current,
     fit_energy,
@@ -113,9 +114,15 @@ def test_gravity_is_low_only_where_motion_is_differentiated(logs: dict[str, Log]
     assert fit_smoothed([logs["13"]], "con")["G1"] < 0.3 * RIGID["G1"]
 
 
-def test_simulated_windows_find_the_weight_of_the_links(logs: dict[str, Log]) -> None:
+@pytest.fixture(scope="module")
+def swing_up(logs: dict[str, Log]) -> Fit:
+    """The fit to windows of the log with the largest torques."""
+    return fit_windows({"11": logs["11"]})
+
+
+def test_simulated_windows_find_the_weight_of_the_links(swing_up: Fit) -> None:
     """The swing-up: weights within 15 % of DFKI's, geometry, dry friction, and torque late by 1 to 5 ms."""
-    fit = fit_windows({"11": logs["11"]})
+    fit = swing_up
     assert fit["G1"] == pytest.approx(RIGID["G1"], rel=0.15)
     assert fit["G2"] == pytest.approx(RIGID["G2"], rel=0.15)
     assert 9.81 * fit["β"] / fit["G2"] == pytest.approx(0.3, rel=0.05)
@@ -124,9 +131,9 @@ def test_simulated_windows_find_the_weight_of_the_links(logs: dict[str, Log]) ->
     assert fit.left[0].max() < 0.03
 
 
-def test_angles_do_not_count_from_hanging_down(logs: dict[str, Log]) -> None:
+def test_angles_do_not_count_from_hanging_down(logs: dict[str, Log], swing_up: Fit) -> None:
     """In 02 zero is off by over 0.1 rad at the elbow, by no more than friction could hold; in 11 by nothing."""
-    far, none = fit_windows({"02": logs["02"]}), fit_windows({"11": logs["11"]})
+    far, none = fit_windows({"02": logs["02"]}), swing_up
     assert far["z2 02"] == pytest.approx(-0.136, abs=0.02)
     assert abs(far["G2"] * np.sin(far["z1 02"] + far["z2 02"])) < far["F2"]
     assert abs(none["z2 11"]) < 0.02

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.quadrotor import GRAVITY, MASS, STEP, fly, simulate, write_log, write_twin
+from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_log, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.twin_file import name_twin
@@ -30,6 +30,7 @@ from vpptwin.twin.manifold import (
     rotate,
     turn_to_world,
 )
+from vpptwin.twin.robot import Loads
 from vpptwin.viz.panels import tell_angles, tell_flight
 from vpptwin.viz.show import prepare_show
 
@@ -263,3 +264,13 @@ def test_a_log_without_the_pose_is_refused(spec: TwinSpec) -> None:
     del flight.spatial["/pose"]  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="no topic /pose; expected it in the log, which has /imu"):
         read_measurements(spec, flight)
+
+
+def test_pushes_on_turns_are_measured_by_the_weights_moment(spec: TwinSpec) -> None:
+    """What turns a craft that hovers is next to nothing; a gust of a share of its weight pushes off its centre."""
+    ones, weight = np.ones(6), MASS * GRAVITY
+    loads = Loads(np.repeat([weight, 1e-6], 3), ones, ones, ones, np.ones(4))
+    gyration = np.sqrt(INERTIA.max() / MASS)
+    np.testing.assert_allclose(spec.robot.scale(loads).exposure, np.repeat([weight, weight * gyration], 3))
+    strong = replace(loads, force=np.full(6, weight))
+    np.testing.assert_array_equal(spec.robot.scale(strong).exposure, strong.force)

@@ -79,7 +79,7 @@ def test_every_cause_of_a_free_decay_has_something_to_plot_against(decay: Decay)
     assert plot.x_label == "swing position [rad]"
 
 
-@pytest.mark.parametrize("duration", [4.1, 6.0, 9.0])
+@pytest.mark.parametrize("duration", [4.1, *(pytest.param(more, marks=pytest.mark.slow) for more in (6.0, 9.0))])
 def test_a_few_seconds_of_a_free_decay_are_a_good_log(duration: float, tmp_path: Path) -> None:
     """Damping is named from windows that are short enough, the verdict says what a short log can't show."""
     log, twin = record(replace(DECAYS, move=partial(let_swing, duration=duration)), DAMPING, tmp_path, seed=1)

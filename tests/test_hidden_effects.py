@@ -11,7 +11,17 @@ from pathlib import Path
 import pytest
 
 from tests.reality import ALIEN, Wind, draw_effect
-from tests.sessions import FAMILIES, STRONG, Session, Sessions, find_claims, find_faults, judge_rig, mark_undrawn
+from tests.sessions import (
+    FAMILIES,
+    STRONG,
+    Session,
+    Sessions,
+    draw_names,
+    find_claims,
+    find_faults,
+    judge_rig,
+    mark_undrawn,
+)
 from vpptwin.diagnosis.criteria import CRITERIA
 
 SINGLES = ("rotors", "servo and timing", "sensors")
@@ -22,7 +32,8 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     """The sessions of this file."""
     draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in SINGLES}
     draws |= {"none": lambda rng: {}, "alien": lambda rng: draw_effect(rng, tuple(ALIEN), least=STRONG)}
-    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py")
+    drawn = [*draw_names(SINGLES, 1), "none", "alien"]
+    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py", drawn)
 
 
 @pytest.mark.parametrize("family", mark_undrawn(SINGLES, 1))

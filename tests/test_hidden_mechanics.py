@@ -10,7 +10,17 @@ from pathlib import Path
 import pytest
 
 from tests.reality import Wind, draw_effect, draw_together
-from tests.sessions import CONFIDENT, FAMILIES, STDS, Sessions, find_faults, judge_rig, mark_undrawn, read_seed
+from tests.sessions import (
+    CONFIDENT,
+    FAMILIES,
+    STDS,
+    Sessions,
+    draw_names,
+    find_faults,
+    judge_rig,
+    mark_undrawn,
+    read_seed,
+)
 
 PAIR = read_seed() % 2
 """Whether two things are hidden this time, not one: each takes minutes."""
@@ -23,7 +33,8 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     every = [effect for family in FAMILIES.values() for effect in family]
     draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in SINGLES}
     draws["two"] = lambda rng: draw_together(rng, 2, every)
-    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_mechanics.py")
+    drawn = ["two"] if PAIR else draw_names(SINGLES, 1)
+    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_mechanics.py", drawn)
 
 
 @pytest.mark.parametrize("family", mark_undrawn(SINGLES, 1 - PAIR))

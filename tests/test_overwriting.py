@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.diagnosis.made_up import FLIP, make_diagnosis
+from tests.diagnosis.made_up import FLIP, make_up
 from vpptwin.cli import main
 
 FLY = ["fly", "--manoeuvre", "x_steps", "--duration", "6", "--out", "flight.mcap"]
@@ -32,7 +32,7 @@ WRITERS = {
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty folder; diagnoses are made up."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", lambda *given: make_diagnosis())
+    make_up(monkeypatch)
 
 
 @pytest.mark.parametrize(("name", "command"), WRITERS.items(), ids=WRITERS)

@@ -10,61 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.effects.test_metadata import SPEC_EFFECTS
 from tests.reality import CORE, EFFECTS, EXTENDED, Recording, fly, fly_many
 from tests.reality.effects import COMPANIONS, Effects
 from tests.reality.rig import load_nominal
 
 NOMINAL = load_nominal()
 CALM = {"gusts": False, "jitter": False, "dropouts": False}
-# The table of SPEC 5, copied by hand.
-SPEC = {
-    **{f"{rail}.coulomb": "force" for rail in ("rail_x", "rail_z")},
-    **{f"{rail}.stiction": "force velocity" for rail in ("rail_x", "rail_z")},
-    **{f"{rail}.jamming": "mu" for rail in ("rail_x", "rail_z")},
-    **{f"{rail}.asymmetry": "fraction" for rail in ("rail_x", "rail_z")},
-    **{f"{joint}.viscous": "damping" for joint in ("rail_x", "rail_z", "pitch")},
-    **{f"{joint}.bias": "force" for joint in ("rail_x", "rail_z", "pitch")},
-    "rail_x.spring": "stiffness rest",
-    "rail_x.tight_spot": "force place width",
-    "pitch.coulomb": "torque",
-    "rail.tilt": "angle",
-    "airframe.mass": "mass",
-    "airframe.inertia": "inertia",
-    "carriage.mass": "mass",
-    "airframe.com": "offset",
-    "airframe.com_height": "offset",
-    "air.drag": "k_d",
-    "air.ground_effect": "gain height",
-    "rotor.thrust_gain": "gain",
-    "rotor.asymmetry": "fraction",
-    "rotor.negative_thrust": "loss",
-    "rotor.stall": "onset",
-    "rotor.inflow": "damping",
-    "rotor.in_plane": "damping",
-    "rotor.drag": "gain",
-    "battery.sag": "rate",
-    "servo.lag": "time_constant",
-    "servo.rate_limit": "rate",
-    "servo.backlash": "gap",
-    "servo.trim": "offset_1 offset_2",
-    "command.delay": "delay",
-    "mocap.delay": "delay",
-    "mocap.misalignment": "angle",
-    "mocap.scale": "scale",
-    "clock.drift": "drift",
-    "gyro.bias": "bias",
-    "gyro.scale": "scale",
-}
 
 
 def test_effects_are_those_of_spec() -> None:
     """Ids and parameters are SPEC 5's, every row of it and nothing else; only aliens and other forms lie outside."""
-    ours = {effect: " ".join(sizes) for effect, sizes in (CORE | EXTENDED | COMPANIONS).items()}
-    assert ours == SPEC
-    assert all(effect.startswith(("alien.", "form.")) for effect in EFFECTS if effect not in SPEC)
+    ours = {effect: list(sizes) for effect, sizes in (CORE | EXTENDED | COMPANIONS).items()}
+    assert ours == {effect: list(units) for effect, units in SPEC_EFFECTS.items()}
+    assert all(effect.startswith(("alien.", "form.")) for effect in EFFECTS if effect not in SPEC_EFFECTS)
 
 
-@pytest.mark.parametrize("effect", SPEC)
+@pytest.mark.parametrize("effect", SPEC_EFFECTS)
 def test_sizes_to_draw_are_apart_from_off(effect: str) -> None:
     """What is drawn is never the off value, whatever the sign, so a hidden effect is really there."""
     for size in (EFFECTS | COMPANIONS)[effect].values():

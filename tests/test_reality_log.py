@@ -108,24 +108,34 @@ def test_true_acceleration_is_the_slope_of_velocity(aggressive: Recording) -> No
     assert np.quantile(miss, 0.99) < 0.02  # m/s^2; the half sample would be 0.05 at the servo's pace
 
 
-def test_mocap_delay_shows_in_the_log_in_full() -> None:
+LATE = {"delay": {"mocap.delay": {"delay": 0.0125}}} | {d: {"clock.drift": {"drift": d}} for d in (2e-3, -2e-3)}
+
+
+@pytest.fixture(scope="module")
+def late() -> dict[str | float, Recording]:
+    """A flight with each of these errors of the tracker's stamps."""
+    plan = {"manoeuvre": "aggressive", "duration": 12.0, "seed": 8, **CALM}
+    return dict(zip(LATE, fly_many([{"effects": effects, **plan} for effects in LATE.values()])))
+
+
+def test_mocap_delay_shows_in_the_log_in_full(late: dict[str | float, Recording]) -> None:
     """A pose stamped t is the true pose at t - delay, also for fractions of a millisecond."""
-    recording = fly({"mocap.delay": {"delay": 0.0125}}, "aggressive", 6.0, 8, **CALM)
+    recording = late["delay"]
     pose, truth = recording.topics["/mocap/pose"], recording.truth
-    late = pose.time > 0.02
+    begun = pose.time > 0.02
 
     def miss(delay: float) -> float:
-        there = np.interp(pose.time[late] - delay, truth["time"], truth["position"][:, 0])
-        return float(np.square(pose.columns["x"][late] - there).mean())
+        there = np.interp(pose.time[begun] - delay, truth["time"], truth["position"][:, 0])
+        return float(np.square(pose.columns["x"][begun] - there).mean())
 
     delays = np.arange(0.010, 0.015, 0.0001)
     assert delays[np.argmin([miss(d) for d in delays])] == pytest.approx(0.0125, abs=0.0003)
 
 
 @pytest.mark.parametrize("drift", [2e-3, -2e-3])
-def test_mocap_clock_drifts_against_the_onboard_clock(drift: float) -> None:
+def test_mocap_clock_drifts_against_the_onboard_clock(late: dict[str | float, Recording], drift: float) -> None:
     """A pose stamped t by the mocap's clock is the true pose at t - drift t, and is recorded 8 ms after that."""
-    recording = fly({"clock.drift": {"drift": drift}}, "aggressive", 12.0, 8, **CALM)
+    recording = late[drift]
     pose, truth = recording.topics["/mocap/pose"], recording.truth
     np.testing.assert_allclose(np.diff(pose.time), 0.01, atol=1e-12)  # by its own clock
     # Seen from aboard the frames come faster or slower; a fast clock stops at 12 s of its own.
@@ -134,8 +144,8 @@ def test_mocap_clock_drifts_against_the_onboard_clock(drift: float) -> None:
     assert recorded.mean() == pytest.approx(0.008, abs=2e-4)
     there = np.interp(pose.time * (1 - drift), truth["time"], truth["position"][:, 0])
     assert (pose.columns["x"] - there).std() == pytest.approx(NOMINAL["sensors"]["mocap"]["position_std"], rel=0.1)
-    late = pose.time > 9.0
-    assert np.abs(pose.columns["x"] - np.interp(pose.time, truth["time"], truth["position"][:, 0]))[late].max() > 0.02
+    apart = pose.columns["x"] - np.interp(pose.time, truth["time"], truth["position"][:, 0])
+    assert np.abs(apart)[pose.time > 9.0].max() > 0.02
 
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:

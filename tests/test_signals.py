@@ -56,8 +56,13 @@ def write_effect(folder: Path, body: str) -> list[str]:
     return flown.split()
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("where", ["import", "finalizer", "swallowed"])
+@pytest.mark.parametrize(
+    ("where", "how"),
+    [
+        ("import", signal.SIGINT), ("finalizer", signal.SIGINT), ("swallowed", signal.SIGINT),
+        ("import", signal.SIGTERM), ("import", signal.SIGHUP),
+    ],
+)  # fmt: skip
 def test_a_signal_is_one_line_wherever_it_comes(tmp_path: Path, how: signal.Signals, where: str) -> None:
     """While a module is imported, in a finalizer, in a block that takes it for something else."""
     kill = f"os.kill(os.getpid(), {int(how)})"

@@ -41,6 +41,11 @@ def test_every_link_leads_to_a_file(site: Path) -> None:
     assert wrong == []
 
 
+def test_bars_in_tables_have_no_backslash(site: Path) -> None:
+    """Equations of effects read as they are."""
+    assert "<code>-mu |N| sgn(v)</code>" in (site / "effects.html").read_text(encoding="utf-8")
+
+
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     """Scripts, styles, fonts and pictures lie in the site."""
     for page in site.rglob("*.html"):

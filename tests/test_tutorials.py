@@ -63,6 +63,16 @@ def test_tutorial(name: str, tmp_path: Path) -> None:
     assert not missing, said
 
 
+def test_the_readme_shows_what_a_tutorial_does() -> None:
+    """Its first commands and what they say are those of the tutorial about a rig of one's own, which is run."""
+    readme, page = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/tutorials/own_rig.md"))
+    section = re.split(r"^## ", readme, flags=re.MULTILINE)[1]
+    shown = [re.sub(r"\s+#.*", "", line) for line in re.findall(r"^ {4}(vpptwin .*)$", section, re.MULTILINE)]
+    said = re.findall(r"^```text\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
+    assert (len(shown), len(said)) == (3, 1)
+    assert [words for words in [*shown, *said] if words not in page] == []
+
+
 def test_every_tutorial_is_run_and_fits_a_page() -> None:
     """None is left out; none has more than a page's text."""
     pages = {page.stem: page.read_text(encoding="utf-8") for page in FOLDER.glob("*.md")}

@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from signal import SIGINT
 from typing import NoReturn
@@ -28,9 +29,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print what was wrong, what is close to it, what was expected and where to read more; exit with code 2."""
-        known = [word for action in self._actions for word in (*action.option_strings, *(action.choices or ()))]
-        wrong = re.findall(r"invalid choice: '([^']*)'|unrecognized arguments: (--[^ =]*)", message)
-        near = suggest("".join(wrong[0]), map(str, known), "") if wrong else ""
+        choice, option = (re.search(text, message) for text in ("invalid choice: '([^']*)'", "arguments: (--[^ =]*)"))
+        known = [action.choices or () if choice else action.option_strings for action in self._actions]
+        wrong = choice or option
+        near = suggest(wrong[1], map(str, chain.from_iterable(known)), "") if wrong else ""
         message += f"; {near}" if near else ""
         usage = " ".join(self.format_usage().removeprefix("usage: ").split())
         self.exit(2, f"vpptwin: {message}; expected {usage}; see `{self.prog} --help`\n")

@@ -93,11 +93,14 @@ def run_play(options: argparse.Namespace) -> None:
 
 def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
     """Fly a policy in real time until Ctrl-C; refuse a log that is given too."""
+    if logs:
+        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
+    from vpptwin.train.stored import need_checkpoint
+
+    need_checkpoint(checkpoint)
     from vpptwin.train.live import LiveFlight
     from vpptwin.viz.live import fly_live
 
-    if logs:
-        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
     fly_live(LiveFlight(checkpoint), host)
 
 
@@ -230,6 +233,9 @@ def run_train(overrides: Sequence[str]) -> None:
 
 def run_evaluate(options: argparse.Namespace) -> None:
     """`vpptwin evaluate`."""
+    from vpptwin.train.stored import need_checkpoint
+
+    need_checkpoint(options.checkpoint)
     from vpptwin.train.evaluate import Conditions, describe
     from vpptwin.train.evaluate import run_evaluate as evaluate
 

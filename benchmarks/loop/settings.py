@@ -63,6 +63,16 @@ SETTINGS = (
     ),
 )
 
+STUCK = Setting(
+    "stuck",
+    "a slider that sticks and jams",
+    {
+        "rail_x.stiction": {"force": (0.25, 0.4), "velocity": (0.04, 0.08)},
+        "rail_x.jamming": {"mu": (0.01, 0.02)},
+    },
+)
+"""The rig that the paper blames for its steady-state errors: the auxiliary one that gets stuck."""
+
 
 @dataclass(frozen=True)
 class Rig:

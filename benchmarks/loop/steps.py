@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from loop.flights import fly_rig, load_policy, log_flights, log_manoeuvre, predi
 from loop.settings import TASK, Rig, tell_truth
 from vpptwin.files import write_whole
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
+from vpptwin.train.stored import FILE_NAME, find_checkpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPILE = ("gcc", "-O2", "-std=c99", "-shared", "-fPIC")
@@ -56,11 +58,18 @@ def call(arguments: Sequence[str], log: Path) -> None:
 def train(folder: Path, twin: str | Path, randomize: str, seed: int, budget: Budget) -> Path:
     """Steps 1 and 4: train into a folder, by one recipe whatever the twin; a run that was interrupted goes on."""
     if not (folder / "done").exists():
-        begun = (folder / "checkpoint.pt").exists()
+        begun = (folder / FILE_NAME).exists()
         recipe = [*TASK, f"out={folder}", f"twin={twin}", f"randomize={randomize}", f"seed={seed}"]
         options = [f"resume={folder}"] if begun else [*recipe, f"total_steps={budget.steps}"]
         call(["train", *options, f"sim_threads={budget.threads}", "progress=false"], folder.with_suffix(".log"))
         (folder / "done").touch()
+    return folder
+
+
+def adopt(name: str, folder: Path) -> Path:
+    """A policy that is there, one that ships or a run's, as the run that it came from."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(find_checkpoint(name), folder / FILE_NAME)
     return folder
 
 

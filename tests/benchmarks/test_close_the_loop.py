@@ -19,8 +19,8 @@ sys.path.append(str(ROOT / "benchmarks"))
 
 from close_the_loop import main  # noqa: E402
 from loop.flights import Suggested, fly_rig, log_flights, log_manoeuvre, predict  # noqa: E402
-from loop.report import closed_share, draw_picture, error, format_table, misjudged, score  # noqa: E402
-from loop.settings import LOW, SETTINGS, draw_rig, tell_truth  # noqa: E402
+from loop.report import closed_share, draw_picture, error, format_table, misjudged, score, tell_gain  # noqa: E402
+from loop.settings import LOW, SETTINGS, STUCK, draw_rig, tell_truth  # noqa: E402
 from loop.steps import POLICIES, write_truth  # noqa: E402
 
 from tests.policy_flights import load_flyer  # noqa: E402
@@ -31,7 +31,7 @@ from vpptwin.logs.read import read_flight  # noqa: E402
 from vpptwin.twin import load_twin  # noqa: E402
 
 
-@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+@pytest.mark.parametrize("setting", [*SETTINGS, STUCK], ids=lambda setting: setting.name)
 def test_a_rig_follows_from_its_seed(setting: object) -> None:
     """Drawn within the setting's ranges, of effects that the independent simulation has, another for another seed."""
     rig = draw_rig(setting, 3)
@@ -44,7 +44,7 @@ def test_a_rig_follows_from_its_seed(setting: object) -> None:
             assert low <= value <= high
 
 
-@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
+@pytest.mark.parametrize("setting", [*SETTINGS, STUCK], ids=lambda setting: setting.name)
 def test_the_oracle_is_told_the_truth(setting: object, tmp_path: Path) -> None:
     """Hidden values with the rig's own tolerances, in the catalogue's terms; the twin file loads."""
     rig = draw_rig(setting, 5)
@@ -123,6 +123,9 @@ def test_what_is_closed_by_hand() -> None:
     assert score(lossy["policies"]["nominal"]["flown"]) == pytest.approx(0.14)
     assert closed_share([lossy]) == pytest.approx((140 - 12) / (140 - 10))
     assert closed_share([plain, lossy]) == pytest.approx((95 - 12) / (95 - 10))
+    assert tell_gain([plain]) == "closes 95% of the gap"
+    del plain["policies"]["oracle"]
+    assert tell_gain([plain]) == "brings 50.0 mm down to 12.0"
 
 
 def test_predictions_are_of_flights_that_are_not_lost() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
+
+import pytest
 
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis, open_held_out
@@ -18,6 +21,7 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.diagnosis.judgement.wrench import plot_wrench
+from vpptwin.diagnosis.report import result
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight
@@ -78,3 +82,20 @@ def make_diagnosis() -> Diagnosis:
     friction = find_effect(spec.catalogue, "rail_x.coulomb")
     plot = plot_wrench(held_out, VALUES, friction)
     return Diagnosis(verdict, VALUES, ranking, None, None, held_out, plot)  # type: ignore[arg-type]
+
+
+MEMORY: dict[str, object] = {}
+
+
+def make_up(patch: pytest.MonkeyPatch) -> None:
+    """Have diagnoses made up, and predicted and drawn once in a process: all these runs are of one flight."""
+    patch.setattr(result, "judge", lambda *arguments: make_diagnosis())
+    for name in ("predict_flight", "draw_pictures"):
+        patch.setattr(result, name, partial(remember, name, getattr(result, name)))
+
+
+def remember(name: str, function: Callable[..., object], *arguments: object) -> object:
+    """What the function gave the first time."""
+    if name not in MEMORY:
+        MEMORY[name] = function(*arguments)
+    return MEMORY[name]

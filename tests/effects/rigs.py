@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from tests.twin.hover import share_kernel
 from vpptwin.actuators.motor import compute_current
 from vpptwin.effects import CATALOGUE, Effect, Link, Parameter, effects_for_rig, find_effect, generic_place
 from vpptwin.effects.actuator import SAG
@@ -88,7 +90,8 @@ class Rig:
 
     def twin(self, num_sims: int, values: Mapping[str, Mapping[str, np.ndarray | float]] | None = None) -> Twin:
         """A twin with some effects switched on, parameters at off where no value is given."""
-        twin = Twin(self.spec, num_sims, active=values or (), num_threads=1)
+        with share_kernel() if self.name != "flown" else nullcontext():
+            twin = Twin(self.spec, num_sims, active=values or (), num_threads=1)
         for effect_id, given in (values or {}).items():
             for name, value in given.items():
                 twin.set_parameter(effect_id, name, value)

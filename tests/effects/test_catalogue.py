@@ -199,9 +199,8 @@ def expected_ratio(rig: Rig, effect: Effect) -> float:
 
 
 @pytest.mark.concerns("replayed", "cart")
-def test_shorter_steps_converge(rig: Rig, effect_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shorter_steps_converge(rig: Rig, effect_id: str) -> None:
     """Quartering the time step twice brings rollouts together as fast as the order of the scheme allows."""
-    monkeypatch.setattr("vpptwin.twin.twin.delay_depth", lambda effects, dt: 1000)  # one kernel for all steps
     tracks = []
     for dt in (0.002, 0.0005, 0.000125):
         finer = rig.with_step(dt)

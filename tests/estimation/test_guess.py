@@ -144,6 +144,7 @@ DELAYED = np.interp(TIME - 0.08, TIME, SWING)
         ({"arm_pos_error": SWING}, False, ["may be made of another signal"]),
         ({"angle": SWING}, False, ["no velocity tests it"]),
         ({"arm_pos": np.zeros_like(SWING)}, False, ["constant"]),
+        ({"arm_pos": SWING, "arm_vel": np.full_like(SWING, np.nan)}, False, ["constant", "too little motion"]),
         ({"arm_temperature": SWING}, False, ["no position in the log looks like it"]),
     ],
 )

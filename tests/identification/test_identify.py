@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ FEW = (0.0, 0.1, -0.1, 0.2, -0.2, 0.05, -0.05, 0.15, -0.15)
 """Fewer pitches, for shorter runs [rad]."""
 
 
+@cache
 def fit(path: Path) -> Actuator:
     """What one run tells."""
     run = read_bench(path, NOMINAL)

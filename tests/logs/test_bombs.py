@@ -62,8 +62,8 @@ def pack_zeros(size: int, compression: str) -> bytes:
 
 
 BOMBS: dict[str, Callable[[], list[Chunk]]] = {
-    "zstd": lambda: [Chunk("zstd", pack_zeros(6 * GIB, "zstd"), 0, 0, 0, 6 * GIB)],
-    "zstd that claims little": lambda: [Chunk("zstd", pack_zeros(6 * GIB, "zstd"), 0, 0, 0, 1 << 20)],
+    "zstd": lambda: [Chunk("zstd", pack_zeros(2 * GIB, "zstd"), 0, 0, 0, 2 * GIB)],
+    "zstd that claims little": lambda: [Chunk("zstd", pack_zeros(2 * GIB, "zstd"), 0, 0, 0, 1 << 20)],
     "lz4 that claims little": lambda: [Chunk("lz4", pack_zeros(2 * GIB, "lz4"), 0, 0, 0, 1 << 20)],
     "many": lambda: 100 * [Chunk("zstd", pack_zeros(1 << 26, "zstd"), 0, 0, 0, 1 << 26)],
     "messages": lambda: [

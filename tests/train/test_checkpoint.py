@@ -56,6 +56,8 @@ def test_policies_ship_by_name(tiny_run: Path, tmp_path: Path, monkeypatch: pyte
     for name in ("loop", "policies/spin", "spin.pt"):
         with pytest.raises(InputError, match="no checkpoint"):
             load_policy(name)
+    with pytest.raises(InputError, match=r"did you mean spin\?"):
+        load_policy("spinn")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     shutil.copytree(tiny_run, tmp_path / "here" / "spin")
@@ -150,7 +152,7 @@ def test_files_that_a_run_to_resume_names_do_not_run(
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize("bit", range(0, 240, 12))
+@pytest.mark.parametrize("bit", range(0, 240, 60))
 def test_a_flipped_bit_is_noticed(tmp_path: Path, bit: int) -> None:
     """Anywhere in a weight: the checksums in the file tell which part was changed."""
     data = bytearray(shipped_policies()["flip"].read_bytes())

@@ -124,10 +124,15 @@ def test_help_is_printed_wherever_it_is_asked_for(flag: str, capsys: pytest.Capt
     assert capsys.readouterr().out.strip() == describe_options()
 
 
-def test_configuration_needs_no_torch() -> None:
-    """Help and overrides come without loading torch, which takes seconds."""
-    code = (
-        "import sys, vpptwin.train.main as m; m.describe_options(); m.compose_config(['preset=paper']); "
-        "sys.exit('torch' in sys.modules)"
-    )
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import vpptwin.train.main as m; m.describe_options(); m.compose_config(['preset=paper'])",
+        "from vpptwin.cli import main; [main(c.split()) for c in ('evaluate x', 'play --live x', 'train resume=x')]",
+    ],
+    ids=["help and overrides", "a checkpoint that is not there"],
+)
+def test_configuration_needs_no_torch(code: str) -> None:
+    """Help, overrides and refusals come without loading torch, which takes seconds."""
+    code = f"import sys; {code}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

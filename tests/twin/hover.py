@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -44,3 +46,8 @@ def make_twin(count: int, effects: Mapping[str, Mapping[str, np.ndarray | float]
         for name, value in values.items():
             twin.set_parameter(effect_id, name, value)
     return twin
+
+
+def share_kernel() -> Any:  # noqa: ANN401
+    """In this context twins of whatever step hold as many commands: what is compiled for one step serves all."""
+    return patch("vpptwin.twin.twin.delay_depth", lambda effects, dt: 1000)

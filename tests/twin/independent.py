@@ -12,6 +12,7 @@ import numpy as np
 from tests.reality.effects import COMPANIONS, CORE, EXTENDED, Size
 from tests.reality.replay import Replay, replay_commands
 from tests.reality.rig import ON_THE_RIG, PITCH, Rig, X, Z
+from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, TwinSpec
 
 SENSORS = ("mocap.", "gyro.", "clock.")
@@ -69,7 +70,8 @@ class Flights:
         model = copy.copy(spec.model)
         model.opt.timestep = step
         active = {effect for hidden in self.hidden for effect in hidden}
-        twin = Twin(spec.with_robot(model=model), len(self.hidden), active, num_threads=1)
+        with share_kernel():
+            twin = Twin(spec.with_robot(model=model), len(self.hidden), active, num_threads=1)
         for effect in active:
             rows = np.array([row for row, hidden in enumerate(self.hidden) if effect in hidden])
             for parameter in twin.effects[effect].parameters:

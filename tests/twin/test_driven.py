@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects.rigs import CART_PENDULUM
+from tests.twin.hover import share_kernel
 from vpptwin.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
 from vpptwin.twin.twin import Driven
@@ -34,7 +35,8 @@ def test_free_joint_feels_a_driven_one(tmp_path: Path, free: int, driven: int) -
     commands = np.repeat(2.0 * rng.normal(size=(ROWS, STEPS // 40, 1)), 40, axis=1)
     start = np.stack([np.zeros(ROWS), rng.uniform(-1, 1, ROWS)], axis=1)
     hidden = (f"{JOINTS[driven]}.viscous", f"{JOINTS[driven]}.bias")
-    both = Twin(load_cart(tmp_path, "both"), ROWS, active=hidden, num_threads=1)
+    with share_kernel():
+        both = Twin(load_cart(tmp_path, "both"), ROWS, active=hidden, num_threads=1)
     both.set_parameter(hidden[0], "damping", 0.05)
     both.set_parameter(hidden[1], "force", 0.1)
     _, qpos, velocity, _ = both.replay_commands(both.initial_state(qpos=start), commands)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.twin.hover import MASS_X, SPEC, X, Z, make_twin
+from tests.twin.hover import MASS_X, SPEC, X, Z, make_twin, share_kernel
 from tests.twin.test_friction import MASS, Effects, level_poses, push
 
 SEGMENT, SECONDS = 0.02, 1.0
@@ -61,7 +61,9 @@ def fly(effects: Effects, force: np.ndarray, step: float) -> np.ndarray:
     model.opt.timestep = step
     hand = np.zeros((*force.shape, 3))
     hand[..., X] = force
-    _, velocity = push(make_twin(4, effects, SPEC.with_robot(model=model)), hand, SECONDS, level_poses(4))
+    with share_kernel():
+        twin = make_twin(4, effects, SPEC.with_robot(model=model))
+    _, velocity = push(twin, hand, SECONDS, level_poses(4))
     each = round(SEGMENT / step)
     return velocity[:, each - 1 :: each, X]
 

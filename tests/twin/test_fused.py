@@ -1,4 +1,4 @@
-"""Replays without MuJoCo in the loop against the same in MuJoCo's steps."""
+"""Steps without MuJoCo in the loop against the same in MuJoCo's steps."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 from tests import servo_arm
 from tests.effects.rigs import Rig, load_rigs
+from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.layout import agrees, read_layout
 
@@ -28,7 +29,8 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
 
 def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
     """A twin with every effect on, at values drawn from the priors, half of them at off."""
-    twin = Twin(rig.spec, ROWS, active=[effect.id for effect in rig.spec.catalogue], num_threads=2)
+    with share_kernel():
+        twin = Twin(rig.spec, ROWS, active=[effect.id for effect in rig.spec.catalogue], num_threads=2)
     for effect in rig.spec.catalogue:
         for p in effect.parameters:
             twin.set_parameter(effect.id, p.name, np.where(rng.random(ROWS) < 0.5, p.off, p.draw(rng, ROWS)))
@@ -49,8 +51,8 @@ def test_servos_equal_mujoco(tmp_path: Path) -> None:
     start = twin.initial_state(qvel=rng.normal(size=(ROWS, 2)))
     commands = np.repeat(rng.uniform(-1.5, 1.5, (ROWS, STEPS // 10, 2)), 10, axis=1)
     found = twin.replay_commands(start, commands)
-    assert twin._layout is not None
-    twin._layout = None
+    assert twin._stepper is not None
+    twin._stepper = None
     expected = twin.replay_commands(start, commands)
     np.testing.assert_allclose(found.qpos, expected.qpos, rtol=0, atol=ROUNDING)
     assert not np.array_equal(found.qpos, expected.qpos)
@@ -70,9 +72,9 @@ def test_equals_mujoco(rigs: dict[str, Rig], name: str) -> None:
         inputs = {}
     commands = np.repeat(rng.uniform(-0.05, 0.18, (ROWS, STEPS // 10, nu)), 10, axis=1)
     push = 0.1 * rng.normal(size=(ROWS, 7, nv))
-    assert twin._layout is not None
+    assert twin._stepper is not None
     found = twin.replay_commands(start, commands, disturbance=push, **inputs)
-    twin._layout = None
+    twin._stepper = None
     expected = twin.replay_commands(start, commands, disturbance=push, **inputs)
     for key, values in expected.state.arrays().items():
         scale = max(float(np.abs(values).max()), 1e-3) if values.size else 1.0
@@ -82,6 +84,28 @@ def test_equals_mujoco(rigs: dict[str, Rig], name: str) -> None:
         np.testing.assert_array_equal(found.qpos[:2], expected.qpos[:2])
         assert (expected.qpos[0, :, 1] < 0.215).any() or (expected.state.memory[0, 2:] != 0.0).any()
         assert not np.array_equal(found.qpos[2:], expected.qpos[2:])  # those were not stepped by MuJoCo
+
+
+def test_policies_fly_as_in_mujoco(rigs: dict[str, Rig]) -> None:
+    """Calls of ten steps, a policy's command each, every effect drawn; a craft that lands is MuJoCo's from then on."""
+    rng, rig = np.random.default_rng(4), rigs["replayed"]
+    twin = draw_twin(rig, rng)
+    found = twin.initial_state(rng.uniform([-0.5, 0.8, -3.0], [0.5, 1.5, 3.0], (ROWS, 3)))
+    found.qpos[0, 1], found.qvel[0, 1] = 0.3, -3.0
+    expected, stepper = found.copy(), twin._stepper
+    assert stepper is not None
+    for _ in range(STEPS // 10):
+        command = rng.uniform([0.0, -6.0], [5.0, 6.0], (ROWS, 2))
+        twin._stepper = stepper
+        twin.advance_policy(found, command)
+        twin._stepper = None
+        twin.advance_policy(expected, command)
+    for key, values in expected.arrays().items():
+        scale = max(float(np.abs(values).max()), 1e-3) if values.size else 1.0
+        np.testing.assert_allclose(found.arrays()[key], values, rtol=0, atol=ROUNDING * scale, err_msg=key)
+    assert (expected.memory[0, 2:] != 0.0).any()
+    np.testing.assert_array_equal(found.qpos[0], expected.qpos[0])
+    assert not np.array_equal(found.warmstart[1:], expected.warmstart[1:])  # those were not stepped by MuJoCo
 
 
 def grow_tree(rng: np.random.Generator) -> str:

@@ -19,6 +19,7 @@ from tests.twin.hover import (
     coast,
     make_twin,
     place,
+    share_kernel,
 )
 from vpptwin.twin import Twin, TwinSpec, load_twin
 
@@ -59,7 +60,8 @@ def test_free_fall() -> None:
 def test_free_craft_conserves_energy_and_momentum(planar: TwinSpec) -> None:
     """Tumbling freely it keeps its spin and horizontal momentum; its weight acts on the rest, energy stays."""
     rng = np.random.default_rng(1)
-    twin = Twin(planar, 20)
+    with share_kernel():
+        twin = Twin(planar, 20)
     velocity = rng.uniform(-3, 3, (20, 3)) * [1, 1, 4]
     path, speed = coast(twin, place(twin, rng.uniform(-1, 1, (20, 3)), velocity), 1.0)
     airframe = VEHICLE.airframe
@@ -77,7 +79,9 @@ def test_free_craft_conserves_energy_and_momentum(planar: TwinSpec) -> None:
 
 def test_thrust_does_the_work_that_the_craft_gains(planar: TwinSpec) -> None:
     """Under constant blades the energy gained is the thrust's work, force times way and torque times angle."""
-    twin, rng = Twin(planar, 10), np.random.default_rng(2)
+    rng = np.random.default_rng(2)
+    with share_kernel():
+        twin = Twin(planar, 10)
     pose, velocity = rng.uniform(-1, 1, (10, 3)), rng.uniform(-1, 1, (10, 3)) * [1, 1, 3]
     blades = np.array([0.10, 0.102])
     start = place(twin, pose, velocity)
@@ -148,29 +152,6 @@ def test_horizontal_rail_carries_the_rig() -> None:
     mass_z = WEIGHT / VEHICLE.gravity
     expected = [-thrust * np.sin(angle) / MASS_X, thrust * np.cos(angle) / mass_z - VEHICLE.gravity, 0.0]
     np.testing.assert_allclose(speed[0, -1], 0.05 * np.array(expected), atol=1e-9)
-
-
-def test_sliders_stick_below_breakaway() -> None:
-    """Hovering with dry friction on both rails and pushed with 80 % of it, they creep below 0.1 mm in 10 s (SPEC 1)."""
-    ids = ("rail_x.coulomb", "rail_z.coulomb", "rail_x.bias", "rail_z.bias")
-    twin = Twin(SPEC, 8, active=ids)
-    friction = np.array([0.05, 0.3, 1.0, 2.0] * 2)
-    push = 0.8 * friction * np.repeat([1.0, -1.0], 4)
-    for effect_id, force in zip(ids, (friction, friction, push, push)):
-        twin.set_parameter(effect_id, "force", force)
-    start = np.tile([0.1, 1.0, 0.0], (8, 1))
-    path, _ = coast(twin, place(twin, start, thrust=WEIGHT), 10.0, WEIGHT)
-    assert np.abs(path - start[:, None]).max() < 1e-4
-
-
-def test_sliders_give_way_beyond_breakaway() -> None:
-    """Pushed with 120 % of its friction a slider accelerates with the surplus."""
-    twin = Twin(SPEC, 2, active=("rail_x.coulomb", "rail_x.bias"))
-    friction = np.array([0.1, 0.5])
-    twin.set_parameter("rail_x.coulomb", "force", friction)
-    twin.set_parameter("rail_x.bias", "force", 1.2 * friction)
-    _, speed = coast(twin, place(twin, np.tile([0.0, 1.0, 0.0], (2, 1)), thrust=WEIGHT), 1.0, WEIGHT)
-    np.testing.assert_allclose(speed[:, -1, X], 0.2 * friction / MASS_X, rtol=0.01)
 
 
 def test_dry_friction_stops_a_slider_where_it_should() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from vpptwin.twin import Twin, load_twin
 STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of its own for what is compiled."""
-    monkeypatch.setattr("vpptwin.engine.store.user_cache_path", lambda name: tmp_path / "cache" / name)
-    return tmp_path / "cache"
+@pytest.fixture(scope="module", autouse=True)
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a rig, and what is compiled for it: the same file of effects is compiled once."""
+    folder = tmp_path_factory.mktemp("own")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("vpptwin.engine.store.user_cache_path", lambda name: folder / "cache" / name)
+        yield folder
 
 
 def coast(twin: Path, file: Path, effect: str = "slide.wave", force: float | None = 1.5) -> float:
@@ -30,9 +33,9 @@ def coast(twin: Path, file: Path, effect: str = "slide.wave", force: float | Non
     return float(made.replay_commands(state, np.zeros((1, STEPS, 1)))[0].qpos[0, 0])
 
 
-def test_own_effects_push(tmp_path: Path) -> None:
+def test_own_effects_push(folder: Path) -> None:
     """A wavy rail pulls the cart as its formula says, and at its off value changes not a bit."""
-    twin, file = write_rig(tmp_path), write_effects(tmp_path)
+    twin, file = write_rig(folder), write_effects(folder)
     x, v = START, 0.0
     for _ in range(STEPS):  # the same formula by hand; a joint that follows its log carries no force over
         v = (v * MASS - DT * 1.5 * np.sin(10.0 * x)) / (MASS + 0.5 * DT)
@@ -42,9 +45,9 @@ def test_own_effects_push(tmp_path: Path) -> None:
     assert coast(twin, file, force=0.0) == coast(twin, file, force=None) == START
 
 
-def test_own_effects_evolve(tmp_path: Path) -> None:
+def test_own_effects_evolve(folder: Path) -> None:
     """What an effect keeps starts with its joint, changes by its formula, and acts by it; off it stays."""
-    twin, file = write_rig(tmp_path), write_effects(tmp_path, WARM)
+    twin, file = write_rig(folder), write_effects(folder, WARM)
     x, v, heat = START, 0.0, START
     for _ in range(STEPS):
         pull, heat = -1.5 * np.sin(10.0 * x) * heat, heat + DT * abs(v)
@@ -55,7 +58,7 @@ def test_own_effects_evolve(tmp_path: Path) -> None:
     assert coast(twin, file, force=0.0) == START
 
 
-def test_friction_that_evolves(tmp_path: Path) -> None:
+def test_friction_that_evolves(folder: Path) -> None:
     """A FRICTION effect is called for both senses; what it keeps is what it returns for the sense of motion."""
     rub = """
 def pull(level, motion, /, heat, dt, force):
@@ -63,7 +66,7 @@ def pull(level, motion, /, heat, dt, force):
 """
     text = WARM[: WARM.index("\ndef pull")] + rub + WARM[WARM.index("\nOWN") :].replace("Stage.FORCE", "Stage.FRICTION")
     text = text.replace('"position"', "0.1")
-    spec = load_twin(write_rig(tmp_path), [write_effects(tmp_path, text)])
+    spec = load_twin(write_rig(folder), [write_effects(folder, text)])
     made = Twin(spec, 2, active=["slide.wave"], num_threads=1)
     made.set_parameter("slide.wave", "force", 0.01)
     state = made.initial_state(qpos=np.array([START, 0.0]), qvel=np.array([[0.5, 0.0], [-0.5, 0.0]]))
@@ -71,42 +74,41 @@ def pull(level, motion, /, heat, dt, force):
     np.testing.assert_allclose(after, [START + 2.0 * STEPS * DT, START], rtol=1e-9)
 
 
-def test_the_example_of_the_docs(tmp_path: Path) -> None:
+def test_the_example_of_the_docs(folder: Path) -> None:
     """The motors of docs/own_effects.md weaken as they get hot, each by its own load."""
     page = (Path(__file__).parents[2] / "docs/own_effects.md").read_text(encoding="utf-8")
     text = next(block for block in page.split("```")[1::2] if "motor.heat" in block).removeprefix("python\n")
-    twin = Twin(load_twin("nominal", [write_effects(tmp_path, text)]), 1, active=["motor.heat"], num_threads=1)
+    twin = Twin(load_twin("nominal", [write_effects(folder, text)]), 1, active=["motor.heat"], num_threads=1)
     twin.set_parameter("motor.heat", "loss", 0.3)
     state = twin.initial_state()
     state.actuators["horn"] = state.actuators["blade"] = state.actuators["history"] = blade = np.array(
         [0.0, 0.1]
     )  # rad
-    after = twin.replay_commands(state, np.broadcast_to(blade, (1, 1000, 2)))[0]
+    after = twin.replay_commands(state, np.broadcast_to(blade, (1, 300, 2)))[0]
     thrust = twin.vehicle.rotor.k_t * twin.vehicle.rotor.speed * 0.1
-    expected = thrust / 5.0 * (1.0 - np.exp(-1.0 / 60.0))
+    expected = thrust / 5.0 * (1.0 - np.exp(-0.3 / 60.0))
     np.testing.assert_allclose(after.effects[0, -2:], [0.0, expected], rtol=1e-3, atol=1e-12)
 
 
-def test_an_edited_file_is_compiled_anew(tmp_path: Path) -> None:
+def test_an_edited_file_is_compiled_anew(folder: Path) -> None:
     """A stronger wave in the same file, under the same id, pulls the cart farther; the old text its old way again."""
-    twin = write_rig(tmp_path)
-    weak = coast(twin, write_effects(tmp_path))
-    strong = coast(twin, write_effects(tmp_path, WAVE.replace("-force * np", "-2.0 * force * np")))
+    twin = write_rig(folder)
+    weak = coast(twin, write_effects(folder))
+    strong = coast(twin, write_effects(folder, WAVE.replace("-force * np", "-2.0 * force * np")))
     assert abs(strong - START) > 1.5 * abs(weak - START)
-    assert coast(twin, write_effects(tmp_path)) == weak
+    assert coast(twin, write_effects(folder)) == weak
 
 
-def test_files_with_the_same_ids_do_not_clash(tmp_path: Path) -> None:
+def test_files_with_the_same_ids_do_not_clash(folder: Path) -> None:
     """Two files of one name, with effects of one id, are two: each does what is written in it."""
-    twin = write_rig(tmp_path)
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-    plus = write_effects(tmp_path / "a")
-    minus = write_effects(tmp_path / "b", WAVE.replace("return -force", "return force"))
+    twin = write_rig(folder)
+    (folder / "b").mkdir()
+    plus = write_effects(folder)
+    minus = write_effects(folder / "b", WAVE.replace("return -force", "return force"))
     assert coast(twin, plus) < START < coast(twin, minus)
 
 
-def test_numbers_of_the_rig_are_compiled_in(tmp_path: Path) -> None:
+def test_numbers_of_the_rig_are_compiled_in(folder: Path) -> None:
     """The same file makes another function for a heavier cart, and that is the one that acts."""
     build = """
 def build_effects(model):
@@ -115,9 +117,9 @@ def build_effects(model):
         return -force * mass * motion.position
     return [Effect("slide.wave", "a pull", "-force m x", (FORCE,), Stage.FORCE, hold, (), target="slide")]
 """
-    file, twin = write_effects(tmp_path, HEAD + build), write_rig(tmp_path)
+    file, twin = write_effects(folder, HEAD + build), write_rig(folder)
     light = coast(twin, file)
-    model = tmp_path / "slide.xml"
+    model = folder / "slide.xml"
     model.write_text(model.read_text().replace('mass="2"', 'mass="4"'))
     heavy = coast(twin, file)
     # pull and mass grow alike: 1.5·2 x on 3 kg, 1.5·4 x on 5 kg

@@ -29,7 +29,7 @@ def twins(rigs: dict[str, Rig]) -> dict[str, Twin]:
     made, rng = {}, np.random.default_rng(1)
     for name in ("flown", "cart"):
         catalogue = rigs[name].spec.catalogue
-        made[name] = twin = Twin(rigs[name].spec, ROWS, active=[e.id for e in catalogue], num_threads=1)
+        made[name] = twin = rigs[name].twin(ROWS, {e.id: {} for e in catalogue})
         for effect in catalogue:
             for p in effect.parameters:
                 twin.set_parameter(effect.id, p.name, np.where(rng.random(ROWS) < 0.2, p.off, p.draw(rng, ROWS)))

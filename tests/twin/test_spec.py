@@ -143,6 +143,7 @@ def test_joints_that_no_signal_names_are_refused(write: Writer, joint: str, name
         pytest.param("rotor.thrust_gain: {gain: 7}", r"gain = 7 .*0\.5 to 1\.5.*off is 1", id="above the bounds"),
         pytest.param("rail_x.coulomb: {torque: 0.1}", r"no parameter 'torque'.*force", id="unknown parameter"),
         pytest.param("rail_x.coulomb: {force: strong}", r"rail_x\.coulomb\.force = 'strong'.*number", id="no number"),
+        pytest.param("rail_x.coulomb: {force: yes}", r"force = True.*number", id="yes"),
         pytest.param("rail_x.coulomb: {force: .nan}", r"force = nan N.*0 to 2 N", id="NaN"),
         pytest.param("rail_x.coulomb: {force: .inf}", r"force = inf N.*0 to 2 N", id="infinite"),
         pytest.param("rail_x.coulomb: 0.3", r"rail_x\.coulomb = 0\.3.*mapping", id="a number for a mapping"),
@@ -166,6 +167,8 @@ def test_bad_effects_are_refused(write: Writer, effects: str, found: str) -> Non
         pytest.param("model: vehicle.yaml\nvehicle: vehicle.yaml\n", "MuJoCo says", id="a YAML for an MJCF"),
         pytest.param("model: rail_rig.xml\nvehicle: rail_rig.xml\n", "a vehicle YAML", id="an MJCF for a vehicle"),
         pytest.param("model: rail_rig.xml\n", "neither vehicle nor signals.*joints: {rail_x", id="neither"),
+        pytest.param(DRONE + "signals: {joints: {slide: /a}}\n", "vehicle and signals.*one of them", id="both"),
+        pytest.param(DRONE + "effects: [rail_x.coulomb]\n", r"effects = \['rail_x.coulomb'\].*mapping", id="effects"),
     ],
 )
 def test_bad_twin_files_are_refused(write: Writer, twin: str, found: str) -> None:

@@ -127,7 +127,7 @@ def test_an_svg_stands_alone(flight: Flight, prediction: Prediction, tmp_path: P
 
 @pytest.mark.browser
 def test_the_page_works_offline(flight: Flight, prediction: Prediction, tmp_path: Path) -> None:
-    """In a browser: no complaint, every panel is drawn, the log's line has its samples."""
+    """In a browser: no complaint, every panel is drawn, the log's line has its samples, a phone shows as much of it."""
     story = tell_flight(flight, prediction, load_twin())
     page = write_story(story, tmp_path / "flight.html")
     assert page.stat().st_size < 10e6
@@ -145,6 +145,10 @@ def test_the_page_works_offline(flight: Flight, prediction: Prediction, tmp_path
         assert [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))] == []
         shown = np.asarray(Image.open(io.BytesIO(browser.take_picture())).convert("L"))
         assert shown.std() > 5.0
+        browser.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+        browser.open(page)
+        width = browser.evaluate("document.querySelector('.scatterlayer .trace').getBoundingClientRect().width")
+        assert 0.5 * 390 < width < 390
 
 
 def make_run(folder: Path, values: Sequence[float], **options: object) -> Path:

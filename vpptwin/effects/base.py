@@ -183,8 +183,8 @@ class Effect:
         id: name in twin YAML and verdict, e.g. `rail_x.coulomb`.
         summary: what it is, in a phrase that fits into a sentence ("dry friction on the horizontal rail").
         equation: how it enters, in plain text.
-        parameters: its numbers, strength first: while that is at its off value, those that shape the effect (speed,
-            place, width) do nothing. Their off value is a typical one.
+        parameters: its numbers, strengths first: while they are at their off value, those that shape the effect
+            (speed, place, width) do nothing. Their off value is a typical one.
         stage: where it acts.
         apply: the one implementation of its physics; see `Stage` for the signature.
         shows: signals in which it can be seen.
@@ -225,6 +225,12 @@ class Effect:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
+
+    @property
+    def strengths(self) -> tuple[Parameter, ...]:
+        """Its strengths: the first parameter, and others of its unit that are off where it is, as axes of a vector."""
+        first = self.parameters[0]
+        return tuple(p for p in self.parameters if (p.unit, p.off) == (first.unit, first.off))
 
     def bind(self, nominal: Callable[[str], float]) -> Effect:
         """The effect with off values read from a vehicle: `nominal("servo.time_constant")` gives the number."""

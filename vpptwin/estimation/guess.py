@@ -280,6 +280,8 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
 def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarray]:
     """Period [s] and both signals (n,) over the time that they share, finite and at a constant rate."""
     good = [(s.time[np.isfinite(s.values)], s.values[np.isfinite(s.values)]) for s in (first, second)]
+    if not all(len(time) for time, _ in good):
+        return 1.0, np.zeros(0), np.zeros(0)
     start, end = max(time[0] for time, _ in good), min(time[-1] for time, _ in good)
     period = max(1.0 / min(s.rate for s in (first, second)), (end - start) / 50_000.0)
     grid = np.arange(start, end, period)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.train.overrides import compose_config, describe_options, parse_overrides
+from vpptwin.train.stored import need_checkpoint
 
 
 def run_train(overrides: Sequence[str]) -> Path:
@@ -24,6 +25,8 @@ def run_train(overrides: Sequence[str]) -> Path:
         print(describe_options())
         raise SystemExit(0)
     config = compose_config(overrides)
+    if config.resume is not None:
+        need_checkpoint(config.resume, flying=False)
     from vpptwin.train.run import start_run
 
     return start_run(config, parse_overrides(overrides))

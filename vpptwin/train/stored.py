@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import vpptwin
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, suggest
 from vpptwin.resources import models_dir
 
 KIND, FORMAT = "vpptwin policy", 5
@@ -69,6 +69,19 @@ def find_checkpoint(path: Path | str, flying: bool = True) -> Path:
     if not given.exists() and given.name == str(path) and not given.suffix:
         return shipped_policies().get(given.name, given)
     return given
+
+
+def need_checkpoint(path: Path | str, flying: bool = True) -> Path:
+    """As `find_checkpoint`; commands that load torch ask before that.
+
+    Raises:
+        InputError: if there is no such file.
+    """
+    file = find_checkpoint(path, flying)
+    if not file.is_file():
+        advice = suggest(str(path), shipped_policies(), TRAIN_AGAIN)
+        raise InputError(f"no checkpoint {file}", "a checkpoint or the folder of a run", advice)
+    return file
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -133,9 +146,7 @@ def open_checkpoint(path: Path | str, flying: bool = True, load: Callable[[Path]
     Raises:
         InputError: if there is none, it is damaged, something else, or of another format.
     """
-    file = find_checkpoint(path, flying)
-    if not file.is_file():
-        raise InputError(f"no checkpoint {file}", "a checkpoint or the folder of a run", TRAIN_AGAIN)
+    file = need_checkpoint(path, flying)
     try:
         with zipfile.ZipFile(file) as archive:
             if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):

@@ -1,4 +1,4 @@
-"""Replays of rigs that touch nothing, without MuJoCo: tree, inner step and Euler step in one compiled call."""
+"""Steps of rigs that touch nothing, without MuJoCo: tree, inner step and Euler step in one compiled call."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
+from threading import Lock
 from typing import Any
 
 import mujoco
@@ -18,6 +20,9 @@ from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose
 FIELDS = (*Shape._fields, "gravity", "gain", "bias", "force_range")
 """Numbers that may differ by simulation, in the order of the table of their addresses."""
 
+FEW = 16
+"""Simulations for which another thread does not pay."""
+
 ENTRY = """
 def fly(address, begin, end, room):
     context = carray(pointer_to(address), (1,), CONTEXT)[0]
@@ -26,6 +31,7 @@ def fly(address, begin, end, room):
     reach = Reach({reach})
     rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
 {room}
+    dt = timestep[0]
     for i in range(begin, end):
         shape = Shape({shape})
         gravity = float64_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, 3)
@@ -58,7 +64,7 @@ def fly(address, begin, end, room):
                 for j in range({nv}):
                     velocity[a] += moment[a, j] * qvel[j]
             view = View(
-                clock[0], {timestep!r}, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
+                clock[0], dt, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
                 inertia, row_length, row_start, column, shape.dof_damping, shape.dof_armature, shape.body_mass, gravity,
                 moment_flat, moment_length, moment_start, moment_column, length, velocity, gain, bias, gain_type,
                 bias_type, ctrl_limited, force_limited, ctrl_range, force_range, joint, joint_limited, joint_range,
@@ -79,11 +85,11 @@ def fly(address, begin, end, room):
                 exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
             solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
             if damped:
-                solve_inertia(mass, shape.dof_damping, {timestep!r}, dense, exerted, faster)
+                solve_inertia(mass, shape.dof_damping, dt, dense, exerted, faster)
             for j in range({nv}):
-                qvel[j] += {timestep!r} * (faster[j] if damped else warmstart[j])
-                qpos[j] += {timestep!r} * qvel[j]
-            clock[0] += {timestep!r}
+                qvel[j] += dt * (faster[j] if damped else warmstart[j])
+                qpos[j] += dt * qvel[j]
+            clock[0] += dt
         else:
             int64_at(context.stuck, i + 1)[i] = 0
 """
@@ -106,6 +112,7 @@ def list_statics(layout: Layout, model: mujoco.MjModel) -> dict[str, np.ndarray]
         "ctrl_range": np.array(model.actuator_ctrlrange, float),
         "joint": np.arange(nv, dtype=np.int32), "joint_limited": np.array(model.jnt_actfrclimited, np.bool_),
         "joint_range": np.array(model.jnt_actfrcrange, float), "joint_lifted": np.zeros(nv, np.bool_),
+        "timestep": np.array([model.opt.timestep]),
     }  # fmt: skip
     return {name: np.ascontiguousarray(array) for name, array in shared.items()}
 
@@ -162,30 +169,8 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
         room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
         gain=order["gain"], bias=order["bias"], force_range=order["force_range"],
         ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
-        timestep=float(model.opt.timestep), step=step,
+        step=step,
     )  # fmt: skip
-
-
-def room_size(model: mujoco.MjModel) -> int:
-    """Numbers that a thread works in."""
-    sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
-    return sum(int(np.prod(size)) for size in sizes)
-
-
-def point_at_fields(layout: Layout, table: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Addresses and strides of `FIELDS`, (2 F,), those of `table`, name → (N, ...), by row; what they point at."""
-    own = {PER_SIMULATION[name]: array for name, array in table.items() if name in PER_SIMULATION}
-    if "body_imat" in own:  # as effects write them, they are quaternions
-        turns = to_matrix(own["body_imat"].reshape(-1, 4))
-        own["body_imat"] = np.ascontiguousarray(turns).reshape(len(own["body_imat"]), -1, 9)
-    held, words = [], []
-    for name in FIELDS:
-        array = own.get(name)
-        shared = np.ascontiguousarray(layout.numbers[name]) if array is None else array
-        assert array is None or array[0].flags.c_contiguous
-        held.append(shared)
-        words += [shared.ctypes.data, 0 if array is None else array.strides[0]]
-    return np.array(words, np.int64), held
 
 
 @cache
@@ -194,13 +179,49 @@ def threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1)
 
 
-def run_rows(function: Any, address: int, count: int, rooms: np.ndarray, workers: int) -> None:  # noqa: ANN401
-    """Run a fused step for all simulations, shared out among threads; rooms (workers, size)."""
-    edges = np.linspace(0, count, workers + 1).astype(int)
-    jobs = [
-        threads().submit(function, address, int(edges[i]), int(edges[i + 1]), int(rooms[i].ctypes.data))
-        for i in range(1, workers)
-    ]
-    function(address, 0, int(edges[1]), int(rooms[0].ctypes.data))
-    for job in jobs:
-        job.result()
+class Stepper:
+    """Runs the fused step of one twin, all of whose numbers lie where they lay when it was made.
+
+    Args:
+        layout: of the model.
+        model: that is stepped.
+        table: constants of the twin, name → (N, ...), read again at every run.
+        num_sims: number of simulations N.
+        num_threads: threads at most.
+    """
+
+    def __init__(
+        self, layout: Layout, model: mujoco.MjModel, table: Mapping[str, np.ndarray], num_sims: int, num_threads: int
+    ) -> None:
+        self._held = list(list_statics(layout, model).values())
+        self._statics = np.array([array.ctypes.data for array in self._held], np.int64)
+        own = {PER_SIMULATION[name]: array for name, array in table.items() if name in PER_SIMULATION}
+        self._turns = own.get("body_imat")  # as effects write them, they are quaternions
+        if self._turns is not None:
+            own["body_imat"] = np.zeros((num_sims, int(model.nbody), 9))
+        self._matrices = own.get("body_imat")
+        words: list[int] = []
+        for name in FIELDS:
+            array = own.get(name)
+            shared = np.ascontiguousarray(layout.numbers[name]) if array is None else array
+            assert array is None or array[0].flags.c_contiguous
+            self._held.append(shared)
+            words += [shared.ctypes.data, 0 if array is None else array.strides[0]]
+        self._fields = np.array(words, np.int64)
+        self.addresses = {"static": self._statics.ctypes.data, "fields": self._fields.ctypes.data}
+        workers = min(num_threads, max(num_sims // FEW, 1))
+        sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
+        self._rooms = np.zeros((workers, sum(int(np.prod(size)) for size in sizes)))
+        self._lock = Lock()
+        self._shares = list(pairwise(np.linspace(0, num_sims, workers + 1).astype(int).tolist()))
+
+    def run(self, function: Any, context: np.ndarray) -> None:  # noqa: ANN401
+        """Run the compiled `function` on a context that has the `addresses`, its simulations shared out to threads."""
+        jobs = [(context.ctypes.data, *share, room.ctypes.data) for share, room in zip(self._shares, self._rooms)]
+        with self._lock:  # the room that threads work in is the twin's
+            if self._turns is not None and self._matrices is not None:
+                self._matrices[:] = to_matrix(self._turns.reshape(-1, 4)).reshape(self._matrices.shape)
+            others = [threads().submit(function, *job) for job in jobs[1:]]
+            function(*jobs[0])
+            for job in others:
+                job.result()

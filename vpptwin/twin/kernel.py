@@ -108,6 +108,21 @@ def control(m, d):
 """
 
 
+SIZES = np.dtype([("count", np.int64), ("steps", np.int64), ("dt", np.float64)])
+WARM_UP = """
+def warm_up(layer, constants, commands, sizes):
+    size = carray(pointer_to(sizes), (1,), SIZES)[0]
+    layers = carray(pointer_to(layer), (size.count,), LAYER)
+    known = carray(pointer_to(constants), (size.count,), CONSTANTS)
+    for i in range(size.count):
+        given = float64_table_at(commands + size.steps * {nu} * 8 * i, size.steps, {nu})
+        for k in range(size.steps):
+            push_commands(layers[i])
+            for j in range({nu}):
+                move_actuator(layers[i], known[i], j, given[k, j], size.dt)
+"""
+
+
 @dataclass(frozen=True)
 class Kernel:
     """The compiled step for one model and catalogue; compiled when it is first asked for.
@@ -229,7 +244,7 @@ def write_view(model: mujoco.MjModel) -> str:
     return "\n".join(lines)
 
 
-def compile_entry(source: str, name: str, key: str, pipeline: Pipeline, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401
+def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401
     """The C function of a name that a text defines, kept on disk under a key."""
     file = open_entry(key, source)
 
@@ -242,12 +257,12 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline, dtypes: 
         "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
         **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape)},
         **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
-        "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(),
-        **pipeline.build(compiled), **dtypes,
+        "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "SIZES": SIZES, "push_commands": push_commands,
+        "move_actuator": move_actuator, **(pipeline.build(compiled) if pipeline else {}), **dtypes,
     }  # fmt: skip
     exec(compile(source, str(file or "<kernel>"), "exec"), namespace)
-    signature = types.void(*(types.int64,) * 4) if name == "fly" else types.void(types.voidptr, types.voidptr)
-    known = file is not None and any(file.parent.glob(KEPT))
+    signature = types.void(types.voidptr, types.voidptr) if name == "control" else types.void(*(types.int64,) * 4)
+    known = pipeline is None or (file is not None and any(file.parent.glob(KEPT)))
     with nullcontext() if known else tell_wait(COMPILING):
         function = c_function(signature, keep=file is not None, error_model="numpy")(namespace[name])
     if file is not None:
@@ -261,17 +276,20 @@ def delay_depth(effects: Iterable[Effect], dt: float) -> int:
     return int(np.ceil(max(longest) / dt)) + 2 if longest else 0
 
 
-@njit(error_model="numpy")
-def _warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> None:
-    for i in range(len(layer)):
-        for k in range(commands.shape[1]):
-            push_commands(layer[i])
-            for j in range(commands.shape[2]):
-                move_actuator(layer[i], constants[i], j, commands[i, k, j], dt)
-
-
 def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> np.ndarray:
     """The actuators' state after past commands, (N, steps, nu), oldest first; `layer` (N,) is not changed."""
-    result = layer.copy()
-    _warm_up(result, constants, np.ascontiguousarray(commands, dtype=np.float64), dt)
+    result, given = layer.copy(), np.ascontiguousarray(commands, dtype=np.float64)
+    count, steps, nu = given.shape
+    arrays = result, np.ascontiguousarray(constants), given, np.array([(count, steps, dt)], SIZES)
+    compile_warm_up(result.dtype, nu)(*(array.ctypes.data for array in arrays))
     return result
+
+
+def compile_warm_up(layer: np.dtype, nu: int) -> Any:  # noqa: ANN401
+    """The C function that moves actuators alone: addresses of their state, constants, commands and `SIZES`."""
+    source, dtypes = WARM_UP.format(nu=nu), {"LAYER": layer, "CONSTANTS": constants_dtype(nu)}
+    key = fingerprint(source, str(dtypes))
+    if key not in _KERNELS:
+        function = compile_entry(source, "warm_up", key, None, dtypes)
+        _KERNELS[key] = FLY(int(function.address or 0)), function
+    return _KERNELS[key][0]

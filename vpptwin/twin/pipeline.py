@@ -101,7 +101,7 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeli
         for state in effect.states:
             starts += copies * [find_start(model, joints.get(effect.target, -1), state.start)]
     places = {effect.id: i for i, effect in enumerate(effects)}
-    functions = {function_name(e): e.apply for e in effects}
+    functions = {name_function(i, e): e.apply for i, e in enumerate(effects)}
 
     writer = ChainWriter(model, effects, columns, places, states)
     parts = writer.shape_thrust(), writer.push_craft(), writer.push_joints(joints), writer.muster_friction(joints)
@@ -146,7 +146,7 @@ class ChainWriter:
         parameters = [f"p[{self.columns[effect.id, p.name]}]" for p in effect.parameters]
         given = [*inputs, *own, *(["dt"] if own else []), *parameters]
         returned = ", ".join([result, *(own if kept is None else kept)])
-        return f"        {returned} = {function_name(effect)}({', '.join(given)})"
+        return f"        {returned} = {name_function(self.places[effect.id], effect)}({', '.join(given)})"
 
     def moves(self, joint: int, direction: str) -> str:
         """The motion of a joint as its effects see it."""
@@ -230,9 +230,10 @@ def find_start(model: mujoco.MjModel, joint: int, start: float | str) -> float |
     return float(start)
 
 
-def function_name(effect: Effect) -> str:
-    """The effect's name in the text: its id as an identifier."""
-    return "effect_" + "".join(c if c.isalnum() else "_" for c in effect.id)
+def name_function(place: int, effect: Effect) -> str:
+    """What an effect's function is called in the text, whatever its joint is called: rigs of one form share a step."""
+    kind = effect.id.rpartition(".")[2]
+    return f"effect_{place}_" + "".join(c if c.isalnum() else "_" for c in kind)
 
 
 def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> str:

@@ -183,6 +183,18 @@ class Robot:
             return Disturbance(GUST * self.loads.force, GUST_TIME, most=1.0 / GUST)
         return Disturbance(GUST * typical_forces(self.model), GUST_TIME, most=1.0 / GUST)
 
+    @cached_property
+    def exposure(self) -> np.ndarray:
+        """What pushes are measured by, (nv,) N, N m: the forces on a joint, on a free body's turns its weight's moment.
+
+        What turns a craft that hovers is next to nothing, and a gust that pushes it pushes off its centre.
+        """
+        force = np.array(typical_forces(self.model) if self.loads is None else self.loads.force)
+        for joint, free in zip(find_free(self.model), self.list_free()):
+            turns = slice(int(self.model.jnt_dofadr[joint]) + 3, int(self.model.jnt_dofadr[joint]) + 6)
+            force[turns] = np.maximum(force[turns], free.force * free.size)
+        return force
+
     def scale(self, loads: Loads) -> Robot:
         """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""
         return replace(self, loads=loads)

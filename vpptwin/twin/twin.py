@@ -14,7 +14,7 @@ from vpptwin.actuators.adaptive import start_memory
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
-from vpptwin.twin.fused import list_statics, point_at_fields, room_size, run_rows
+from vpptwin.twin.fused import Stepper
 from vpptwin.twin.kernel import CONTEXT, delay_depth, warm_up, write_kernel
 from vpptwin.twin.layout import read_layout
 from vpptwin.twin.manifold import find_place, integrate_pose
@@ -25,15 +25,14 @@ from vpptwin.twin.state import TwinState
 from vpptwin.twin.stepped import leave_out
 from vpptwin.vehicle import Vehicle
 
-FEW = 16
-"""Simulations for which another thread does not pay."""
-
 
 class Twin:
     """N simulations that share a rig and differ in parameters and state.
 
     A twin holds parameters; whatever evolves is in the `TwinState` that its functions take and return. The whole inner
-    loop runs compiled inside the engine's step (`vpptwin.twin.step`): one call, however many steps.
+    loop runs compiled inside the engine's step (`vpptwin.twin.step`): one call, however many steps. Simulations that
+    touch nothing during a call, and reach no end stop, are stepped without MuJoCo where the rig allows it
+    (`vpptwin.twin.fused`): equal but for rounding, and faster.
 
     The engine's semi-implicit Euler step is second-order accurate if read as a leapfrog: `qvel` belongs to the state's
     time, `qpos` leads it by half a step, and forces are means over the step. `pose_at_time` undoes the lead where half
@@ -68,15 +67,17 @@ class Twin:
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
-        self._num_threads = num_threads or os.cpu_count() or 1
-        self._layout = read_layout(model, {name for e in self.effects.values() for name in e.writes})
-        self._statics = [] if self._layout is None else list(list_statics(self._layout, model).values())
+        layout = read_layout(model, {name for e in self.effects.values() for name in e.writes})
         depth = delay_depth(spec.catalogue, self.dt)
         self._kernel = write_kernel(
-            model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive", self._layout
+            model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive", layout
         )
         self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
+        self._stepper: Stepper | None = None
+        if layout is not None:
+            threads = num_threads or os.cpu_count() or 1
+            self._stepper = Stepper(layout, model, self._constants.table, num_sims, threads)
         names = ("time", "qpos", "qvel", "qacc_warmstart", "qfrc_constraint")
         self._live = {name: self._batch.bind(name) for name in names}
         places = self._kernel.pipeline.places
@@ -165,8 +166,10 @@ class Twin:
         layer["rotor_speed"] = layer["mean_speed"] = robot.rotor_speed
         if self.spec.controller == "adaptive":
             layer["adaptive"] = start_memory(robot.rotor_speed)
-        pose = np.array(np.broadcast_to(robot.start_pose if qpos is None else qpos, (n, model.nq)), dtype=float)
-        velocity = np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float)
+        pose = np.array(
+            np.broadcast_to(robot.start_pose if qpos is None else qpos, (n, model.nq)), dtype=float, order="C"
+        )
+        velocity = np.array(np.broadcast_to(0.0 if qvel is None else qvel, (n, model.nv)), dtype=float, order="C")
         return TwinState(
             time=np.array(np.broadcast_to(time, n), dtype=float),
             qpos=pose,
@@ -232,9 +235,6 @@ class Twin:
     ) -> Replay:  # fmt: skip
         """Run under logged actuator commands, one per inner step.
 
-        Simulations that touch nothing on the way, and reach no end stop, are stepped without MuJoCo where the rig
-        allows it (`vpptwin.twin.fused`): four times as fast, equal but for rounding.
-
         Args:
             state: N simulations; not modified.
             commands: blade pitch [rad] (control input on other rigs), (N, steps, nu).
@@ -290,25 +290,16 @@ class Twin:
             context[name] = array.ctypes.data
         context["policy"], context["steps"] = int(policy), steps
         context["segments"] = held["push"].shape[1] if "push" in held else 0
-        if self._layout is not None and not policy:
+        if self._stepper is not None:
             before = state.copy()
-            self._fly(context)
-            touching = np.flatnonzero(stuck)
-            state.write_rows(touching, before.take(touching))
+            for name, address in self._stepper.addresses.items():
+                context[name] = address
+            self._stepper.run(self._kernel.fly, context)
         touching = np.flatnonzero(stuck)
         if len(touching):
+            if self._stepper is not None:
+                state.write_rows(touching, before.take(touching))
             self._step(state, steps, context, touching)
-
-    def _fly(self, context: np.ndarray) -> None:
-        """Run a context without MuJoCo; `stuck` there tells which simulations touched something on the way."""
-        assert self._layout is not None
-        pointers = np.array([array.ctypes.data for array in self._statics], np.int64)
-        fields, held = point_at_fields(self._layout, self._constants.table)
-        context["static"], context["fields"] = pointers.ctypes.data, fields.ctypes.data
-        workers = min(self._num_threads, max(self.num_sims // FEW, 1))
-        rooms = np.zeros((workers, room_size(self.spec.model)))
-        run_rows(self._kernel.fly, context.ctypes.data, self.num_sims, rooms, workers)
-        del held  # compiled code read it until here
 
     def _step(self, state: TwinState, steps: int, context: np.ndarray, ids: np.ndarray) -> None:
         """Run the simulations `ids` of a context in MuJoCo's steps."""
@@ -349,5 +340,6 @@ class Twin:
         kinds = state.actuators.dtype, state.memory.dtype, state.effects.dtype
         if kinds != (self._kernel.layer, np.dtype(float), np.dtype(float)):
             raise ValueError("a state of another rig or another catalogue; expected one that this twin has made")
-        if not all(array.flags.c_contiguous for array in own.values()):
+        moving = [state.time, state.qpos, state.qvel, state.warmstart]
+        if not all(array.flags.c_contiguous for array in [*own.values(), *moving]):
             raise ValueError("a state whose arrays are views; expected arrays of its own, as TwinState.copy makes them")

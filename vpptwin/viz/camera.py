@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import meshcat.transformations as tf
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.viz.scene import ROOT
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
 
 FIELD_OF_VIEW = 30.0  # degrees, vertical; narrow, so that perspective distorts little
 AZIMUTH, ELEVATION = np.radians(-8.0), np.radians(10.0)  # of the camera, seen from what it looks at
@@ -43,6 +45,8 @@ def frame_view(
 
 def place_camera(vis: Visualizer, view: View) -> None:
     """Aim meshcat's camera, which always looks at the origin: the rig is shifted there, nothing in it changes."""
+    import meshcat.transformations as tf  # as in `vpptwin.viz.shapes`
+
     vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
     aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
     vis[CAMERA].set_property("fov", FIELD_OF_VIEW)

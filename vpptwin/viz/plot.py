@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from vpptwin.errors import InputError
 from vpptwin.files import write_whole
@@ -26,6 +27,8 @@ MOST_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
 FEW = 5
 """Points of a line; fewer are marked."""
+LABEL_GAP = 0.24
+"""Between an axis and its label, besides the numbers there, which may be a digit longer in the end, inch."""
 DPI = 150
 FORMATS = (".png", ".svg", ".html")
 PLOTLY_DASH = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
@@ -105,7 +108,16 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
         fitting = max(110 // (max(map(len, labels)) + 8), 1)
         figure.legend(handles, labels, loc="outside lower center", ncols=min(fitting, len(labels)))
     figure.suptitle(story.title, x=0.01, horizontalalignment="left", fontsize=11.0)
-    figure.align_ylabels()
+    for column in grid.T if story.rows > 1 else ():
+        align_labels(column, figure)
+
+
+def align_labels(column: np.ndarray, figure: Figure) -> None:
+    """Put the labels of y axes in one line, left of the widest number, which `align_ylabels` measures anew for each."""
+    widest = max(number.get_window_extent().width for axes in column for number in axes.get_yticklabels())
+    away = ScaledTranslation(-widest / figure.dpi - LABEL_GAP, 0.0, figure.dpi_scale_trans)
+    for axes in column:
+        axes.yaxis.set_label_coords(0.0, 0.5, transform=axes.transAxes + away)
 
 
 def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None:
@@ -116,10 +128,11 @@ def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None
         name = f" {line.name}" if line.name.startswith("_") else line.name  # which matplotlib would hide
         time, values = thin_line(line)
         log = line.colour == INK
-        style = "steps-post" if line.steps else "default"
+        style, sparse = "steps-post" if line.steps else "default", is_sparse(line)
         axes.plot(
             time, values, line.dash, color=ink if log else line.colour, drawstyle=style, label=name,
-            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0, marker="o" if is_sparse(line) else "", ms=4.0,
+            linewidth=2.6 if log else 1.6, alpha=0.55 if log else 1.0, ms=4.0,
+            marker="o" if sparse else "", clip_on=not sparse,
         )  # fmt: skip
         if line.band is not None:
             axes.fill_between(line.time, *line.band, color=line.colour, alpha=0.12, linewidth=0.0)
@@ -146,7 +159,8 @@ def render_png(figure: Figure, theme: Theme) -> bytes:
     """The drawn figure as PNG."""
     FigureCanvasAgg(figure)
     out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata={"Software": "vpptwin"})
+    about, packing = {"Software": "vpptwin"}, {"compress_level": 3}
+    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata=about, pil_kwargs=packing)
     return out.getvalue()
 
 
@@ -185,11 +199,14 @@ def render_page(story: Story, theme: Theme) -> str:
     faint = "rgba(127,127,127,0.25)"
     figure.update_xaxes(gridcolor=faint, zeroline=False).update_yaxes(gridcolor=faint, zeroline=False)
     style: dict[str, object] = {
-        "margin": {"l": 80, "r": 20}, "template": "none", "paper_bgcolor": theme.paper, "plot_bgcolor": theme.paper,
-        "font": {"color": theme.ink},
+        "margin": {"l": 70, "r": 20, "t": 60}, "template": "none", "font": {"color": theme.ink},
+        "paper_bgcolor": theme.paper, "plot_bgcolor": theme.paper,
     }  # fmt: skip
     height = (190 if story.columns == 1 else 420) * rows + 120
-    figure.update_layout(title=escape(story.title), shapes=shapes, height=height, hovermode="x unified", **style)
+    title = {"text": escape(story.title), "side": "top", "font": {"size": 16}}
+    above = {"title": title, "orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom"}  # a phone has no room beside
+    figure.update_layout(legend=above, showlegend=True, shapes=shapes, height=height, hovermode="x unified", **style)
     text: str = figure.to_html(include_plotlyjs=True, full_html=True, config={"displaylogo": False})
-    text = text.replace("<head>", '<head><meta name="generator" content="vpptwin">', 1)
+    head = '<meta name="generator" content="vpptwin"><meta name="viewport" content="width=device-width">'
+    text = text.replace("<head>", f"<head>{head}<title>{escape(story.title)}</title>", 1)
     return text.replace("<body>", f'<body style="margin: 0; background: {theme.paper}">', 1)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import meshcat.geometry as mg
-import meshcat.transformations as tf
+from typing import TYPE_CHECKING
+
 import mujoco
 import numpy as np
-from meshcat import Visualizer
 
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.vehicle import Vehicle
@@ -14,6 +13,9 @@ from vpptwin.viz.motion import Rotors
 from vpptwin.viz.palette import BLADE, NEGATIVE_THRUST, POSITIVE_THRUST, TOP_MARK
 from vpptwin.viz.shapes import Paint, make_cone, make_cylinder
 from vpptwin.viz.tracks import Track, make_track
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
 
 TURN_SLOWDOWN = 20.0  # rotors are drawn this much slower, so that 75 turns a second do not alias at 50 frames a second
 PITCH_EXAGGERATION = 2.5  # blade pitch is drawn this much larger: its 12 degrees are a few pixels
@@ -26,6 +28,9 @@ TURN_SIGNS = (1.0, -1.0)  # the rotors turn against each other, so that their dr
 
 def draw_rotors(craft: Visualizer, model: mujoco.MjModel, vehicle: Vehicle, paint: Paint | None = None) -> None:
     """Masts, blades and a mark on top of the craft, below its node; paint overrides all colours (the twin)."""
+    import meshcat.geometry as mg  # as in `vpptwin.viz.shapes`
+    import meshcat.transformations as tf
+
     mark = paint or Paint(TOP_MARK)
     craft["top"].set_object(mg.Ellipsoid([0.03, 0.02, 0.014]), mark.material())
     craft["top"].set_transform(tf.translation_matrix([0.0, 0.0, 0.018]))
@@ -52,6 +57,8 @@ def find_rotor(model: mujoco.MjModel, vehicle: Vehicle, number: int) -> tuple[np
 
 def draw_arrows(craft: Visualizer) -> None:
     """One arrow per rotor and sign of thrust, of unit length; needs draw_rotors for its place."""
+    import meshcat.transformations as tf
+
     for number in (1, 2):
         for sign, colour in (("positive", POSITIVE_THRUST), ("negative", NEGATIVE_THRUST)):
             arrow = craft[f"rotor_{number}"][f"{sign}_thrust"]

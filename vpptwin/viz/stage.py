@@ -11,7 +11,7 @@ from meshcat import Visualizer
 
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz.camera import View, frame_view, place_camera, set_backdrop
-from vpptwin.viz.motion import Motion, Rotors, Target
+from vpptwin.viz.motion import Motion, Target
 from vpptwin.viz.palette import TARGET, TRAIL, TWIN, to_int
 from vpptwin.viz.rotors import draw_arrows, draw_rotors, track_arrows, track_rotors
 from vpptwin.viz.scene import (
@@ -40,10 +40,10 @@ def draw_show(vis: Visualizer, show: Show) -> list[Track]:
     """Draw everything, aim the camera, and return the tracks that move it."""
     set_backdrop(vis)
     draw_surroundings(vis[f"{ROOT}/world"], show.model)
-    tracks = draw_log(vis, show)
+    tracks = draw_motion(vis, show, "log", show.log)
     view = view_flight(show)
     if show.twin is not None:
-        tracks += draw_twin(vis, show, show.twin)
+        tracks += draw_motion(vis, show, "twin", join_phase(show.twin, show.log), TWIN_PAINT)
     if show.followed >= 0:
         draw_trail(vis, show)
     if show.target is not None and show.rotorcraft is not None:
@@ -67,41 +67,30 @@ def view_flight(show: Show, **options: float) -> View:
     return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3), **options)
 
 
-def draw_log(vis: Visualizer, show: Show) -> list[Track]:
-    """Draw the log solid in the MJCF's colours, with rotors and thrust arrows where it has them."""
-    node = f"{ROOT}/log"
-    draw_bodies(vis[node], show.model)
-    tracks = track_bodies(node, show.model, show.time, show.log)
-    if show.rotorcraft is not None:
-        craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
-        draw_rotors(vis[craft], show.model, show.rotorcraft)
-        if show.log.rotors is not None:
-            draw_arrows(vis[craft])
-            tracks += track_rotors(craft, show.time, show.log.rotors)
-            tracks += track_arrows(craft, show.time, show.log.rotors, show.rotorcraft)
-    return tracks
-
-
-def draw_twin(vis: Visualizer, show: Show, motion: Motion) -> list[Track]:
-    """Draw the twin translucent in its own colour, without arrows."""
-    node = f"{ROOT}/twin"
-    draw_bodies(vis[node], show.model, TWIN_PAINT)
+def draw_motion(vis: Visualizer, show: Show, name: str, motion: Motion, paint: Paint | None = None) -> list[Track]:
+    """Draw the rig as it moves: solid in the MJCF's colours, with thrust arrows, or in one paint without them."""
+    node = f"{ROOT}/{name}"
+    draw_bodies(vis[node], show.model, paint)
     tracks = track_bodies(node, show.model, show.time, motion)
-    if show.rotorcraft is not None:
-        craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
-        draw_rotors(vis[craft], show.model, show.rotorcraft, TWIN_PAINT)
-        if motion.rotors is not None:
-            tracks += track_rotors(craft, show.time, join_phase(motion, show.log))
+    if show.rotorcraft is None:
+        return tracks
+    craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
+    draw_rotors(vis[craft], show.model, show.rotorcraft, paint)
+    if motion.rotors is not None:
+        tracks += track_rotors(craft, show.time, motion.rotors)
+        if paint is None:
+            draw_arrows(vis[craft])
+            tracks += track_arrows(craft, show.time, motion.rotors, show.rotorcraft)
     return tracks
 
 
-def join_phase(twin: Motion, log: Motion) -> Rotors:
-    """The twin's rotors turned to where the log's are when the twin first shows: nobody models their phase."""
-    assert twin.rotors is not None
-    if log.rotors is None:
-        return twin.rotors
+def join_phase(twin: Motion, log: Motion) -> Motion:
+    """The twin with its rotors turned to where the log's are when it first shows: nobody models their phase."""
+    if twin.rotors is None or log.rotors is None:
+        return twin
     first = int(np.argmax(twin.shown))
-    return replace(twin.rotors, angle=twin.rotors.angle + log.rotors.angle[first] - twin.rotors.angle[first])
+    angle = twin.rotors.angle + log.rotors.angle[first] - twin.rotors.angle[first]
+    return replace(twin, rotors=replace(twin.rotors, angle=angle))
 
 
 def draw_ghost(vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:

@@ -21,6 +21,7 @@ from vpptwin.diagnosis.judgement.selection import (
     find_better,
     fit_together,
     is_cause,
+    is_faint,
     look_alike,
     select_causes,
     tell_roughness,
@@ -31,6 +32,7 @@ from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.diagnosis.search.search import Step
 from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.effects.body import FreeBody, effects_for_body
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
 
@@ -240,13 +242,25 @@ def test_on_other_rigs_errors_have_the_last_word(drop: float, gain: float, favou
     assert judge(Judges(gain, favour=favour), drop, search=OTHER_RIG, a_coulomb=0.5) is named
 
 
+@pytest.mark.parametrize(("y", "faint"), [(0.0, True), (2e-4, True), (0.008, False), (-0.008, False)])
+def test_a_vector_is_faint_if_all_its_axes_are(y: float, faint: bool) -> None:
+    """A wind across is no less a wind for not blowing along, by standard deviations of 0.1 mN."""
+    body = FreeBody("quad", 0.03, (1e-5, 1e-5, 2e-5), 0.02, 0.3, 1e-3, 1.0)
+    (wind,) = (effect for effect in effects_for_body(body) if effect.id == "quad.wind")
+    search = SimpleNamespace(**{**vars(OTHER_RIG), "unknowns": tuple(Unknown(wind, p, p.off) for p in wind.parameters)})
+    found = guess({("quad.wind", axis): {"x": 1e-5, "y": y, "z": 0.0}[axis] for axis in "xyz"})
+    found = replace(found, std=dict.fromkeys(found.values, 1e-4))
+    assert is_faint(search, found, "quad.wind") is faint
+
+
 def test_lopsided_friction_and_a_force_beside_friction_are_one_law() -> None:
     """What they differ by, to the inexactness of laws of friction, tells nothing; of other pairs everything does."""
     rough = CRITERIA.kinship * 1000.0
-    assert tell_roughness(SEARCH, "a.bias", "a.asymmetry", 1000.0) == rough
-    assert tell_roughness(SEARCH, "a.asymmetry", "a.bias", 1000.0) == rough
+    for one, other in (("a.bias", "a.asymmetry"), ("a.asymmetry", "a.bias")):
+        assert tell_roughness(SEARCH, one, other, {one: 1000.0}) == rough
+        assert tell_roughness(SEARCH, one, other, {one: 300.0, "a.coulomb": 1000.0, "a.viscous": 2000.0}) == rough
     for one, other in (("a.coulomb", "a.viscous"), ("a.coulomb", "a.asymmetry"), ("a.bias", "a.spring")):
-        assert tell_roughness(SEARCH, one, other, 1000.0) == 0.0
+        assert tell_roughness(SEARCH, one, other, {one: 1000.0}) == 0.0
     (rival,) = weigh_rivals({"a.asymmetry": rough - 1.0}, CRITERIA, {"a.asymmetry": rough})
     assert rival.confidence == 0.5
 

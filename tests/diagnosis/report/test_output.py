@@ -6,12 +6,11 @@ import errno
 import json
 import os
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.diagnosis.made_up import FLIP, make_diagnosis
+from tests.diagnosis.made_up import FLIP, make_up
 from vpptwin.cli import main
 from vpptwin.diagnosis.report import result
 from vpptwin.diagnosis.report.command import diagnose_logs
@@ -26,23 +25,10 @@ OURS = '\x07\0\0\0vpptwin "horizons_s" vpptwin diagnose'
 Fault = type[BaseException] | BaseException
 
 
-SLOW = ("predict_flight", "draw_pictures")
-MEMORY: dict[str, object] = {}
-
-
 @pytest.fixture(autouse=True)
 def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Diagnoses are made up, and predicted and drawn once, so that these tests are about files."""
-    monkeypatch.setattr(result, "judge", lambda *arguments: make_diagnosis())
-    for name in SLOW:
-        monkeypatch.setattr(result, name, partial(remember, name, getattr(result, name)))
-
-
-def remember(name: str, function: Callable[..., object], *arguments: object) -> object:
-    """What the function gave the first time: all these runs are of one flight."""
-    if name not in MEMORY:
-        MEMORY[name] = function(*arguments)
-    return MEMORY[name]
+    """Diagnoses are made up: these tests are about files."""
+    make_up(monkeypatch)
 
 
 def run(out: Path, *more: str) -> int:

@@ -171,12 +171,26 @@ def test_fits_go_downhill(rubbing: Search) -> None:
 
 
 def test_dry_friction_is_tried_farther_than_slopes_lead(rubbing: Search) -> None:
-    """From a third of it to the friction that is there; where slopes lead nowhere, and for other laws, as it was."""
+    """From a part of it to the friction that is there; where slopes lead nowhere, and for other laws, as it was."""
     key = "slide.coulomb", "force"
-    (found,) = rubbing._lead_on(rubbing.start, Start(key[0], {key: FRICTION / 3.0}, 0.0))
-    assert found.values[key] == pytest.approx(FRICTION, rel=0.1)
+    for part in (3.0, 15.0):
+        (found,) = rubbing._lead_on(rubbing.start, Start(key[0], {key: FRICTION / part}, 0.0))
+        assert found.values[key] == pytest.approx(FRICTION, rel=0.1)
     for unmoved in (Start(key[0], {key: 0.0}, 0.0), Start("slide.bias", {("slide.bias", "force"): 0.3}, 0.0)):
         assert rubbing._lead_on(rubbing.start, unmoved) == [unmoved]
+
+
+def test_shares_are_scanned_in_their_own_bounds(rubbing: Search, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A share of what drives a joint up to its bound; a force no further than there is friction."""
+    tried: list[dict[Key, float]] = []
+    monkeypatch.setattr(rubbing, "_pick_places", lambda fit, places: tried.extend(places) or places[:1])
+    force, share = ("slide.coulomb", "force"), ("slide.load", "mu")
+    fit = rubbing.fit(frozenset({force[0]}), {force: 0.1 * FRICTION}, rubbing.start.about, 0)
+    rubbing._scan(fit, share[0])
+    shares, forces = (np.array([place[key] for place in tried]) for key in (share, force))
+    assert 0.0 <= shares.min() < 0.01 < 0.5 < shares.max() <= 0.9
+    assert np.unique(shares).size > 0.5 * shares.size
+    assert 0.0 <= forces.min() < 0.01 * FRICTION < 0.1 * FRICTION < forces.max() <= 0.15 * FRICTION
 
 
 def test_what_is_superfluous_is_dropped(rubbing: Search) -> None:

@@ -210,9 +210,7 @@ def judge_structure(part: Part, before: Part, values: Mapping[Key, float], left:
         left: share of the excess chi² that it leaves.
     """
     bench, criteria = part.bench, part.bench.criteria
-    loads = bench.spec.robot.loads
-    force = np.full(bench.spec.model.nv, np.inf) if loads is None else loads.force
-    shares = tune_gust(bench, part.response, part.residual) * gust_std(bench) / force
+    shares = tune_gust(bench, part.response, part.residual) * gust_std(bench) / bench.spec.robot.exposure
     found = find_dependence(part, before, values)
     structured = found.share >= criteria.structure and found.kept >= criteria.matters
     sigma = float(found.share / max(1.0 - found.share, 1e-6) * np.sqrt(len(bench.windows)))

@@ -9,7 +9,7 @@ from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.solution import scatter_by_stretch, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Unknown
-from vpptwin.effects import Effect
+from vpptwin.effects import Effect, Parameter
 
 
 def judge_power(search: Search, fit: Fit, accused: frozenset[str]) -> tuple[list[Cleared], list[Unseen]]:
@@ -25,12 +25,13 @@ def judge_power(search: Search, fit: Fit, accused: frozenset[str]) -> tuple[list
     for effect in dict.fromkeys(u.effect for u in search.unknowns):
         if effect.id in accused:
             continue
-        strength = next(u for u in search.unknowns if u.effect.id == effect.id)
-        found = weigh_limit(search, fit, strength) if strength.is_limit else weigh_strength(search, fit, strength)
-        if isinstance(found, Cleared):
-            cleared.append(found)
-        else:
-            unseen.append(found)
+        own = [u for u in search.unknowns if u.effect.id == effect.id and u.parameter in effect.strengths]
+        found = [(weigh_limit if u.is_limit else weigh_strength)(search, fit, u) for u in own]
+        dark = [each for each in found if isinstance(each, Unseen)]
+        if dark:
+            unseen.append(dark[0])
+        else:  # of a vector the axis of which these flights tell least
+            cleared.append(max((each for each in found if isinstance(each, Cleared)), key=lambda c: c.high - c.low))
     return cleared, unseen
 
 
@@ -46,7 +47,7 @@ def weigh_strength(search: Search, fit: Fit, strength: Unknown) -> Cleared | Uns
     std = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
     # The range that was looked through counts as prior knowledge; it must not pass for something seen.
     if std > search.criteria.known_width * strength.width or parameter.size < search.criteria.seen * std:
-        return Unseen(effect.id, describe_blindness(effect, parameter.size / max(std, 1e-12), search))
+        return Unseen(effect.id, describe_blindness(effect, parameter, parameter.size / max(std, 1e-12), search))
     value = float(fit.about.at[i] + solution.deviation[i])
     low, high = (float(parameter.clip(np.array(value + side * 1.645 * std))) for side in (-1.0, 1.0))
     if not low - parameter.tolerance <= strength.nominal <= high + parameter.tolerance:
@@ -73,9 +74,8 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
     return Cleared(limit.effect.id, parameter.name, best, parameter.high, parameter.unit)
 
 
-def describe_blindness(effect: Effect, sigma: float, search: Search) -> str:
+def describe_blindness(effect: Effect, parameter: Parameter, sigma: float, search: Search) -> str:
     """Why an effect could not have been seen."""
-    parameter = effect.parameters[0]
     size = f"{parameter.size:g} {parameter.unit}".strip()
     text = f"{parameter.name} of {size} would stand out by {sigma:.1f} sigma only"
     if effect.fades_along:

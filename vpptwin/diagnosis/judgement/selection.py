@@ -89,7 +89,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             continue
         if better is None:
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
-            rough = {e: {r: tell_roughness(search, e, r, beside[e]) for r in row} for e, row in evidence.items()}
+            rough = {e: {r: tell_roughness(search, e, r, beside) for r in row} for e, row in evidence.items()}
             rivals = {e: weigh_rivals(row, criteria, rough[e]) for e, row in evidence.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             unconfirmed = {e for e, step in replaced.items() if not confirms(search, held_out, step.before, fit)}
@@ -214,8 +214,10 @@ def is_faint(search: Search, fit: Fit, effect: str) -> bool:
     own, criteria = [u for u in search.unknowns if u.effect.id == effect], search.criteria
     if all(abs(fit.values[u.key] - u.nominal) < criteria.tolerances * u.parameter.tolerance for u in own):
         return True
-    away = abs(fit.values[own[0].key] - own[0].nominal)
-    return trusts_errors(search) and not own[0].is_limit and away < criteria.clear_of_off * fit.stated_std(own[0])
+    if not trusts_errors(search) or own[0].is_limit:
+        return False
+    strengths = [u for u in own if u.parameter in u.effect.strengths]
+    return all(abs(fit.values[u.key] - u.nominal) < criteria.clear_of_off * fit.stated_std(u) for u in strengths)
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
@@ -309,16 +311,26 @@ def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str
     return inexact if richer > 0 else -inexact
 
 
-def tell_roughness(search: Search, effect: str, rival: str, drop: float) -> float:
-    """Evidence that tells nothing between a cause, which brings `drop`, and a rival.
+def tell_roughness(search: Search, effect: str, rival: str, drops: Mapping[str, float]) -> float:
+    """Evidence that tells nothing between a cause and a rival.
 
-    What shapes the dry friction beside it, as lopsidedness does, may be the same law as a force beside that friction:
-    how a slider sticks tells them apart by no more than laws of dry friction are inexact.
+    What shapes dry friction, as lopsidedness does, may be the same law as a force beside that friction: how a slider
+    sticks tells them apart by no more than laws of dry friction are inexact, of which the evidence for the friction
+    itself is the measure.
+
+    Args:
+        search: that knows the effects.
+        effect: the cause.
+        rival: what is tried in its place.
+        drops: cause → drop in cost that it brings beside the others.
     """
-    effects = [u.effect for u in search.unknowns if u.effect.id in (effect, rival)]
-    rubbing = [each.stage is EffectStage.FRICTION for each in effects]
-    shaping = any(each.modifies for each, rubs in zip(effects, rubbing) if rubs)
-    return search.criteria.kinship * drop if shaping and not all(rubbing) else 0.0
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    pair = effects[effect], effects[rival]
+    shaping = [each for each in pair if each.stage is EffectStage.FRICTION and each.modifies]
+    if not shaping or rub_together(*pair):
+        return 0.0
+    shaped = [drop for cause, drop in drops.items() if cause == effect or rub_together(effects[cause], shaping[0])]
+    return search.criteria.kinship * max(shaped)
 
 
 def weigh_rivals(

@@ -64,7 +64,7 @@ class Fit:
         """Standard deviation as reported: tempered as evidence is; of a strength also what its law may be wrong by."""
         criteria = self.frame.criteria
         std = float(np.sqrt(criteria.temper)) * self.std[unknown.key]
-        if unknown.parameter is not unknown.effect.parameters[0]:
+        if unknown.parameter not in unknown.effect.strengths:
             return std
         share = criteria.inexact_friction if unknown.effect.stage is Stage.FRICTION else criteria.inexact
         value = self.values[unknown.key]

@@ -26,7 +26,7 @@ SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
 often a fit is refined."""
 FOLLOWED = 2
 """Times that motion and parameters of what sticks are fitted in turn in the end."""
-FARTHER = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0), (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
+FARTHER = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.6, 0.8, 1.0, 1.25, 1.6), (0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15)
 """Times, at first and then around the best, that a law of dry friction is tried at which slopes liken to another."""
 LONG, BRIEF = 3, 2
 """A list of suspects longer than that is gone through with so many steps of Gauss-Newton, and the best go on."""
@@ -166,15 +166,21 @@ class Search(Fitter):
         if len(laws) < 2:
             return []
         strengths = [u.key for u in laws if u.parameter is u.effect.parameters[0]]
-        most = 1.5 * sum(abs(fit.values.get(key, 0.0)) for key in strengths) or SIZES[-1] * added[0].parameter.size
+        forces = [u.key for u in laws if u.key in strengths and u.parameter.unit in ("N", "N m")]
+        most = 1.5 * sum(abs(fit.values.get(key, 0.0)) for key in forces) or SIZES[-1] * added[0].parameter.size
         places = LatinHypercube(len(laws), rng=np.random.default_rng(0)).random(SCANNED)
         tried = []
         for place in places:
             values = dict(fit.values)
             for unknown, share in zip(laws, place):
-                shape = unknown.nominal * SPREAD ** (2.0 * share - 1.0)
-                value = most * share**2 if unknown.key in strengths else shape
-                values[unknown.key] = float(unknown.parameter.clip(np.array(value)))
+                parameter, away = unknown.parameter, 2.0 * share - 1.0
+                if unknown.key not in strengths:
+                    value = unknown.nominal * SPREAD**away
+                elif unknown.key in forces:
+                    value = most * share**2
+                else:  # a share of the friction or of a load, which may have either sign
+                    value = SIZES[-1] * parameter.size * (away * abs(away) if parameter.low < 0.0 else share**2)
+                values[unknown.key] = float(parameter.clip(np.array(value)))
             tried.append(values)
         return [Start(effect, values, 0.0) for values in self._pick_places(fit, tried)]
 
