@@ -100,7 +100,7 @@ LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
         "command.delay servo.lag servo.rate_limit servo.backlash",
         "airframe.inertia gyro.scale rotor.thrust_gain rotor.stall",
         "mocap.delay clock.drift",
-        "rail_x.spring carriage.mass rail_x.bias rail_x.elastic",
+        "rail_x.spring carriage.mass rail_x.bias",
         "rail_x.coulomb rail_x.stiction rail_x.jamming rail_x.tight_spot rail_x.viscous rail_x.asymmetry",
         "rail_z.coulomb rail_z.stiction rail_z.jamming rail_z.viscous rail_z.asymmetry",
         "pitch.coulomb pitch.viscous rotor.inflow",
