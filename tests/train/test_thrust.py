@@ -94,3 +94,13 @@ def test_a_twin_of_strong_rotors() -> None:
     assert spec.vehicle == strengthen(load_twin(), 2.5).vehicle
     assert strengthen(spec, 2.5).vehicle.rotor.k_t == pytest.approx(spec.vehicle.rotor.k_t, rel=1e-12)
     assert name_twin(spec, models_dir())["thrust_to_weight"] == 2.5
+
+
+def test_every_drawn_craft_can_be_vertical_in_time() -> None:
+    """As docs/train.md says: within 15° after 0.18 s if it rolls at once, after 0.40 s if it first climbs for 0.2 s."""
+    for climb_for, most in ((0.0, 0.18), (0.2, 0.40)):
+        env = tiny_env("task=wall-backtrack", *LEVEL, "num_envs=64", "randomize=[paper]")
+        env.reset()
+        for k in range(round(most / 0.01)):
+            step(env, torch.tensor([1.0, 0.0] if k < round(climb_for / 0.01) else [0.15, 1.0]))
+        assert (env.state.qpos[:, 2] > np.radians(75.0)).all()
