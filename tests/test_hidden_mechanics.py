@@ -26,7 +26,7 @@ PAIR = read_seed() % 2
 """Whether two things are hidden this time, not one: each takes minutes."""
 SINGLES = ("sticking rail", "rail", "guide and pivot", "craft")
 LOPSIDED = "lopsided rail"
-"""Named as such in one of three sessions of seed 52716, the friction in all: two misses in a row tell no fault of it."""
+"""Named as such in one of three sessions of seed 52716, the friction in all: two misses in a row tell no fault."""
 
 
 @pytest.fixture(scope="module")
