@@ -26,10 +26,9 @@ from tests.reality.control import PITCH_LSB, Firmware
 from tests.reality.flight import FlightPlan
 from tests.reality.policy import PolicyPilot, observe
 from tests.reality.rig import load_nominal
-from vpptwin.errors import InputError
 from vpptwin.train import observe as trained
 from vpptwin.train.randomize import PAPER_EFFECTS
-from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
+from vpptwin.train.tasks import FLIP
 
 CATALOGUE, VEHICLE = read_drone()
 
@@ -151,8 +150,6 @@ def test_what_is_hidden_is_what_training_draws() -> None:
     again = assign(FLIP, Sky(), 7, 3, CATALOGUE)
     assert again.plan == flights[7].plan
     np.testing.assert_array_equal(again.targets, flights[7].targets)
-    with pytest.raises(InputError, match="wall-backtrack"):
-        assign(WALL_BACKTRACK, Sky(), 0, 3, CATALOGUE)
 
 
 def test_flights_are_judged_by_the_task() -> None:

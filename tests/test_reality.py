@@ -12,7 +12,7 @@ import pytest
 
 from tests.effects.test_metadata import SPEC_EFFECTS
 from tests.reality import CORE, EFFECTS, EXTENDED, Recording, fly, fly_many
-from tests.reality.effects import COMPANIONS, Effects
+from tests.reality.effects import COMPANIONS, FRAME, Effects
 from tests.reality.rig import load_nominal
 
 NOMINAL = load_nominal()
@@ -20,10 +20,11 @@ CALM = {"gusts": False, "jitter": False, "dropouts": False}
 
 
 def test_effects_are_those_of_spec() -> None:
-    """Ids and parameters are SPEC 5's, every row of it and nothing else; only aliens and other forms lie outside."""
+    """Ids and parameters are SPEC 5's, every row and nothing else; aliens, other forms and the frame lie outside."""
     ours = {effect: list(sizes) for effect, sizes in (CORE | EXTENDED | COMPANIONS).items()}
     assert ours == {effect: list(units) for effect, units in SPEC_EFFECTS.items()}
-    assert all(effect.startswith(("alien.", "form.")) for effect in EFFECTS if effect not in SPEC_EFFECTS)
+    outside = set(EFFECTS) - set(SPEC_EFFECTS) - set(FRAME)
+    assert all(effect.startswith(("alien.", "form.")) for effect in outside)
 
 
 @pytest.mark.parametrize("effect", SPEC_EFFECTS)
