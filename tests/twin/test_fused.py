@@ -92,6 +92,7 @@ def test_policies_fly_as_in_mujoco(rigs: dict[str, Rig]) -> None:
     twin = draw_twin(rig, rng)
     found = twin.initial_state(rng.uniform([-0.5, 0.8, -3.0], [0.5, 1.5, 3.0], (ROWS, 3)))
     found.qpos[0, 1], found.qvel[0, 1] = 0.3, -3.0
+    twin._many = True
     expected, stepper = found.copy(), twin._stepper
     assert stepper is not None
     for _ in range(STEPS // 10):

@@ -25,6 +25,9 @@ from vpptwin.twin.state import TwinState
 from vpptwin.twin.stepped import leave_out
 from vpptwin.vehicle import Vehicle
 
+MANY = 256
+"""Simulations from which policies too are flown without MuJoCo: for fewer, compiling that costs more than it saves."""
+
 
 class Twin:
     """N simulations that share a rig and differ in parameters and state.
@@ -32,7 +35,7 @@ class Twin:
     A twin holds parameters; whatever evolves is in the `TwinState` that its functions take and return. The whole inner
     loop runs compiled inside the engine's step (`vpptwin.twin.step`): one call, however many steps. Simulations that
     touch nothing during a call, and reach no end stop, are stepped without MuJoCo where the rig allows it
-    (`vpptwin.twin.fused`): equal but for rounding, and faster.
+    (`vpptwin.twin.fused`): equal but for rounding, and faster. Under policies that is so from `MANY` simulations on.
 
     The engine's semi-implicit Euler step is second-order accurate if read as a leapfrog: `qvel` belongs to the state's
     time, `qpos` leads it by half a step, and forces are means over the step. `pose_at_time` undoes the lead where half
@@ -75,6 +78,7 @@ class Twin:
         self._batch = Batch(model, num_sims, num_threads)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
         self._stepper: Stepper | None = None
+        self._many = num_sims >= MANY
         if layout is not None:
             threads = num_threads or os.cpu_count() or 1
             self._stepper = Stepper(layout, model, self._constants.table, num_sims, threads)
@@ -290,14 +294,15 @@ class Twin:
             context[name] = array.ctypes.data
         context["policy"], context["steps"] = int(policy), steps
         context["segments"] = held["push"].shape[1] if "push" in held else 0
-        if self._stepper is not None:
+        flown = self._stepper is not None and (self._many or not policy)
+        if self._stepper is not None and flown:
             before = state.copy()
             for name, address in self._stepper.addresses.items():
                 context[name] = address
             self._stepper.run(self._kernel.fly, context)
         touching = np.flatnonzero(stuck)
         if len(touching):
-            if self._stepper is not None:
+            if flown:
                 state.write_rows(touching, before.take(touching))
             self._step(state, steps, context, touching)
 
