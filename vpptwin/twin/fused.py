@@ -208,7 +208,6 @@ class Stepper:
             self._held.append(shared)
             words += [shared.ctypes.data, 0 if array is None else array.strides[0]]
         self._fields = np.array(words, np.int64)
-        self.addresses = {"static": self._statics.ctypes.data, "fields": self._fields.ctypes.data}
         workers = min(num_threads, max(num_sims // FEW, 1))
         sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
         self._rooms = np.zeros((workers, sum(int(np.prod(size)) for size in sizes)))
@@ -216,7 +215,8 @@ class Stepper:
         self._shares = list(pairwise(np.linspace(0, num_sims, workers + 1).astype(int).tolist()))
 
     def run(self, function: Any, context: np.ndarray) -> None:  # noqa: ANN401
-        """Run the compiled `function` on a context that has the `addresses`, its simulations shared out to threads."""
+        """Run the compiled `function` on a context, its simulations shared out to threads."""
+        context["static"], context["fields"] = self._statics.ctypes.data, self._fields.ctypes.data
         jobs = [(context.ctypes.data, *share, room.ctypes.data) for share, room in zip(self._shares, self._rooms)]
         with self._lock:  # the room that threads work in is the twin's
             if self._turns is not None and self._matrices is not None:

@@ -179,9 +179,12 @@ class Robot:
     @cached_property
     def disturbance(self) -> Disturbance:
         """What pushes it besides its effects: an assumption."""
-        if self.loads is not None:
-            return Disturbance(GUST * self.loads.force, GUST_TIME, most=1.0 / GUST)
-        return Disturbance(GUST * typical_forces(self.model), GUST_TIME, most=1.0 / GUST)
+        return Disturbance(GUST * self.forces, GUST_TIME, most=1.0 / GUST)
+
+    @cached_property
+    def forces(self) -> np.ndarray:
+        """Typical force or torque on every degree of freedom, (nv,) N, N m: the logs', or its weight's."""
+        return typical_forces(self.model) if self.loads is None else self.loads.force
 
     @cached_property
     def exposure(self) -> np.ndarray:
@@ -189,7 +192,7 @@ class Robot:
 
         What turns a craft that hovers is next to nothing, and a gust that pushes it pushes off its centre.
         """
-        force = np.array(typical_forces(self.model) if self.loads is None else self.loads.force)
+        force = np.array(self.forces)
         for joint, free in zip(find_free(self.model), self.list_free()):
             turns = slice(int(self.model.jnt_dofadr[joint]) + 3, int(self.model.jnt_dofadr[joint]) + 6)
             force[turns] = np.maximum(force[turns], free.force * free.size)
@@ -261,8 +264,7 @@ class Robot:
 
     def list_free(self) -> list[FreeBody]:
         """The bodies that nothing holds, with what is typical of them."""
-        model, loads, found = self.model, self.loads, []
-        force = typical_forces(model) if loads is None else loads.force
+        model, loads, force, found = self.model, self.loads, self.forces, []
         for joint in find_free(model):
             body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
             name = model.body(body).name

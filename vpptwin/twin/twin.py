@@ -294,16 +294,13 @@ class Twin:
             context[name] = array.ctypes.data
         context["policy"], context["steps"] = int(policy), steps
         context["segments"] = held["push"].shape[1] if "push" in held else 0
-        flown = self._stepper is not None and (self._many or not policy)
-        if self._stepper is not None and flown:
+        touching = np.arange(self.num_sims)
+        if self._stepper is not None and (self._many or not policy):
             before = state.copy()
-            for name, address in self._stepper.addresses.items():
-                context[name] = address
             self._stepper.run(self._kernel.fly, context)
-        touching = np.flatnonzero(stuck)
+            touching = np.flatnonzero(stuck)
+            state.write_rows(touching, before.take(touching))
         if len(touching):
-            if flown:
-                state.write_rows(touching, before.take(touching))
             self._step(state, steps, context, touching)
 
     def _step(self, state: TwinState, steps: int, context: np.ndarray, ids: np.ndarray) -> None:
