@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import vpptwin
 from examples.nanobench.by_hand import look
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
@@ -47,3 +48,15 @@ def test_logs_are_cut_to_the_flight(flights: list[Path], twin: str) -> None:
         height = measured.positions[int(spec.model.nv > 3) * 2]
         inside = (height.time > measured.start) & (height.time < measured.end)
         assert height.value[inside].min() > height.value[0] + 0.02
+
+
+@pytest.mark.slow
+def test_weight_and_thrust_are_not_told_apart(flights: list[Path]) -> None:
+    """Going up and down, a third less thrust is half as much weight more: each is told with the other as its rival."""
+    verdict = vpptwin.diagnose(flights[0], twin=EXAMPLE / "thrust.yaml").verdict
+    heavy = {"quad.payload", "quad.mass", "m1+m2+m3+m4.gain"}
+    (cause,) = [cause for cause in verdict.causes if cause.effect in heavy]
+    assert heavy <= {cause.effect, *(rival.effect for rival in cause.also_explained_by)}
+    assert cause.confidence < 0.5
+    mass = cause.parameters["mass"].value if cause.effect != "m1+m2+m3+m4.gain" else 0.0
+    assert 0.03 / (0.03 + mass) == pytest.approx(0.66, abs=0.03)

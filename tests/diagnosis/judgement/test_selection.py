@@ -80,6 +80,7 @@ class Judges:
         scatter /= scatter.std(ddof=1)
         self.drop = scatter + gain / np.sqrt(WINDOWS)
         self.power, self.worse, self.favour = power, worse, favour
+        self.left: dict[int, float] = {}
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise and its standard error."""
@@ -87,6 +88,10 @@ class Judges:
         return improvement(*surprise, CRITERIA.most_drop)
 
     count = 100
+
+    def chi2(self, values: dict) -> float:
+        """As set for so many parameters, else what noise makes."""
+        return self.left.get(len(values), 1.0)
 
     def worsens(self, *_: Any) -> bool:  # noqa: ANN401
         """As made."""
@@ -164,14 +169,33 @@ def test_errors_must_not_grow() -> None:
 
 def test_evidence_against_a_rival() -> None:
     """Cost, and what held-out windows say beyond a standard error; on other rigs errors have the last word."""
-    cause, rival = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(130.0, a_viscous=1.0)
-    assert evidence_against_rival(SEARCH, Judges(3.0), cause, rival) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
-    assert evidence_against_rival(SEARCH, Judges(-3.0), cause, rival) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
-    assert evidence_against_rival(SEARCH, Judges(-0.5), cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+    pair = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(130.0, a_viscous=1.0), fit(180.0)
+    assert evidence_against_rival(SEARCH, Judges(3.0), *pair) == pytest.approx(30.0 + 2.0 * 5.0)  # type: ignore[arg-type]
+    assert evidence_against_rival(SEARCH, Judges(-3.0), *pair) == pytest.approx(30.0 - 2.0 * 5.0)  # type: ignore[arg-type]
+    assert evidence_against_rival(SEARCH, Judges(-0.5), *pair) == pytest.approx(30.0)  # type: ignore[arg-type]
     for favour, found in ((-3.0, -9.0), (-1.9, 30.0), (3.0, 30.0), (6.0, 36.0)):
         judges = Judges(0.0, favour=favour)
-        assert evidence_against_rival(OTHER_RIG, judges, cause, rival) == pytest.approx(found)  # type: ignore[arg-type]
-        assert evidence_against_rival(SEARCH, judges, cause, rival) == pytest.approx(30.0)  # type: ignore[arg-type]
+        assert evidence_against_rival(OTHER_RIG, judges, *pair) == pytest.approx(found)  # type: ignore[arg-type]
+        assert evidence_against_rival(SEARCH, judges, *pair) == pytest.approx(30.0)  # type: ignore[arg-type]
+
+
+def test_no_evidence_between_what_leaves_as_little_of_much() -> None:
+    """On other rigs, where held-out chi² stays at 300, a rival that leaves 329 is as good and one that leaves 331 not.
+
+    Nor is it where the cause itself removes but 50, of which 27 would be more than a tenth.
+    """
+    cause, rival, without = fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(180.0, a_viscous=1.0), fit(300.0)
+
+    def weigh(there: float, left: float, other: float, search: Any = OTHER_RIG) -> float:  # noqa: ANN401
+        judges = Judges(0.0)
+        judges.left = {0: there, 2: left, 1: other}
+        return evidence_against_rival(search, judges, cause, rival, without)  # type: ignore[arg-type]
+
+    assert weigh(3e5, 300.0, 329.0) == 0.0
+    assert weigh(3e5, 300.0, 331.0) == pytest.approx(80.0)
+    assert weigh(350.0, 300.0, 327.0) == pytest.approx(80.0)
+    assert weigh(3e5, 3.0, 3.0) == pytest.approx(80.0)
+    assert weigh(3e5, 300.0, 300.0, SEARCH) == pytest.approx(80.0)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

@@ -79,7 +79,10 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
         evidence = {
-            effect: {rival: evidence_against_rival(search, held_out, fit, tried) for rival, tried in step.tried.items()}
+            effect: {
+                rival: evidence_against_rival(search, held_out, fit, tried, step.before)
+                for rival, tried in step.tried.items()
+            }
             for effect, step in replaced.items()
         }
         better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
@@ -250,11 +253,19 @@ def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple
     return held_out.weigh(fits[0], fits[1])
 
 
-def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
+def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit, without: Fit) -> float:
     """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
 
     Where errors have the last word, it is theirs if they differ by `sigmas_held_out` standard errors; and a rival that
-    makes them grow is never better.
+    makes them grow is never better. Where far more is left than noise makes, and the rival leaves as little, there is
+    none: what a model of noise says of so large a rest is worth nothing.
+
+    Args:
+        search: of both fits.
+        held_out: the windows that judge.
+        fit: all causes.
+        rival: another in the place of one of them.
+        without: neither.
     """
     gain, error = compare(search, held_out, rival, fit)
     evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
@@ -263,7 +274,17 @@ def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: F
     sigmas = held_out.prefer(rival.values, fit.values)
     if abs(sigmas) > search.criteria.sigmas_held_out:
         evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
+    if leaves_as_little(held_out, without, fit, rival):
+        evidence = min(evidence, 0.0)
     return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
+
+
+def leaves_as_little(held_out: HeldOut, without: Fit, fit: Fit, rival: Fit) -> bool:
+    """Whether far more held-out error is left than noise makes, and a rival removes all but as much as a cause."""
+    criteria = fit.frame.criteria
+    there, left, other = (held_out.chi2(each.values) - 1.0 for each in (without, fit, rival))
+    near = other < left + criteria.worse * min(left, there - left)
+    return left > criteria.missed and near
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
