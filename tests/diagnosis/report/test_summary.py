@@ -21,6 +21,7 @@ from vpptwin.diagnosis.judgement.verdict import (
 from vpptwin.diagnosis.report.error_table import tabulate_errors
 from vpptwin.diagnosis.report.summary import (
     describe_cause,
+    describe_certainty,
     describe_unexplained,
     headline,
     summarise,
@@ -289,6 +290,8 @@ def test_rivals_in_words() -> None:
     assert "2.9 sigma, 2 % probable" in viscous
     alone = "rail_x.coulomb: 99.9 % sure; no other effect of the catalogue comes close."
     assert read(replace(VERDICT, causes=[SURE])) == [alone]
+    (guess,) = describe_certainty(SURE, {}, suggested=True)
+    assert guess.endswith("no other effect of the catalogue comes close as far as the noise is what was assumed.")
 
 
 def test_two_causes_are_told_apart() -> None:

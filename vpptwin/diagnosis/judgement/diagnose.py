@@ -238,7 +238,8 @@ def conclude(
         confidence = min((least if contradicted else sober) * selection.confidence(effect), sure)
         confidence = min(confidence, least) if effect in denied else confidence
         found = {u.parameter.name: estimate(u, fit) for u in own}
-        rivals, summary = selection.rivals[effect], own[0].effect.summary
+        doubt, summary = confidence / max(selection.confidence(effect), 1e-12), own[0].effect.summary
+        rivals = [replace(r, confidence=doubt * r.confidence) for r in selection.rivals[effect]]  # theirs, too
         causes.append(Cause(effect, confidence, found, gain, rivals, summary, interval))
     causes.sort(key=lambda cause: -cause.gain)
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}

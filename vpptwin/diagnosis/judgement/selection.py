@@ -85,7 +85,9 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
             }
             for effect, step in replaced.items()
         }
-        better = find_better(search, evidence, earlier_drops) if swaps < criteria.most_swaps else None
+        # Where what made way is barred no swap comes back, so that the best is reached.
+        most = criteria.most_steps if trusts_errors(search) else criteria.most_swaps
+        better = find_better(search, evidence, earlier_drops) if swaps < most else None
         other = exchange_causes(search, held_out, fit, barred, stage) if better is None else None
         if other is not None and steps + swaps < criteria.most_steps:
             fit, swaps = search.drop_superfluous(settle(search, other)), swaps + 1

@@ -228,7 +228,8 @@ def describe_certainty(cause: Cause, meanings: Mapping[str, str], suggested: boo
     sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
     sure += ", suggested and no more while something is left" if suggested else ""
     if not cause.also_explained_by:
-        return [f"{sure}; no other effect of the catalogue comes close."]
+        held = " as far as the noise is what was assumed" if suggested else ""
+        return [f"{sure}; no other effect of the catalogue comes close{held}."]
     return [f"{sure}."] + [describe_rival(rival, cause, meanings) for rival in cause.also_explained_by]
 
 
