@@ -79,10 +79,7 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         stage("checking rivals")
         replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
         evidence = {
-            effect: {
-                rival: evidence_against_rival(search, held_out, fit, tried, step.before)
-                for rival, tried in step.tried.items()
-            }
+            effect: {rival: evidence_against_rival(search, held_out, fit, tried) for rival, tried in step.tried.items()}
             for effect, step in replaced.items()
         }
         # Where what made way is barred no swap comes back, so that the best is reached.
@@ -95,6 +92,9 @@ def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
         if better is None:
             beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
             rough = {e: {r: tell_roughness(search, e, r, beside) for r in row} for e, row in evidence.items()}
+            for effect, step in replaced.items():
+                as_good = {r for r, t in step.tried.items() if leaves_as_little(search, held_out, step.before, fit, t)}
+                rough[effect] |= dict.fromkeys(as_good, np.inf)
             rivals = {e: weigh_rivals(row, criteria, rough[e]) for e, row in evidence.items()}
             instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
             unconfirmed = {e for e, step in replaced.items() if not confirms(search, held_out, step.before, fit)}
@@ -255,19 +255,11 @@ def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple
     return held_out.weigh(fits[0], fits[1])
 
 
-def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit, without: Fit) -> float:
+def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
     """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
 
     Where errors have the last word, it is theirs if they differ by `sigmas_held_out` standard errors; and a rival that
-    makes them grow is never better. Where far more is left than noise makes, and the rival leaves as little, there is
-    none: what a model of noise says of so large a rest is worth nothing.
-
-    Args:
-        search: of both fits.
-        held_out: the windows that judge.
-        fit: all causes.
-        rival: another in the place of one of them.
-        without: neither.
+    makes them grow is never better.
     """
     gain, error = compare(search, held_out, rival, fit)
     evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
@@ -276,17 +268,25 @@ def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: F
     sigmas = held_out.prefer(rival.values, fit.values)
     if abs(sigmas) > search.criteria.sigmas_held_out:
         evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
-    if leaves_as_little(held_out, without, fit, rival):
-        evidence = min(evidence, 0.0)
     return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
 
 
-def leaves_as_little(held_out: HeldOut, without: Fit, fit: Fit, rival: Fit) -> bool:
-    """Whether far more held-out error is left than noise makes, and a rival removes all but as much as a cause."""
-    criteria = fit.frame.criteria
+def leaves_as_little(search: Search, held_out: HeldOut, without: Fit, fit: Fit, rival: Fit) -> bool:
+    """Whether far more held-out error is left than noise makes, and a rival leaves no more of it than a cause does.
+
+    What a model of noise says of so large a rest tells nothing between the two, where errors have the last word.
+
+    Args:
+        search: of all fits.
+        held_out: the windows that judge.
+        without: the fit without that cause.
+        fit: all causes.
+        rival: another in the place of that cause.
+    """
+    if not trusts_errors(search):
+        return False
     there, left, other = (held_out.chi2(each.values) - 1.0 for each in (without, fit, rival))
-    near = other < left + criteria.worse * min(left, there - left)
-    return left > criteria.missed and near
+    return left > search.criteria.missed and other < left + search.criteria.worse * min(left, there - left)
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
