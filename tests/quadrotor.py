@@ -182,18 +182,34 @@ def simulate(hidden: Hidden, duration: float, seed: int, gusts: float) -> np.nda
 def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise: float = 1.0) -> Flight:
     """The log of such a flight, whose sensors have `noise` times their noise."""
     log, rng = simulate(hidden, duration, seed, gusts), np.random.default_rng([seed, 1])
-    time, seen = STEP * np.arange(len(log)), log[::5]
+    time, seen = STEP * np.arange(len(log)), misread_poses(log, hidden)
     attitude = np.array(
-        [_turn(q, 1.5e-3 * noise) for q, noise in zip(seen[:, 3:7], rng.standard_normal((len(seen), 3)))]
+        [_turn(q, 1.5e-3 * noise) for q, noise in zip(seen[:, 3:], rng.standard_normal((len(seen), 3)))]
     )
     position = seen[:, :3] + noise * 3e-4 * rng.standard_normal((len(seen), 3))
-    rate = log[:, 10:13] + noise * 0.01 * rng.standard_normal((len(log), 3))
+    rate = hidden.get("imu.scale", {}).get("scale", 1.0) * log[:, 10:13]
+    rate = rate + [hidden.get("imu.bias", {}).get(axis, 0.0) for axis in "xyz"]
+    rate = rate + noise * 0.01 * rng.standard_normal((len(log), 3))
     motors = {f"m{i + 1}": Stream(time, {"effort": log[:, 13 + i]}) for i in range(4)}
     spatial = {
         "/pose": Stream(time[::5], {"position": position, "attitude": attitude}),
         "/imu": Stream(time, {"rate": rate}),
     }
     return Flight(Path(f"flight_{seed}.mcap"), 0, {}, {"/motors": motors}, spatial=spatial)
+
+
+def misread_poses(log: np.ndarray, hidden: Hidden) -> np.ndarray:
+    """Poses of every fifth step as the tracker has them: late, off by a factor, of a marker body that is turned."""
+    stamp = STEP * np.arange(0, len(log), 5)
+    age = hidden.get("quad.delay", {}).get("delay", 0.0) + hidden.get("quad.drift", {}).get("drift", 0.0) * stamp
+    steps, row = np.modf(np.clip((stamp - age) / STEP, 0.0, len(log) - 1.0))
+    seen = log[row.astype(int), :7].copy()
+    seen[:, :3] += (STEP * steps)[:, None] * log[row.astype(int), 7:10]
+    seen[:, :3] *= hidden.get("quad.scale", {}).get("scale", 1.0)
+    markers = np.array([hidden.get("quad.misalignment", {}).get(axis, 0.0) for axis in "xyz"])
+    for pose, rate, ahead in zip(seen, log[row.astype(int), 10:13], STEP * steps):
+        pose[3:] = _turn(_turn(pose[3:], ahead * rate), markers)
+    return seen
 
 
 def write_log(flight: Flight, path: Path) -> Path:

@@ -269,7 +269,7 @@ def test_a_log_without_the_pose_is_refused(spec: TwinSpec) -> None:
 def test_pushes_on_turns_are_measured_by_the_weights_moment(spec: TwinSpec) -> None:
     """What turns a craft that hovers is next to nothing; a gust of a share of its weight pushes off its centre."""
     ones, weight = np.ones(6), MASS * GRAVITY
-    loads = Loads(np.repeat([weight, 1e-6], 3), ones, ones, ones, np.ones(4))
+    loads = Loads(np.repeat([weight, 1e-6], 3), ones, ones, ones, ones, np.ones(4))
     gyration = np.sqrt(INERTIA.max() / MASS)
     np.testing.assert_allclose(spec.robot.scale(loads).exposure, np.repeat([weight, weight * gyration], 3))
     strong = replace(loads, force=np.full(6, weight))

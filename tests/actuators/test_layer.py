@@ -32,9 +32,9 @@ def rest(count: int, depth: int = 0) -> np.ndarray:
 
 def constants(count: int, **changed: Any) -> np.ndarray:  # noqa: ANN401
     """Nominal constants, (count,) records; those given, with _ for the dot, are other than nominal."""
-    table = np.zeros(count, constants_dtype(2))
+    table = np.zeros(count, constants_dtype(2, 3))
     nominal = {"actuator.time_constant": VEHICLE.servo.time_constant, "actuator.gain": 1.0}
-    nominal |= {"actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT, "gyro.scale": 1.0, "rotor.drag_gain": 1.0}
+    nominal |= {"actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT, "rate.scale": 1.0, "rotor.drag_gain": 1.0}
     for name, value in (nominal | {key.replace("_", ".", 1): value for key, value in changed.items()}).items():
         table[name] = value
     return table
@@ -90,7 +90,7 @@ def test_rate_loop_does_not_know_left_from_right() -> None:
 
 def test_rate_loop_believes_the_gyro() -> None:
     """With a gyro that says 1.1 q + 0.2 the loop settles where that reading is the command: q = (4 - 0.2)/1.1."""
-    rate = fly_rate(3.0, np.array([4.0]), seconds=0.6, gyro_scale=1.1, gyro_bias=0.2)
+    rate = fly_rate(3.0, np.array([4.0]), seconds=0.6, rate_scale=1.1, rate_bias=0.2)
     np.testing.assert_allclose(rate[-1], 3.8 / 1.1, rtol=1e-3)
 
 
@@ -154,7 +154,7 @@ def draw_layer(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
     table = constants(
         count, actuator_delay=rng.uniform(0, 0.002, (count, 2)), actuator_time_constant=rng.uniform(0.01, 0.04),
         actuator_gap=rng.uniform(0, 0.001, (count, 2)), actuator_rate_limit=rng.uniform(5, 20, (count, 2)),
-        gyro_bias=rng.normal(size=count), gyro_scale=rng.uniform(0.9, 1.1, count),
+        rate_bias=rng.normal(size=(count, 3)), rate_scale=rng.uniform(0.9, 1.1, (count, 3)),
     )  # fmt: skip
     return layer, table, rng.normal(size=(count, 2)) * 5, rng.normal(size=count)
 

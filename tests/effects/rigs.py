@@ -45,7 +45,7 @@ signals:
 """
 
 CART_EFFECTS = effects_for_rig(
-    [generic_place("slide", False, 1.0, room=1.0, driven=True), generic_place("swing", True, 1.0, room=1.0)],
+    [generic_place("slide", False, 1.0, room=1.0, driven=True), generic_place("swing", True, 1.0, room=1.0, dof=1)],
     {"motor": 1.0}, loops={"motor": (SAG,)}, links=[Link("pole", 0.2, (0.0, 0.0, -0.6), 0.3)], mounted=True,
 )  # fmt: skip
 EFFECTS = {"flown": CATALOGUE, "replayed": CATALOGUE, "cart": CART_EFFECTS}
@@ -158,8 +158,9 @@ class Track:
 
     def show(self, topic: str) -> np.ndarray:
         """What a topic of SPEC 3 shows, in standard deviations of its sensor, (T, N, k)."""
-        if topic == "/joint_states":
-            return self.pose / 1e-3  # m, rad: an ordinary encoder
+        if topic == "/joint_states":  # m, rad, m/s, rad/s: an ordinary encoder
+            rate = [measure_rate(self.twin.constants, v, np.arange(v.shape[1])) for v in self.velocity]
+            return np.concatenate([self.pose / 1e-3, np.array(rate) / 1e-2], axis=2)
         sensors, constants = self.twin.vehicle.sensors, self.twin.constants
         if topic == "/imu/data":
             return np.array([measure_rate(constants, v[:, 2]) for v in self.velocity])[..., None] / sensors.imu.gyro_std

@@ -12,6 +12,7 @@ from vpptwin.actuators.layer import weaken_control
 from vpptwin.effects import CATALOGUE, Site, Stage, find_effect
 from vpptwin.effects.actuator import SAG, list_loop_effects
 from vpptwin.effects.base import Craft, Motion, Rotor
+from vpptwin.twin.sensors import perfect_sensors
 
 EFFECTS = (*CATALOGUE, *CART_EFFECTS)
 ROUNDING = 1e-12
@@ -39,6 +40,8 @@ FRICTION_LAWS = [
     ("rail_x.jamming", 0.2, AT_REST, (0.02,), 0.2),  # nothing carried
     ("rail_z.jamming", 0.2, FORWARD, (0.25,), 0.7),  # 0.2 + 0.25 · |-2|, whatever the lever
     ("rail_x.tight_spot", 0.2, FORWARD, (0.5, 0.3, 0.1), 0.7),  # in its middle
+    ("slide.tight_spot", 0.2, BACKWARD, (0.5, 0.3, 0.1), 0.7),
+    ("swing.tight_spot", 0.2, AT_REST, (0.5, 0.5, 0.1), 0.2 + 0.5 / E**4),
     ("rail_x.tight_spot", 0.2, AT_REST, (0.5, 0.5, 0.1), 0.2 + 0.5 / E**4),  # two widths away: (-0.2/0.1)² = 4
     ("slide.load", 0.2, FORWARD, (0.15,), 0.5),  # 0.2 + 0.15 · |-2|
     ("rail_x.asymmetry", 0.4, FORWARD, (0.25,), 0.5),  # 0.4 · (1 + 0.25)
@@ -56,6 +59,9 @@ JOINT_LAWS = [
     ("rail_x.spring", FORWARD, (2.0, -0.1), -0.8),  # -2 · (0.3 + 0.1)
     ("rail_x.spring", AT_REST, (2.0, 0.5), 0.4),  # -2 · (0.3 - 0.5)
     ("slide.spring", FORWARD, (2.0, 0.0), -0.6),
+    ("slide.cogging", FORWARD, (2.0, 5.0, 0.0), 0.0),  # one and a half periods on
+    ("swing.cogging", FORWARD, (2.0, 2.5, -np.pi / 2.0), 0.0),
+    ("swing.cogging", AT_REST, (2.0, 0.0, np.pi / 6.0), 1.0),
     ("swing.spring", FORWARD, (2.0, 0.0), -0.6),
 ]
 
@@ -155,12 +161,16 @@ CONSTANT_LAWS = [
         {"actuator.trim": [[0.01, -0.01], [0.02, 0.0]]},
     ),
     ("command.delay", {"delay": (0.004, 0.008)}, {"actuator.delay": [[0.004, 0.004], [0.008, 0.008]]}),
-    ("mocap.delay", {"delay": (0.004, 0.008)}, {"mocap.delay": [0.004, 0.008]}),
-    ("clock.drift", {"drift": (1e-4, -1e-4)}, {"clock.drift": [1e-4, -1e-4]}),
-    ("mocap.misalignment", {"angle": (0.02, -0.02)}, {"mocap.angle": [0.02, -0.02]}),
-    ("mocap.scale", {"scale": (1.02, 0.98)}, {"mocap.scale": [1.02, 0.98]}),
-    ("gyro.bias", {"bias": (0.05, -0.05)}, {"gyro.bias": [0.05, -0.05]}),
-    ("gyro.scale", {"scale": (1.05, 0.95)}, {"gyro.scale": [1.05, 0.95]}),
+    ("mocap.delay", {"delay": (0.004, 0.008)}, {"pose.delay": [[0.004] * 3, [0.008] * 3]}),
+    ("clock.drift", {"drift": (1e-4, -1e-4)}, {"pose.drift": [[1e-4] * 3, [-1e-4] * 3]}),
+    ("mocap.misalignment", {"angle": (0.02, -0.02)}, {"pose.offset": [[0, 0, 0.02], [0, 0, -0.02]]}),
+    ("mocap.scale", {"scale": (1.02, 0.98)}, {"pose.scale": [[1.02, 1.02, 1], [0.98, 0.98, 1]]}),
+    ("gyro.bias", {"bias": (0.05, -0.05)}, {"rate.bias": [[0, 0, 0.05], [0, 0, -0.05]]}),
+    ("gyro.scale", {"scale": (1.05, 0.95)}, {"rate.scale": [[1, 1, 1.05], [1, 1, 0.95]]}),
+    ("slide.rate_bias", {"bias": (0.05, -0.05)}, {"rate.bias": [[0.05, 0, 0], [-0.05, 0, 0]]}),
+    ("swing.rate_bias", {"bias": (0.05, 0.0)}, {"rate.bias": [[0, 0.05, 0], [0, 0, 0]]}),
+    ("slide.rate_scale", {"scale": (1.05, 1.0)}, {"rate.scale": [[1.05, 1, 1], [1, 1, 1]]}),
+    ("swing.rate_scale", {"scale": (1.05, 0.95)}, {"rate.scale": [[1, 1.05, 1], [1, 0.95, 1]]}),
     # The first actuator alone.
     ("motor.gain", {"gain": (1.2, 0.8)}, {"actuator.gain": [[1.2, 1.0], [0.8, 1.0]]}),
     ("motor.delay", {"delay": (0.004, 0.008)}, {"actuator.delay": [[0.004, 0.0], [0.008, 0.0]]}),
@@ -209,9 +219,7 @@ def nominal_constants() -> dict[str, np.ndarray]:
     per_actuator |= {"dead_band": 0.0, "sag": 0.0}
     table = {f"actuator.{name}": rows(value, value) for name, value in per_actuator.items()}
     table["actuator.limit"] = rows(1e9, 1e9)
-    zeros = ("battery.sag", "gyro.bias", "mocap.delay", "mocap.angle", "clock.drift")
-    table |= {name: np.zeros(2) for name in zeros}
-    table |= {name: np.ones(2) for name in ("rotor.drag_gain", "gyro.scale", "mocap.scale")}
+    table |= {"battery.sag": np.zeros(2), "rotor.drag_gain": np.ones(2)} | perfect_sensors(2)
     return table | {
         "body_mass": rows(0.0, 0.08, 0.45),
         "qpos0": rows(0.0, 0.0, 0.0),

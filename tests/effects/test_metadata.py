@@ -66,13 +66,15 @@ MORE_EFFECTS: dict[str, dict[str, str]] = {
     "rail_x.elastic": {"share": "", "frequency": "Hz", "zeta": ""},
 }
 """What the catalogue has besides SPEC 5."""
-SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load"}
+SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
+                    "rate_bias", "rate_scale", "cogging", "tight_spot"}  # fmt: skip
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
 BODY_KINDS = {"mass", "payload", "tilt"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
 RATIOS = {"gain", "fraction", "mu", "loss", "scale", "share", "zeta"}
 """Parameters that are pure numbers."""
-SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta", "place_x", "place_y", "place_z"}
+SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta", "place_x", "place_y", "place_z",
+          "waves", "phase"}  # fmt: skip
 """Parameters that merely shape an effect whose strength another one gives."""
 LIMITS = {"rate_limit", "saturation", "stall"}
 """Effects that are off where their limit is too far to be reached: at the upper bound."""

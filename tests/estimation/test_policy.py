@@ -30,8 +30,8 @@ def test_it_is_the_inner_loop_itself() -> None:
     time, pitch = reconstruct_commands(VEHICLE, policy, gyro)
     vehicle = record_vehicle(VEHICLE)[0]
     state = np.zeros(1, layer_dtype(2, 0)).view(np.recarray)[0]
-    constants = np.zeros(1, constants_dtype(2))[0]
-    constants["gyro.scale"] = 1.0
+    constants = np.zeros(1, constants_dtype(2, 3))[0]
+    constants["rate.scale"] = 1.0
     state.gyro = gyro[1][0]
     expected = [
         command_from_policy(vehicle, state, constants, policy[1][k // 10], policy[2][k // 10], rate, 0.0, DT)

@@ -208,6 +208,9 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
         "bias": lambda: np.ones_like(v),
         "spring": lambda: -(q - values["rest"]),
         "inertia": lambda: -np.diff(v, append=v[-1:]) / scale.period,
+        "cogging": lambda: np.sin(2.0 * np.pi * values["waves"] * q + values["phase"]),
+        "tight_spot": lambda: -sense * np.exp(-(((q - values["place"]) / values["width"]) ** 2)),
+        **dict.fromkeys(("rate_bias", "rate_scale"), lambda: np.zeros_like(v)),
     }[kind]()
     return column
 

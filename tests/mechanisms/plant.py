@@ -23,7 +23,8 @@ LAW = np.dtype(
         for name in (
             "coulomb", "stiction", "stribeck", "viscous", "bias", "stiffness", "rest", "inertia",  # of the catalogue
             "ripple", "ripple_rate", "ripple_phase", "drag", "place", "place_rate", "hysteresis", "reach",
-            "memory", "memory_time", "load", "cable", "slack", "hum", "hum_rate",  # outside it
+            "memory", "memory_time", "load", "cable", "slack", "hum", "hum_rate",  # outside it but for the ripple
+            "spot", "spot_at", "spot_width",
             "known_viscous", "known_dry",  # of the MJCF
         )
     ]
@@ -42,7 +43,7 @@ FORMS = {"carriage": CART, "damped cart": CART, "pendulum": PENDULUM, "cart-pole
 def build_laws(rig: Rig) -> np.ndarray:
     """The laws of a rig in which nothing is hidden, (n,) of `LAW`."""
     laws = np.zeros(len(rig.links), LAW)
-    laws["stribeck"] = laws["reach"] = laws["memory_time"] = 1.0
+    laws["stribeck"] = laws["reach"] = laws["memory_time"] = laws["spot_width"] = 1.0
     for law, link in zip(laws, rig.links):
         law["known_viscous"] = law["viscous"] = link.damping
         law["known_dry"] = law["coulomb"] = link.dry
@@ -153,6 +154,7 @@ def push_joints(
 def find_level(law: np.ndarray, q: float, v: float, driving: float) -> float:
     """Dry friction that a joint can muster [N, N m]."""
     falling = law.stiction * math.exp(-((v / law.stribeck) ** 2))
+    falling += law.spot * math.exp(-(((q - law.spot_at) / law.spot_width) ** 2))
     return law.coulomb + falling + law.place * (1.0 + math.sin(law.place_rate * q)) + law.load * abs(driving)
 
 

@@ -190,7 +190,7 @@ def record(session: Session, folder: Path) -> Recorded:
     for i, ((track, noise), seen) in enumerate(zip(logs, evidence)):
         rng = np.random.default_rng([session.seed, 6, session.number, i])
         path = folder / f"{i}_{session.motions[i].kind}.mcap"
-        paths.append(write_log(session, path, scale, track, noise + zero, seen, rng))
+        paths.append(write_log(session, path, scale, track, noise + zero, seen, rng, found))
     return Recorded(paths, folder / "rig.yaml", truth)
 
 
@@ -236,11 +236,15 @@ def add_jitter(told: Rig, real: Rig, hidden: Hidden, values: Values, scale: Scal
 
 def write_log(
     session: Session, path: Path, scale: Scale, track: Track, noise: np.ndarray, seen: Evidence,
-    rng: np.random.Generator,
+    rng: np.random.Generator, found: Sequence[tuple[Hidden, Values]],
 ) -> Path:  # fmt: skip
-    """Write a log as the rig's own software would."""
+    """Write a log as the rig's own software would, with what is hidden in its velocities."""
     sensors, rig = session.sensors, session.rig
     position, velocity = measure_motion(rng, sensors, track.moved, noise, scale.spread, scale.speed, scale.period)
+    if velocity is not None:
+        for hidden, values in found:
+            velocity[:, hidden.joint] *= values.get("scale", 1.0) if hidden.kind == "rate_scale" else 1.0
+            velocity[:, hidden.joint] += values.get("bias", 0.0) if hidden.kind == "rate_bias" else 0.0
     inputs = seen.inputs + sensors.torque * scale.input * rng.standard_normal(seen.inputs.shape)
     with FlightWriter(path) as writer:
         for k in range(len(position)):

@@ -72,9 +72,12 @@ class Session:
         return record(self, folder)
 
 
-def draw_session(seed: int, number: int) -> Session:
-    """The session of that number, whatever else is drawn. Six in a row are of six families."""
-    kind, turn = draw_kind(seed, number)
+def draw_session(seed: int, number: int, wanted: str = "") -> Session:
+    """The session of that number, whatever else is drawn. Six in a row are of six families.
+
+    One effect of a `wanted` kind is hidden where somebody asks for it.
+    """
+    kind, turn = ("single", wanted) if wanted else draw_kind(seed, number)
     around, place = divmod(number, len(FAMILIES))
     family = str(np.random.default_rng([seed, 2, around]).permutation(list(FAMILIES))[place])
     rng = np.random.default_rng([seed, 3, number])
@@ -85,7 +88,9 @@ def draw_session(seed: int, number: int) -> Session:
         while new.effect in [h.effect for h in hidden]:
             new = draw_hidden(rng, rig)
         hidden.append(new)
-    forgotten = family == "damped cart" and kind in ("single", "two") and rng.random() < FORGOTTEN
+    if kind == "alien" and not hidden[0].outside:
+        kind = "single"
+    forgotten = not wanted and family == "damped cart" and kind in ("single", "two") and rng.random() < FORGOTTEN
     if forgotten:
         damping = Hidden(f"{rig.joints[0]}.viscous", 0, 1.0)
         hidden = [damping, *[h for h in hidden if h.effect != damping.effect][: len(hidden) - 1]]

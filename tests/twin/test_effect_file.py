@@ -202,7 +202,7 @@ def constant(body: str, writes: str) -> str:
             constant('constants["body_mass"][:, 1] += force', '("dof_damping",)'), "uses 'body_mass'", id="other"
         ),
         pytest.param(
-            constant('constants["gyro.bias"][:] += force', '("dof_damping",)'), "uses 'gyro.bias'", id="sensor"
+            constant('constants["rate.bias"][:] += force', '("dof_damping",)'), "uses 'rate.bias'", id="sensor"
         ),
         pytest.param(constant('constants["dof_damping"] = force', '("dof_damping",)'), "of shape", id="shape"),
         pytest.param(constant('constants["dof_damping"][:] = 0.1', '("dof_damping",)'), "not off", id="replaces"),

@@ -63,7 +63,7 @@ def test_disturbances(arm: Robot) -> None:
     np.testing.assert_allclose(drone.disturbance.std[:2], 0.01 * weight)
     assert drone.disturbance.known
     assert drone.disturbance.memory > 0.0
-    loads = Loads(np.array([10.0, 5.0, 1.0]), np.ones(3), np.ones(3), np.ones(3), np.empty(0))
+    loads = Loads(np.array([10.0, 5.0, 1.0]), *np.ones((4, 3)), np.empty(0))
     assert drone.scale(loads) is drone
     scaled = arm.scale(loads)
     np.testing.assert_allclose(scaled.disturbance.std, [0.02, 0.01, 0.002])

@@ -40,9 +40,9 @@ def record_curve(depth: int, steps: int) -> SensorState:
 
 def test_measurements_by_hand() -> None:
     """Lengths are scaled, the angle shifted, the rate scaled and shifted; age grows with the drift."""
-    values = {"mocap.scale": 1.02, "mocap.angle": 0.1, "mocap.delay": 0.004, "clock.drift": -1e-3}
-    values |= {"gyro.scale": 0.9, "gyro.bias": 0.05}
-    constants = {name: np.array([value]) for name, value in values.items()}
+    values = {"pose.scale": [1.02, 1.02, 1.0], "pose.offset": [0.0, 0.0, 0.1], "rate.scale": [1.0, 1.0, 0.9]}
+    values |= {"pose.delay": [0.004] * 3, "pose.drift": [-1e-3] * 3, "rate.bias": [0.0, 0.0, 0.05]}
+    constants = perfect_sensors(1) | {name: np.array([value]) for name, value in values.items()}
     np.testing.assert_allclose(measure_pose(constants, np.array([[0.5, 1.0, -0.3]])), [[0.51, 1.02, -0.2]])
     np.testing.assert_allclose(measure_velocity(constants, np.array([[1.0, -2.0, 9.0]])), [[1.02, -2.04]])
     np.testing.assert_allclose(measure_rate(constants, np.array([2.0])), [1.85])  # 0.9 * 2 + 0.05
@@ -122,13 +122,13 @@ def test_constants_come_from_the_twin() -> None:
     twin = Twin(load_twin(), 2, active=["mocap.scale", "gyro.bias"], num_threads=1)
     np.testing.assert_array_equal(measure_rate(twin.constants, np.ones(2)), [1.0, 1.0])
     for name, value in PERFECT.items():
-        np.testing.assert_array_equal(twin.constants[name], value)
+        np.testing.assert_array_equal(twin.constants[name], np.full((2, 3), value))
     twin.set_parameter("gyro.bias", "bias", np.array([0.1, -0.1]))
     twin.set_parameter("mocap.scale", "scale", 1.1)
     np.testing.assert_array_equal(measure_rate(twin.constants, np.ones(2)), [1.1, 0.9])
     np.testing.assert_allclose(measure_pose(twin.constants, np.ones((2, 3))), [[1.1, 1.1, 1.0]] * 2)
     with pytest.raises(ValueError, match="read-only"):
-        twin.constants["gyro.bias"][:] = 0.0
+        twin.constants["rate.bias"][:] = 0.0
 
 
 def test_sensor_noise_follows_the_vehicle() -> None:

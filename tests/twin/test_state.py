@@ -363,7 +363,7 @@ def test_constants_are_to_read(twin: Twin) -> None:
     twin.set_parameter("command.delay", "delay", 0.003)
     np.testing.assert_array_equal(twin.constants["actuator.delay"], np.full((4, 2), 0.003))
     with pytest.raises(ValueError, match="read-only"):
-        twin.constants["gyro.bias"][:] = 1.0
+        twin.constants["rate.bias"][:] = 1.0
 
 
 WRONG_TAPES = {

@@ -21,10 +21,12 @@ Record = Any
 """One row of a structured array: fields by name, written in place."""
 NO_LIMIT = 1e3 * UNLIMITED
 """Stands for no limit of an actuator's rate or output: far above those of effects, even where these are off."""
+PITCH = 2
+"""Degree of freedom whose rate the drone's gyro shows."""
 SUPPLY = ("battery.sag",)
 """Constants of the battery, which telemetry of motors shows as it shows sensors."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
-           "rotor.drag_gain": 1.0, "gyro.scale": 1.0, "mocap.scale": 1.0}  # fmt: skip
+           "rotor.drag_gain": 1.0, "pose.scale": 1.0, "rate.scale": 1.0}  # fmt: skip
 """Constants of actuators and sensors that are not zero by themselves."""
 
 
@@ -58,7 +60,7 @@ def layer_dtype(actuators: int, depth: int, adaptive: bool = False) -> np.dtype:
     )
 
 
-def constants_dtype(actuators: int) -> np.dtype:
+def constants_dtype(actuators: int, dofs: int) -> np.dtype:
     """Constants of actuators and sensors of one simulation, which effects may change.
 
     Fields:
@@ -66,15 +68,17 @@ def constants_dtype(actuators: int) -> np.dtype:
         unit of the command. actuator.gain, actuator.limit, actuator.dead_band: of the control that the engine gets,
         actuator.sag: of it 1/s. All (nu,).
         rotor.drag_gain: factor on drag torque. battery.sag: 1/s.
-        gyro.scale: factor; gyro.bias: rad/s. mocap.delay: s; mocap.angle: rad; mocap.scale: factor. clock.drift: s/s.
+        Of what sensors say of every degree of freedom, (nv,): pose.delay, rate.delay: s. pose.drift, rate.drift: s/s.
+        pose.scale, rate.scale: factors. pose.offset: m, rad. rate.bias: m/s, rad/s.
     """
     of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit", "dead_band", "sag")
-    single = ("rotor.drag_gain", "battery.sag", "gyro.scale", "gyro.bias", "mocap.delay", "mocap.angle", "mocap.scale",
-              "clock.drift")  # fmt: skip
+    of_sensors = ("pose.delay", "pose.drift", "pose.offset", "pose.scale", "rate.delay", "rate.drift", "rate.bias",
+                  "rate.scale")  # fmt: skip
     return np.dtype(
         [
             *((f"actuator.{name}", np.float64, (actuators,)) for name in of_actuators),
-            *((name, np.float64) for name in single),
+            *((name, np.float64) for name in ("rotor.drag_gain", "battery.sag")),
+            *((name, np.float64, (dofs,)) for name in of_sensors),
         ]
     )
 
@@ -114,7 +118,7 @@ def command_from_policy(
             compute_current(vehicle.motor, state.throttle[0] * full, speed[0]),
             compute_current(vehicle.motor, state.throttle[1] * full, speed[1]),
         )
-    measured = constants["gyro.scale"] * turn + constants["gyro.bias"]
+    measured = constants["rate.scale"][PITCH] * turn + constants["rate.bias"][PITCH]
     return run_cascade(vehicle, state, thrust, rate, measured, speed, current, dt)
 
 

@@ -71,7 +71,7 @@ class Held:
 def hold(spec: TwinSpec) -> Held:
     """What MuJoCo can hold of the effects that are switched on in a twin, those at their off values aside."""
     model, held = spec.model, Held()
-    records = np.zeros(1, constants_dtype(model.nu))
+    records = np.zeros(1, constants_dtype(model.nu, model.nv))
     nominal = nominal_constants(spec.robot.servo_lag, records)
     constants = {name: np.repeat(values[None], 1, axis=0) for name, values in nominal.items()}
     names = [model.actuator(i).name for i in range(model.nu)]

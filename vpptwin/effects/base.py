@@ -198,6 +198,7 @@ class Effect:
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
         states: what evolves, of effects that act every step.
+        placed: it acts here or there along its joint: logs are looked through for where, before any fit.
         fades_along: joint with whose position it fades: only low enough on it can it be seen. "" for none.
     """
 
@@ -218,6 +219,7 @@ class Effect:
     follows: str = "velocity"
     states: tuple[State, ...] = ()
     fades_along: str = ""
+    placed: bool = False
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

@@ -19,13 +19,15 @@ from vpptwin.effects import (
     rotor,
     sensing,
     servo,
-    timing,
 )
 from vpptwin.effects.base import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
 from vpptwin.effects.link import Link
 
 RAIL = Place("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
+RAIL_SPOT = Place(
+    "rail_x", "on the horizontal rail", tolerance=0.02, size=0.2, travel=1.0, reason="a knock in the rail"
+)
 GUIDE = Place("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
 PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1, reason="0.5 N at a rotor")
 PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03, reason="0.36 N m at 12 rad/s")
@@ -39,7 +41,7 @@ CATALOGUE: tuple[Effect, ...] = (
     friction.stiction(GUIDE, ("rail_z.coulomb",)),
     rail.JAMMING_X,
     rail.JAMMING_Z,
-    rail.TIGHT_SPOT,
+    friction.tight_spot(RAIL_SPOT, ("rail_x.coulomb",)),
     # These scale all dry friction of their joint, so they come after it.
     friction.asymmetry(RAIL, ("rail.tilt", "rail_x.bias")),
     friction.asymmetry(GUIDE, ("rail_z.bias",)),
@@ -74,26 +76,25 @@ CATALOGUE: tuple[Effect, ...] = (
     servo.RATE_LIMIT,
     servo.BACKLASH,
     servo.TRIM,
-    timing.COMMAND_DELAY,
-    timing.MOCAP_DELAY,
-    timing.CLOCK_DRIFT,
-    sensing.MOCAP_MISALIGNMENT,
-    sensing.MOCAP_SCALE,
-    sensing.GYRO_BIAS,
-    sensing.GYRO_SCALE,
+    servo.DELAY,
+    *sensing.OF_DRONE,
 )
 """Every effect of the drone on its rail rig (SPEC 5)."""
 
 GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
-    (friction.coulomb, ("viscous", "stiction", "load")),
+    (friction.coulomb, ("viscous", "stiction", "load", "tight_spot")),
     (friction.stiction, ("coulomb",)),
     (joint.viscous, ("coulomb",)),
     (joint.bias, ("spring", "offset")),
-    (joint.spring, ("bias", "inertia", "offset")),
+    (joint.spring, ("bias", "inertia", "offset", "cogging")),
+    (joint.cogging, ("spring",)),
     (joint.inertia, ("spring",)),
     (joint.offset, ("bias", "spring")),
     (friction.load, ("coulomb",)),
+    (friction.tight_spot, ("coulomb",)),
     (flex.lugre, ()),
+    (sensing.velocity_bias, ()),
+    (sensing.velocity_scale, ()),
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
 HINGES_ONLY, DRIVEN_ONLY = "offset", "load"
@@ -122,13 +123,13 @@ GENERIC_GROUP = tuple(
 
 def generic_place(
     name: str, rotary: bool, scale: float, reason: str = "", room: float = GENERIC_ROOM, driven: bool = False,
-    **known: float,
+    dof: int = 0, **known: float,
 ) -> Place:  # fmt: skip
     """A joint of any rig: its typical force [N] or torque [N m], and what else of `Place` is known of it."""
     reason = reason or (f"{HINGE_ACCELERATION:g} rad/s^2" if rotary else f"{SLIDE_ACCELERATION:g} m/s^2")
     where = f"on joint {name}"
     return Place(name, where, rotary, scale, GENERIC_TOLERANCE, GENERIC_SIZE, f"from {reason}", room=room,
-                 driven=driven, **known)  # fmt: skip
+                 driven=driven, dof=dof, **known)  # fmt: skip
 
 
 def effects_for_rig(
@@ -170,10 +171,13 @@ def effects_for_rig(
     return (*found, *((link.MOUNT_TILT,) if mounted else ()))
 
 
-def tie_alike(effects: Sequence[Effect], strengths: Sequence[str], weights: Sequence[str]) -> list[Effect]:
-    """The effects, of which `strengths` of all that drives a rig and `weights` of its links are hard to tell apart."""
-    others = {**dict.fromkeys(strengths, tuple(weights)), **dict.fromkeys(weights, tuple(strengths))}
-    return [replace(effect, look_alikes=(*effect.look_alikes, *others.get(effect.id, ()))) for effect in effects]
+def tie_alike(effects: Iterable[Effect], some: Sequence[str], others: Sequence[str]) -> list[Effect]:
+    """The effects, of which each of `some` is hard to tell from each of `others`: a drive's strength, a link's mass."""
+    alike = {**dict.fromkeys(some, tuple(others)), **dict.fromkeys(others, tuple(some))}
+    return [
+        replace(effect, look_alikes=tuple(dict.fromkeys((*effect.look_alikes, *alike.get(effect.id, ())))))
+        for effect in effects
+    ]
 
 
 def find_effect(effects: Iterable[Effect], effect_id: str) -> Effect:

@@ -1,4 +1,4 @@
-"""Dry friction of any joint: sliding friction, breakaway, and a friction that depends on the direction.
+"""Dry friction of any joint: sliding friction, breakaway, one that depends on the direction, a tight spot.
 
 Each effect raises or scales the level that the joint can muster against its motion; the engine room makes it stick.
 """
@@ -36,6 +36,12 @@ def apply_load(level: float, motion: Motion, /, mu: float) -> float:
 def apply_asymmetry(level: float, motion: Motion, /, fraction: float) -> float:
     """All dry friction of the joint is stronger in one direction than in the other."""
     return level * (1.0 + fraction * motion.direction)
+
+
+def apply_tight_spot(level: float, motion: Motion, /, force: float, place: float, width: float) -> float:
+    """More dry friction [N, N m] around a place [m, rad]."""
+    ratio = (motion.position - place) / width
+    return level + force * np.exp(-ratio * ratio)
 
 
 def coulomb(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
@@ -88,4 +94,24 @@ def load(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
         f"{place.joint}.load", f"losses of the gears {place.where} that grow with what drives it",
         "-mu |actuators' force| sgn(v)", (parameter,), Stage.FRICTION, apply_load, JOINT_SHOWS, look_alikes, (),
         place.joint, dissipative=True, follows="command",
+    )  # fmt: skip
+
+
+def tight_spot(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Dry friction around a place on a joint, anywhere that it gets to."""
+    unit, length = ("N m", "rad") if place.rotary else ("N", "m")
+    reach, at, room = place.reach, place.middle, place.room
+    return Effect(
+        f"{place.joint}.tight_spot", f"a tight spot {place.where}", "-force exp(-((q - place)/width)²) sgn(v)",
+        (
+            place.parameter("force", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.1)),
+            Parameter(name="place", unit=length, off=at, low=at - 2.0 * reach * room, high=at + 2.0 * reach * room,
+                      prior=Prior("normal", at, 0.5 * reach), size=0.05 * reach, tolerance=2.0 * reach * room,
+                      source="assumption: anywhere, most likely halfway along"),
+            Parameter(name="width", unit=length, off=0.1 * reach, low=0.02 * reach / room, high=0.5 * reach * room,
+                      prior=Prior("normal", 0.1 * reach, 0.02 * reach), size=0.03 * reach, tolerance=0.5 * reach * room,
+                      source="assumption: a tenth of half the travel"),
+        ),
+        Stage.FRICTION, apply_tight_spot, JOINT_SHOWS, look_alikes, (), place.joint, dissipative=True,
+        follows="position", placed=True,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Effects on any joint but dry friction: viscous friction, constant force, spring, inertia, an encoder's wrong zero."""
+"""Effects on any joint but dry friction: viscous, constant force, spring, cogging, inertia, an encoder's wrong zero."""
 
 from __future__ import annotations
 
@@ -31,10 +31,12 @@ class Place:
         size: step for secants, as a share of `scale`.
         reason: what makes that scale typical.
         speed: a typical speed there [m/s, rad/s], at which damping makes `scale` a typical force.
-        travel: how far from a rest position it gets, where a spring makes it one; 0 for not known [m, rad].
+        travel: how far from its `middle` it gets; 0 for not known [m, rad].
+        middle: position midway along its travel [m, rad].
         carried: mass or moment of inertia that it moves; 0 for what `scale` would accelerate typically [kg, kg m²].
         room: factor on bounds of forces: what a YAML may say has more room than what a diagnosis looks through.
         driven: whether an actuator acts on it.
+        dof: its degree of freedom.
     """
 
     joint: str
@@ -46,9 +48,16 @@ class Place:
     reason: str = "a typical one"
     speed: float = 1.0
     travel: float = 0.0
+    middle: float = 0.0
     carried: float = 0.0
     room: float = 1.0
     driven: bool = False
+    dof: int = 0
+
+    @property
+    def reach(self) -> float:
+        """How far from its middle it gets, or may get [m, rad]."""
+        return self.travel or (3.2 if self.rotary else 2.0)
 
     def parameter(self, name: str, unit: str, low: float, high: float, prior: Prior, over: float = 1.0) -> Parameter:
         """A parameter that is off at 0; bounds and prior are shares of `scale` at a speed or deflection `over`."""
@@ -73,6 +82,11 @@ def apply_bias(motion: Motion, /, force: float) -> float:
 def apply_spring(motion: Motion, /, stiffness: float, rest: float) -> float:
     """Elastic force towards a rest position, -k (q - rest)."""
     return -stiffness * (motion.position - rest)
+
+
+def apply_cogging(motion: Motion, /, force: float, waves: float, phase: float) -> float:
+    """Force of magnets or teeth, which comes again every 1/waves [rad, m] of the way."""
+    return force * np.sin(2.0 * np.pi * waves * motion.position + phase)
 
 
 def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> None:
@@ -118,6 +132,26 @@ def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     return Effect(
         f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
         Stage.FORCE, apply_spring, JOINT_SHOWS, look_alikes, (), place.joint, follows="position",
+    )  # fmt: skip
+
+
+def cogging(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Force on a joint that is periodic in its position."""
+    (unit, per), reach = ("N m", "1/rad") if place.rotary else ("N", "1/m"), place.reach
+    waves = Parameter(
+        name="waves", unit=per, off=3.0 / reach, low=0.4 / reach / place.room,
+        high=15.0 / reach * place.room,
+        prior=Prior("normal", 3.0 / reach, 1.0 / reach), size=0.05 / reach, tolerance=15.0 / reach * place.room,
+        source="assumption: a handful of teeth along the way",
+    )  # fmt: skip
+    phase = Parameter(
+        name="phase", unit="rad", off=0.0, low=-7.0, high=7.0, prior=Prior("normal", 0.0, 2.0), size=0.3, tolerance=7.0,
+        source="assumption: anywhere",
+    )  # fmt: skip
+    return Effect(
+        f"{place.joint}.cogging", f"cogging {place.where}", "+force sin(2π waves q + phase)",
+        (place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1)), waves, phase), Stage.FORCE,
+        apply_cogging, JOINT_SHOWS, look_alikes, (), place.joint, follows="position", placed=True,
     )  # fmt: skip
 
 

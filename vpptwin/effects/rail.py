@@ -1,4 +1,4 @@
-"""Effects of the rig that carries the craft: sliders that cock, a tight spot, a tilted rail, the carriage's mass."""
+"""Effects of the rig that carries the craft: sliders that cock, a tilted rail, the carriage's mass."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ X, Z = 0, 2
 """Indices of the world's axes in gravity."""
 RIG = ("carriage", "slider")
 """Bodies without which nothing cocks."""
-REACH = 2.0
-"""Farther than any rail [m]."""
 
 
 def apply_jamming_x(level: float, motion: Motion, /, mu: float) -> float:
@@ -25,12 +23,6 @@ def apply_jamming_x(level: float, motion: Motion, /, mu: float) -> float:
 def apply_jamming_z(level: float, motion: Motion, /, mu: float) -> float:
     """The slider is pressed onto the guide by the horizontal force between them: mu |N|."""
     return level + mu * np.abs(motion.load)
-
-
-def apply_tight_spot(level: float, motion: Motion, /, force: float, place: float, width: float) -> float:
-    """More dry friction [N] around a place on the rail [m]."""
-    ratio = (motion.position - place) / width
-    return level + force * np.exp(-ratio * ratio)
 
 
 def apply_tilt(constants: Constants, site: Site, /, angle: np.ndarray) -> None:
@@ -57,20 +49,6 @@ JAMMING_Z = Effect(
     ),
     stage=Stage.FRICTION, apply=apply_jamming_z, shows=JOINT_SHOWS, look_alikes=("rail_z.coulomb",), target="rail_z",
     needs=RIG, dissipative=True,
-)  # fmt: skip
-TIGHT_SPOT = Effect(
-    id="rail_x.tight_spot", summary="a tight spot on the horizontal rail",
-    equation="-force exp(-((x - place)/width)²) sgn(v)",
-    parameters=(
-        Parameter(name="force", unit="N", off=0.0, low=0.0, high=5.0, prior=Prior("halfnormal", 0.0, 0.1), size=0.2,
-                  tolerance=0.02, source="assumption: a knock in the rail, some 0.1 N"),
-        Parameter(name="place", unit="m", off=0.0, low=-REACH, high=REACH, prior=Prior("normal", 0.0, 0.5), size=0.05,
-                  tolerance=REACH, source="assumption: anywhere, most likely halfway along"),
-        Parameter(name="width", unit="m", off=0.1, low=0.02, high=0.5, prior=Prior("normal", 0.1, 0.02), size=0.03,
-                  tolerance=0.5, source="assumption: a slider's bearing spacing (vehicle.yaml)"),
-    ),
-    stage=Stage.FRICTION, apply=apply_tight_spot, shows=JOINT_SHOWS, look_alikes=("rail_x.coulomb",), target="rail_x",
-    dissipative=True, follows="position",
 )  # fmt: skip
 TILT = Effect(
     id="rail.tilt", summary="a horizontal rail that is not level", equation="-m_x g sin(angle)",

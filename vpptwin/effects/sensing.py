@@ -1,64 +1,206 @@
-"""Effects on what the sensors say: alignment and scale of the motion capture, bias and scale of the gyro."""
+"""Effects on what signals say of the motion: late, by another clock, shifted, turned, off by a factor.
+
+One kind each, for whatever `signals` names: poses of a body, its gyro, velocities of a joint, joints on a topic of
+their own. The drone's motion capture and gyro are cases of them.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import cycle
 
 import numpy as np
 
 from vpptwin.effects.base import Constants, Effect, Site, Stage
+from vpptwin.effects.body import BODY_SHOWS
+from vpptwin.effects.joint import Place
 from vpptwin.effects.parameter import Parameter, Prior
 
+X, Z, PITCH = 0, 1, 2
+"""Degrees of freedom of the drone."""
+LINEAR, ANGULAR, BODY = (0, 1, 2), (3, 4, 5), (0, 1, 2, 3, 4, 5)
+"""Those of a free body, from its first on."""
+AXES = ("x", "y", "z")
+SLIGHT = 0.001
+"""Zero error of logged velocities that a well-built sensor may have, as a share of what they reach."""
 
-def apply_misalignment(constants: Constants, site: Site, /, angle: np.ndarray) -> None:
-    """Angle added to the measured θ [rad]."""
-    constants["mocap.angle"][:] += angle
-
-
-def apply_mocap_scale(constants: Constants, site: Site, /, scale: np.ndarray) -> None:
-    """Measured lengths are off by a factor."""
-    constants["mocap.scale"][:] *= scale
-
-
-def apply_gyro_bias(constants: Constants, site: Site, /, bias: np.ndarray) -> None:
-    """Angular rate added to the measured q [rad/s]."""
-    constants["gyro.bias"][:] += bias
+Dofs = tuple[int, ...]
+"""Degrees of freedom that a signal shows."""
 
 
-def apply_gyro_scale(constants: Constants, site: Site, /, scale: np.ndarray) -> None:
-    """Measured angular rates are off by a factor."""
-    constants["gyro.scale"][:] *= scale
+@dataclass(frozen=True)
+class Misread:
+    """The function of an effect on signals: it adds to constants of degrees of freedom, or multiplies them.
+
+    Attributes:
+        places: constant → degrees of freedom, each with a parameter of its own or all with the one there is.
+        factor: it multiplies.
+    """
+
+    places: tuple[tuple[str, Dofs], ...]
+    factor: bool = False
+
+    def __call__(self, constants: Constants, site: Site, /, **errors: np.ndarray) -> None:
+        """Write parameters, (n,) each, into the constants, (n, nv)."""
+        for name, dofs in self.places:
+            for dof, error in zip(dofs, cycle(errors.values())):
+                if self.factor:
+                    constants[name][:, dof] *= error
+                else:
+                    constants[name][:, dof] += error
 
 
-MOCAP_MISALIGNMENT = Effect(
-    id="mocap.misalignment", summary="a motion capture body that is not aligned with the craft", equation="θ + angle",
-    parameters=(
-        Parameter(name="angle", unit="rad", off=0.0, low=-0.3, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.02,
-                  tolerance=0.002, source="assumption: marker body set by hand to 0.6 degrees"),
-    ),
-    stage=Stage.CONSTANT, apply=apply_misalignment, shows=("/mocap/pose",), look_alikes=("rail_x.bias", "rail.tilt"),
-    writes=("mocap.angle",), follows="position",
-)  # fmt: skip
-MOCAP_SCALE = Effect(
-    id="mocap.scale", summary="a wrong length scale of the motion capture", equation="(x, z) × scale",
-    parameters=(
-        Parameter(name="scale", unit="", off=1.0, low=0.8, high=1.2, prior=Prior("normal", 1.0, 0.005), size=0.02,
-                  tolerance=0.001, source="assumption: calibrated to half a percent"),
-    ),
-    stage=Stage.CONSTANT, apply=apply_mocap_scale, shows=("/mocap/pose",), writes=("mocap.scale",), follows="position",
-)  # fmt: skip
-GYRO_BIAS = Effect(
-    id="gyro.bias", summary="a bias of the gyro", equation="q + bias",
-    parameters=(
-        Parameter(name="bias", unit="rad/s", off=0.0, low=-0.5, high=0.5, prior=Prior("normal", 0.0, 0.02), size=0.04,
-                  tolerance=0.004, source="assumption: a MEMS gyro, some 1 degree/s"),
-    ),
-    stage=Stage.CONSTANT, apply=apply_gyro_bias, shows=("/imu/data",), writes=("gyro.bias",),
-)  # fmt: skip
-GYRO_SCALE = Effect(
-    id="gyro.scale", summary="a wrong scale of the gyro", equation="q × scale",
-    parameters=(
-        Parameter(name="scale", unit="", off=1.0, low=0.7, high=1.3, prior=Prior("normal", 1.0, 0.02), size=0.04,
-                  tolerance=0.004, source="assumption: a MEMS gyro, scale within 2 %"),
-    ),
-    stage=Stage.CONSTANT, apply=apply_gyro_scale, shows=("/imu/data",),
-    look_alikes=("airframe.inertia", "rotor.thrust_gain"), writes=("gyro.scale",),
-)  # fmt: skip
+@dataclass(frozen=True)
+class Sensor:
+    """What says where something is, or how fast it goes.
+
+    Attributes:
+        name: that ids begin with.
+        what: it says, e.g. "poses of quad".
+        pose, rate: degrees of freedom whose position, whose velocity it shows.
+        shows: topics.
+        target: joint, body or site, "" for the craft.
+    """
+
+    name: str
+    what: str
+    pose: Dofs = ()
+    rate: Dofs = ()
+    shows: tuple[str, ...] = ("/joint_states",)
+    target: str = ""
+
+    def misread(
+        self, kind: str, summary: str, equation: str, parameters: Iterable[Parameter],
+        places: tuple[tuple[str, Dofs], ...], alike: tuple[str, ...] = (), follows: str = "velocity",
+    ) -> Effect:  # fmt: skip
+        """An effect on this sensor, that of a `scale` a factor."""
+        places = tuple((name, dofs) for name, dofs in places if dofs)
+        factor = kind.endswith("scale")
+        return Effect(
+            f"{self.name}.{kind}", summary, equation, tuple(parameters), Stage.CONSTANT, Misread(places, factor),
+            self.shows, alike, tuple(name for name, _ in places), self.target, follows=follows,
+        )  # fmt: skip
+
+
+def delay(sensor: Sensor, alike: tuple[str, ...] = ()) -> Effect:
+    """Readings older than their stamps."""
+    parameter = Parameter(
+        name="delay", unit="s", off=0.0, low=0.0, high=0.05, prior=Prior("halfnormal", 0.0, 0.005), size=0.004,
+        tolerance=0.0005, source="assumption: most within a period of 10 ms",
+    )  # fmt: skip
+    places = ("pose.delay", sensor.pose), ("rate.delay", sensor.rate)
+    return sensor.misread(
+        "delay", f"{sensor.what} older than their stamps", "pose(t - delay)", [parameter], places, alike
+    )
+
+
+def drift(sensor: Sensor, alike: tuple[str, ...] = ()) -> Effect:
+    """A clock of its own, which gains so much on the one that stamps the rest [s/s]."""
+    parameter = Parameter(
+        name="drift", unit="s/s", off=0.0, low=-0.01, high=0.01, prior=Prior("normal", 0.0, 2e-4), size=1e-3,
+        tolerance=2e-5, source="assumption: free-running clocks, 200 ppm apart",
+    )  # fmt: skip
+    places = ("pose.drift", sensor.pose), ("rate.drift", sensor.rate)
+    summary = f"{sensor.what} by a clock that runs fast or slow"
+    return sensor.misread("drift", summary, "pose(t - drift t)", [parameter], places, alike)
+
+
+def misalignment(sensor: Sensor, dofs: Dofs, alike: tuple[str, ...] = ()) -> Effect:
+    """A marker body that is not aligned with what carries it, turned about one axis, or about the body's three."""
+    names = ("angle",) if len(dofs) == 1 else AXES
+    equation = "θ + angle" if len(dofs) == 1 else "attitude turned by (x, y, z)"
+    parameters = [
+        Parameter(name=name, unit="rad", off=0.0, low=-0.3, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.02,
+                  tolerance=0.002, source="assumption: marker body set by hand to 0.6 degrees")
+        for name in names
+    ]  # fmt: skip
+    summary = f"{sensor.what} of a marker body that is not aligned"
+    return sensor.misread(
+        "misalignment", summary, equation, parameters, (("pose.offset", dofs),), alike, follows="position"
+    )
+
+
+def length_scale(sensor: Sensor, lengths: Dofs, rates: Dofs = (), alike: tuple[str, ...] = ()) -> Effect:
+    """Lengths that are off by a factor, and velocities that come with them."""
+    parameter = Parameter(
+        name="scale", unit="", off=1.0, low=0.8, high=1.2, prior=Prior("normal", 1.0, 0.005), size=0.02,
+        tolerance=0.001, source="assumption: calibrated to half a percent",
+    )  # fmt: skip
+    places, summary = (("pose.scale", lengths), ("rate.scale", rates)), f"a wrong length scale of {sensor.what}"
+    return sensor.misread("scale", summary, "lengths × scale", [parameter], places, alike, follows="position")
+
+
+def rate_bias(sensor: Sensor, kind: str = "bias", tolerance: float = 0.004, unit: str = "rad/s") -> Effect:
+    """Rates that are not zero at rest: of one axis, or of three, which a well-built sensor keeps within `tolerance`."""
+    names = ("bias",) if len(sensor.rate) == 1 else AXES
+    source = "a MEMS gyro, some 1 degree/s" if kind == "bias" else "half a percent of what it reaches"
+    parameters = [
+        Parameter(name=name, unit=unit, off=0.0, low=-125.0 * tolerance, high=125.0 * tolerance,
+                  prior=Prior("normal", 0.0, 5.0 * tolerance), size=10.0 * tolerance, tolerance=tolerance,
+                  source=f"assumption: {source}")
+        for name in names
+    ]  # fmt: skip
+    equation = "q + bias" if len(names) == 1 else "rates + (x, y, z)"
+    return sensor.misread(kind, f"a bias of {sensor.what}", equation, parameters, (("rate.bias", sensor.rate),))
+
+
+def rate_scale(sensor: Sensor, kind: str = "scale", alike: tuple[str, ...] = ()) -> Effect:
+    """Rates that are off by a factor."""
+    parameter = Parameter(
+        name="scale", unit="", off=1.0, low=0.7, high=1.3, prior=Prior("normal", 1.0, 0.02), size=0.04,
+        tolerance=0.004, source="assumption: a MEMS gyro, scale within 2 %",
+    )  # fmt: skip
+    summary = f"a wrong scale of {sensor.what}"
+    return sensor.misread(kind, summary, "q × scale", [parameter], (("rate.scale", sensor.rate),), alike)
+
+
+MOCAP = Sensor("mocap", "motion capture poses", (X, Z, PITCH), shows=("/mocap/pose",))
+CLOCK = Sensor("clock", "motion capture poses", (X, Z, PITCH), shows=("/mocap/pose",))
+GYRO = Sensor("gyro", "the gyro", rate=(PITCH,), shows=("/imu/data",))
+OF_DRONE = (
+    delay(MOCAP, ("clock.drift",)),
+    drift(CLOCK, ("mocap.delay",)),
+    misalignment(MOCAP, (PITCH,), ("rail_x.bias", "rail.tilt")),
+    length_scale(MOCAP, (X, Z)),
+    rate_bias(GYRO),
+    rate_scale(GYRO, alike=("airframe.inertia", "rotor.thrust_gain")),
+)
+"""Those of the drone on its rig."""
+
+
+def velocity_bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """`JOINT.rate_bias`: logged velocities that are not zero at rest."""
+    found = rate_bias(of_velocity(place), "rate_bias", SLIGHT * place.speed, "rad/s" if place.rotary else "m/s")
+    (bias,) = found.parameters
+    return replace(found, parameters=(replace(bias, low=place.room * bias.low, high=place.room * bias.high),))
+
+
+def velocity_scale(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """`JOINT.rate_scale`: logged velocities that are off by a factor."""
+    return rate_scale(of_velocity(place), "rate_scale", look_alikes)
+
+
+def of_velocity(place: Place) -> Sensor:
+    """What tells a joint's velocity."""
+    return Sensor(place.joint, f"logged velocities {place.where}", rate=(place.dof,), target=place.joint)
+
+
+def effects_for_pose(body: str, dof: int, gyro: str) -> list[Effect]:
+    """`BODY.delay`, `.drift`, `.misalignment`, `.scale` of a free body's poses; `GYRO.bias`, `.scale` of an IMU on it.
+
+    Rates that no gyro tells come with the poses.
+    """
+    moved, turned = (tuple(dof + i for i in part) for part in (LINEAR, ANGULAR))
+    rates = moved if gyro else (*moved, *turned)
+    poses = Sensor(body, f"poses of {body}", (*moved, *turned), rates, BODY_SHOWS[:1], body)
+    found = [*effects_for_clock(poses), misalignment(poses, turned), length_scale(poses, moved, moved)]
+    if not gyro:
+        return found
+    sensor = Sensor(gyro, f"the gyro {gyro}", rate=turned, shows=BODY_SHOWS[1:], target=gyro)
+    return [*found, rate_bias(sensor), rate_scale(sensor)]
+
+
+def effects_for_clock(sensor: Sensor) -> list[Effect]:
+    """`NAME.delay` and `NAME.drift` of what is stamped elsewhere than the commands."""
+    return [delay(sensor, (f"{sensor.name}.drift",)), drift(sensor, (f"{sensor.name}.delay",))]

@@ -1,4 +1,4 @@
-"""Effects on the servos that pitch the blades: lag, limited rate, play, trim."""
+"""Effects on the servos that pitch the blades, and on the way to them: delay, lag, limited rate, play, trim."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import numpy as np
 
 from vpptwin.effects.base import Constants, Effect, Site, Stage
 from vpptwin.effects.parameter import Parameter, Prior
+
+
+def apply_delay(constants: Constants, site: Site, /, delay: np.ndarray) -> None:
+    """Transport delay from rotor command to servo [s]."""
+    constants["actuator.delay"][:] += delay[:, None]
 
 
 def apply_lag(constants: Constants, site: Site, /, time_constant: np.ndarray) -> None:
@@ -29,6 +34,15 @@ def apply_trim(constants: Constants, site: Site, /, offset_1: np.ndarray, offset
     constants["actuator.trim"][:] += np.stack([offset_1, offset_2], axis=1)
 
 
+DELAY = Effect(
+    id="command.delay", summary="a delay from command to servo", equation="α_cmd(t - delay)",
+    parameters=(
+        Parameter(name="delay", unit="s", off=0.0, low=0.0, high=0.05, prior=Prior("halfnormal", 0.0, 0.005),
+                  size=0.003, tolerance=0.0005, source="assumption: most within a policy step of 10 ms"),
+    ),
+    stage=Stage.CONSTANT, apply=apply_delay, shows=("/imu/data", "/mocap/pose"),
+    look_alikes=("servo.lag", "servo.backlash"), writes=("actuator.delay",), follows="command change",
+)  # fmt: skip
 LAG = Effect(
     id="servo.lag", summary="a wrong time constant of the pitch servos", equation="α̇ = (α_cmd - α)/time_constant",
     parameters=(

@@ -124,7 +124,9 @@ def read_body(spec: TwinSpec, flight: Flight, body: str, topic: str, found: Foun
             found.velocities[dof + 3 + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis])
     turns = [found.positions[dof + 3 + axis] for axis in range(3)]
     std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
-    time = stream.time - float(np.mean([stream.time[0] - series.time[0] for series in turns]))
+    time = stream.time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
+    if gyro is None:
+        time = time - float(np.mean([time[0] - series.time[0] for series in turns]))
     found.attitudes[dof + 3] = Series(f"{body} attitude", "rad", time, attitude, std, white=False)
     for axis in range(3):  # all three or none: a spike in one is one in the attitude
         found.positions[dof + 3 + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)

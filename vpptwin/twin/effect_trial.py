@@ -216,7 +216,7 @@ def refuse_undeclared(effect: Effect, where: str, name: str) -> None:
 
 def list_constants(effect: Effect, where: str, rig: Robot) -> dict[str, np.ndarray]:
     """Nominal values of one simulation: of actuators and sensors, and of the model's fields that the effect writes."""
-    records = np.zeros(1, constants_dtype(int(rig.model.nu)))
+    records = np.zeros(1, constants_dtype(int(rig.model.nu), int(rig.model.nv)))
     constants = nominal_constants(rig.servo_lag, records)
     for name in effect.writes:
         if name not in constants and name not in MODEL_FIELDS:

@@ -196,7 +196,7 @@ def write_kernel(
     if layout is not None:
         row = indent(write_row(model, pipeline), 8 * " ")
         fused = write_fused(layout, model, len(pipeline.places), carriage, CALLS[step], row)
-    return Kernel(pipeline, layer_dtype(nu, depth, adaptive), constants_dtype(nu), entry, fused)
+    return Kernel(pipeline, layer_dtype(nu, depth, adaptive), constants_dtype(nu, int(model.nv)), entry, fused)
 
 
 def write_row(model: mujoco.MjModel, pipeline: Pipeline) -> str:
@@ -281,13 +281,13 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: 
     result, given = layer.copy(), np.ascontiguousarray(commands, dtype=np.float64)
     count, steps, nu = given.shape
     arrays = result, np.ascontiguousarray(constants), given, np.array([(count, steps, dt)], SIZES)
-    compile_warm_up(result.dtype, nu)(*(array.ctypes.data for array in arrays))
+    compile_warm_up(result.dtype, constants.dtype, nu)(*(array.ctypes.data for array in arrays))
     return result
 
 
-def compile_warm_up(layer: np.dtype, nu: int) -> Any:  # noqa: ANN401
+def compile_warm_up(layer: np.dtype, constants: np.dtype, nu: int) -> Any:  # noqa: ANN401
     """The C function that moves actuators alone: addresses of their state, constants, commands and `SIZES`."""
-    source, dtypes = WARM_UP.format(nu=nu), {"LAYER": layer, "CONSTANTS": constants_dtype(nu)}
+    source, dtypes = WARM_UP.format(nu=nu), {"LAYER": layer, "CONSTANTS": constants}
     key = fingerprint(source, str(dtypes))
     if key not in _KERNELS:
         function = compile_entry(source, "warm_up", key, None, dtypes)

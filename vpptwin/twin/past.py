@@ -61,9 +61,9 @@ def history_depth(effects: Iterable[Effect], period: float, horizon: float) -> i
     """
     longest = 0.0
     for effect in effects:
-        if "mocap.delay" in effect.writes:
+        if "pose.delay" in effect.writes:
             longest += max(p.high for p in effect.parameters)
-        if "clock.drift" in effect.writes:
+        if "pose.drift" in effect.writes:
             longest += max(p.high for p in effect.parameters) * horizon
     return math.ceil(longest / period - 1e-9) + 1 if longest > 0.0 else 0
 

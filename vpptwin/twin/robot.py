@@ -16,9 +16,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from vpptwin.effects import Effect, FreeBody, Link, Site, effects_for_body, effects_for_rig, generic_place
+from vpptwin.effects import Effect, FreeBody, Link, Site, effects_for_body, effects_for_rig, generic_place, sensing
 from vpptwin.effects.actuator import list_loop_effects
-from vpptwin.effects.catalogue import INPUT_ROOM
+from vpptwin.effects.catalogue import INPUT_ROOM, tie_alike
 from vpptwin.errors import InputError
 from vpptwin.twin.manifold import FREE
 from vpptwin.twin.model import (
@@ -69,6 +69,7 @@ class Loads:
         force: that drives, accelerates or weighs on it [N, N m].
         speed: that it reaches [m/s, rad/s].
         travel: half the range that it moves through [m, rad].
+        middle: of that range [m, rad].
         carried: mass or moment of inertia that it moves [kg, kg m²].
         control: control inputs [ctrl].
     """
@@ -76,6 +77,7 @@ class Loads:
     force: np.ndarray
     speed: np.ndarray
     travel: np.ndarray
+    middle: np.ndarray
     carried: np.ndarray
     control: np.ndarray
 
@@ -224,21 +226,62 @@ class Robot:
         model, loads = self.model, self.loads
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
-        of_bodies = (effect for body in self.list_free() for effect in effects_for_body(body))
+        apart = [effect for body in self.list_free() for effect in effects_for_body(body)] + self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
         more = about, group_rotors(model), self.list_links(), tells_mount(model)
         if loads is None:
             unit = {name: 1.0 for name in names if name}
-            places = [generic_place(*joint, driven=is_driven(model, joint[0])) for joint in joints]
-            return (*effects_for_rig(places, unit, INPUT_ROOM, *more), *of_bodies)
+            places = [
+                generic_place(*joint, driven=is_driven(model, joint[0]), dof=self.find_dof(joint[0]))
+                for joint in joints
+            ]
+            return self.tie_signals((*effects_for_rig(places, unit, INPUT_ROOM, *more), *apart))
         places = []
         for name, rotary, _ in joints:
-            dof = int(model.joint(name).dofadr[0])
-            known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "carried")}
+            dof = self.find_dof(name)
+            known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "middle", "carried")}
             driven = is_driven(model, name)
-            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, **known))
+            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, dof, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return (*effects_for_rig(places, controls, 1.0, *more), *of_bodies)
+        return self.tie_signals((*effects_for_rig(places, controls, 1.0, *more), *apart))
+
+    def find_dof(self, joint: str) -> int:
+        """Degree of freedom of a joint."""
+        return int(self.model.joint(joint).dofadr[0])
+
+    def list_misread(self) -> list[Effect]:
+        """Errors of the signals of free bodies, and of joints that are logged on topics of their own."""
+        model, signals = self.model, self.signals
+        found: list[Effect] = []
+        for joint in find_free(model):
+            body, dof = model.body(int(model.jnt_bodyid[joint])), int(model.jnt_dofadr[joint])
+            gyros = [name for name in signals.sites if model.site(name).bodyid[0] == body.id]
+            found += sensing.effects_for_pose(body.name, dof, gyros[0] if gyros else "")
+        topics: dict[str, list[int]] = {}
+        for name, topic in signals.joints.items():
+            topics.setdefault(topic, []).append(self.find_dof(name))
+        if len(topics) + len(signals.bodies) > 1:  # else it is a delay of what drives them
+            for topic, dofs in topics.items():
+                if topic not in signals.actuators.values():
+                    name, shown = topic.strip("/").replace("/", "_"), tuple(dofs)
+                    found += sensing.effects_for_clock(sensing.Sensor(name, f"joints on {topic}", shown, shown))
+        return found
+
+    def tie_signals(self, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+        """The effects, of which errors of signals look like what they are the errors of."""
+        ids = {effect.id: effect for effect in effects}
+        late = [e.id for e in effects if "pose.delay" in e.writes]
+        whole = ["+".join(group) for group in group_rotors(self.model)] or [*self.signals.actuators]
+        tied = tie_alike(effects, late, [f"{name}.{kind}" for name in whole for kind in ("delay", "lag")
+                                         if f"{name}.{kind}" in ids and late])  # fmt: skip
+        for body in self.signals.bodies:
+            gyros = [n for n in self.signals.sites if f"{n}.scale" in ids]
+            for some, others in (
+                ([f"{body}.misalignment"], [f"{body}.wind", f"{body}.com"]), ([f"{body}.scale"], [f"{body}.mass"]),
+                ([f"{n}.scale" for n in gyros], [f"{body}.inertia"]),
+            ):  # fmt: skip
+                tied = tie_alike(tied, some, others)
+        return tuple(tied)
 
     def list_loop(self, actuator: int) -> tuple[Effect, ...]:
         """What an actuator may have of its loop."""

@@ -1,10 +1,12 @@
-"""What motion capture and gyro say of the truth: pure functions of poses, constants and a record of past poses.
+"""What signals say of the truth: pure functions of poses, constants and a record of past poses.
 
-A motion-capture pose stamped t shows the craft as it was at t - mocap.delay - clock.drift * t, its lengths times
-mocap.scale, its angle plus mocap.angle. The gyro shows gyro.scale * q + gyro.bias at once. In flight nothing shows the
-future: where a slow clock asks for it, the present is what there is.
+A coordinate stamped t shows what it was at t - pose.delay - pose.drift * t, times pose.scale plus pose.offset; a
+rate likewise what it was by rate.delay and rate.drift, times rate.scale plus rate.bias. Attitudes are turned by
+pose.offset, about the body's axes. In flight nothing shows the future: where a slow clock asks for it, the present is
+what there is.
 
-Constants come by name, as rows of `Twin.constants` or a dict of `Twin.constant(name)`; angles are the planar craft's.
+Constants come by name, each with a last axis of degrees of freedom: rows of `Twin.constants` or a dict of
+`Twin.constant(name)`. The drone has its poses from motion capture, its rate of pitch from a gyro.
 """
 
 from __future__ import annotations
@@ -17,35 +19,43 @@ from vpptwin.twin.past import SensorState, look_back
 from vpptwin.vehicle import Vehicle
 
 Constants = Mapping[str, np.ndarray] | np.ndarray
-"""Constants of the sensors by name, each (N,): a dict or a structured array."""
+"""Constants of the sensors by name, each (N, nv): a dict or a structured array."""
 PERFECT = {
-    "mocap.delay": 0.0, "clock.drift": 0.0, "mocap.scale": 1.0, "mocap.angle": 0.0, "gyro.scale": 1.0, "gyro.bias": 0.0
+    "pose.delay": 0.0, "pose.drift": 0.0, "pose.scale": 1.0, "pose.offset": 0.0,
+    "rate.delay": 0.0, "rate.drift": 0.0, "rate.scale": 1.0, "rate.bias": 0.0,
 }  # fmt: skip
-"""Constants of sensors that show the truth, and the names of all."""
+"""Constants of sensors that show the truth, of every degree of freedom, and the names of all."""
 X, Z, PITCH = 0, 1, 2
 
 
-def perfect_sensors(count: int) -> dict[str, np.ndarray]:
-    """Constants of sensors without errors, name → (count,)."""
-    return {name: np.full(count, value) for name, value in PERFECT.items()}
+def perfect_sensors(count: int, dofs: int = 3) -> dict[str, np.ndarray]:
+    """Constants of sensors without errors, name → (count, dofs)."""
+    return {name: np.full((count, dofs), value) for name, value in PERFECT.items()}
+
+
+def find_age(constants: Constants, signal: str, dof: int, stamp: np.ndarray | float) -> np.ndarray:
+    """How long before its stamp a `pose` or `rate` was what its sensor shows [s].
+
+    Args:
+        constants: of the sensors, (N, nv).
+        signal: `pose` or `rate`.
+        dof: degree of freedom.
+        stamp: s since the start of the log, (N,) or one for all.
+
+    Returns:
+        (N,) s; negative where a slow clock stamps earlier than what is shown.
+    """
+    return np.asarray(constants[f"{signal}.delay"][..., dof] + constants[f"{signal}.drift"][..., dof] * stamp)
 
 
 def age_of_pose(constants: Constants, stamp: np.ndarray | float) -> np.ndarray:
-    """How long before its stamp the craft was where a motion-capture pose shows it [s].
-
-    Args:
-        constants: of the sensors, (N,).
-        stamp: of the pose, s since the start of the log, (N,) or one for all.
-
-    Returns:
-        (N,) s; negative where a slow clock stamps poses earlier than they are.
-    """
-    return constants["mocap.delay"] + constants["clock.drift"] * stamp
+    """How long before its stamp the drone was where a motion-capture pose shows it [s], (N,); see `find_age`."""
+    return find_age(constants, "pose", X, stamp)
 
 
-def measure_coordinate(constants: Constants, axis: int, value: np.ndarray) -> np.ndarray:
-    """x, z or θ as motion capture gives it, noise and age apart [m, m, rad]; any shape that constants broadcast to."""
-    return value + constants["mocap.angle"] if axis == PITCH else value * constants["mocap.scale"]
+def measure_coordinate(constants: Constants, dof: int, value: np.ndarray) -> np.ndarray:
+    """A coordinate as its sensor gives it, noise and age apart [m, rad]; any shape that constants broadcast to."""
+    return np.asarray(value * constants["pose.scale"][..., dof] + constants["pose.offset"][..., dof])
 
 
 def measure_pose(constants: Constants, pose: np.ndarray) -> np.ndarray:
@@ -55,12 +65,12 @@ def measure_pose(constants: Constants, pose: np.ndarray) -> np.ndarray:
 
 def measure_velocity(constants: Constants, velocity: np.ndarray) -> np.ndarray:
     """Velocity v_x, v_z of motion-capture positions, noise and age apart, (N, 2) m/s."""
-    return velocity[:, :PITCH] * constants["mocap.scale"][:, None]
+    return velocity[:, :PITCH] * constants["pose.scale"][..., :PITCH]
 
 
-def measure_rate(constants: Constants, rate: np.ndarray) -> np.ndarray:
-    """The rate q as the gyro gives it, noise apart, (N,) rad/s."""
-    return constants["gyro.scale"] * rate + constants["gyro.bias"]
+def measure_rate(constants: Constants, rate: np.ndarray, dof: int | np.ndarray = PITCH) -> np.ndarray:
+    """A rate as its sensor gives it, noise and age apart, (N,) m/s, rad/s: by default the drone's gyro's."""
+    return np.asarray(constants["rate.scale"][..., dof] * rate + constants["rate.bias"][..., dof])
 
 
 def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:
@@ -94,7 +104,7 @@ def read_sensors(
     The velocity is the true one of the pose that is shown; the rate is the gyro's, which is never late.
 
     Args:
-        constants: of the sensors, (N,).
+        constants: of the sensors, (N, nv).
         past: its newest entry is the present; without entries no pose comes late.
         pose: x, z, θ now, (N, 3) m, m, rad.
         velocity: v_x, v_z, q now, (N, 3) m/s, m/s, rad/s.

@@ -116,7 +116,7 @@ def test_delayed_poses_show_the_past() -> None:
     for k in range(2):
         channel = bin_one(windows, Series("x", "m", time, np.sin(3.0 * (time - delay[k])), 1e-3), delayed=True)
         predicted = predict_channel(
-            channel, *move(windows), DT, GRAVITY, START, PERFECT | {"mocap.delay": delay[:, None, None]}
+            channel, *move(windows), DT, GRAVITY, START, PERFECT | {"pose.delay": delay[:, None, None, None]}
         )
         np.testing.assert_allclose(predicted[k], channel.value[k], atol=4e-6)
         assert np.abs(predicted[1 - k] - channel.value[1 - k]).max() > 1e-3

@@ -146,7 +146,7 @@ def test_what_a_diagnosis_finds_a_twin_may_say(tmp_path: Path, force: float, con
     """Bounds that loads make lie within those of the MJCF alone: friction far below the weight, inputs of any unit."""
     robot = load_cart(tmp_path).robot
     one = np.ones(1)
-    loads = Loads(force * one, one, one, one, control * one)
+    loads = Loads(force * one, one, one, one, one, control * one)
     for wide, found in zip(robot.list_effects(), robot.scale(loads).list_effects(), strict=True):
         for outer, inner in zip(wide.parameters, found.parameters, strict=True):
             assert outer.low <= inner.low, (wide.id, outer.name)

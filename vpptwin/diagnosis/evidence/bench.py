@@ -13,7 +13,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.effects import Stage
-from vpptwin.estimation.correct import correct_measurements
+from vpptwin.estimation.correct import correct_measurements, is_perfect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, fly_windows
@@ -251,9 +251,9 @@ class Bench:
     def windows_seen(self, values: Mapping[Key, float]) -> Windows:
         """The windows with the states at their starts estimated through the sensors of a twin with `values`."""
         sensors = self.sensors(values)
-        key = tuple(float(sensors[name][0]) for name in PERFECT)
-        if key == tuple(PERFECT.values()) or not self.flights:
+        if is_perfect(sensors) or not self.flights:
             return self.windows
+        key = tuple(float(value) for name in PERFECT for value in sensors[name][0])
         if key not in self._starts:
             if len(self._starts) > 16:
                 self._starts.clear()

@@ -10,7 +10,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
 from vpptwin.twin.manifold import difference_attitudes, rotate
-from vpptwin.twin.sensors import Constants, age_of_pose, body_force, measure_coordinate, measure_rate
+from vpptwin.twin.sensors import Constants, body_force, find_age, measure_coordinate, measure_rate
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
@@ -20,6 +20,8 @@ LEAD = 0.05
 """Start of a window in which poses are not compared: a delayed pose would reach back before it [s]."""
 TRAIL = 0.02
 """End of such a window likewise: a pose stamped too early shows what comes after it [s]."""
+SIGNALS = {"position": "pose", "velocity": "rate"}
+"""Kind of a channel → what constants of sensors call it."""
 MISSING = 1e6
 """Standard deviations given to a bin without samples, which takes it out of every sum."""
 
@@ -162,7 +164,7 @@ def predict_channel(
         dt: time between them, s.
         gravity: m/s².
         start: when the windows start, (K,) s since the start of the log.
-        sensors: constants of the sensors, which broadcast over (K, B, S).
+        sensors: constants of the sensors, of every degree of freedom, which broadcast over (K, B, S).
         place: where in a pose its coordinate, or quaternion, lies; None for its `axis`, on rigs without quaternions.
 
     Returns:
@@ -175,23 +177,27 @@ def predict_channel(
         track, shift = velocity[..., channel.axis], 0.0
     else:
         track, shift = pose[..., place], 0.0
-    offset = channel.offset + shift
-    if channel.delayed:
-        offset = offset - age_of_pose(sensors, start[:, None, None] + channel.offset)
-    position = np.clip(offset / dt, 0.0, track.shape[1] - 1.000001)
-    whole = position.astype(np.intp)
-    part = position - whole
+    age = np.zeros(())
+    if channel.kind in SIGNALS:
+        age = find_age(sensors, SIGNALS[channel.kind], channel.axis, start[:, None, None] + channel.offset)
+    position = (channel.offset + shift - age) / dt
+    inside = np.clip(position, 0.0, track.shape[1] - 1.000001)
+    whole = inside.astype(np.intp)
+    part = (position if age.any() else inside) - whole  # of what is late straight on, out of the window
     rows = np.arange(len(track))[:, None, None]
     if channel.measured is not None:
         turned = rotate(
             pose[..., place : place + 4][rows, whole],
             (part * dt)[..., None] * velocity[..., channel.turn : channel.turn + 3][rows, whole],
         )
+        axes = range(channel.turn, channel.turn + 3)
+        if any(sensors["pose.offset"][..., axis].any() for axis in axes):
+            turned = rotate(turned, np.stack([sensors["pose.offset"][..., axis] for axis in axes], axis=-1))
         left = difference_attitudes(channel.measured, turned)[..., channel.axis - channel.turn]
         return np.asarray((left * channel.weight).sum(axis=2))
     sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
-    if channel.kind == "velocity":  # on the drone its gyro's; sensors of other rigs have no errors
-        sampled = measure_rate(sensors, sampled)
+    if channel.kind == "velocity":
+        sampled = measure_rate(sensors, sampled, channel.axis)
     elif channel.kind == "position":
         sampled = measure_coordinate(sensors, channel.axis, sampled)
     return (sampled * channel.weight).sum(axis=2)

@@ -155,6 +155,7 @@ def measure_loads(spec: TwinSpec, forces: Forces) -> Loads:
         force=np.maximum(np.percentile(loads, USUAL, axis=0), SLIGHT * 10.0 * carried),
         speed=np.maximum(np.percentile(np.abs(forces.velocity), USUAL, axis=0), SLIGHT * reach),
         travel=np.maximum(0.5 * (high - low), SLIGHT * reach),
+        middle=0.5 * (low + high),
         carried=carried,
         control=usual_input(forces.control),
     )

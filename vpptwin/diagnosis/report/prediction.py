@@ -11,7 +11,7 @@ from vpptwin.estimation.measurements import Series, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.manifold import difference_attitudes, find_place, rotate
-from vpptwin.twin.sensors import Constants, age_of_pose, measure_coordinate, measure_rate
+from vpptwin.twin.sensors import Constants, find_age, measure_coordinate, measure_rate
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -77,15 +77,15 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
     tracks = []
     for kind, quantities in (("position", measurements.positions), ("velocity", measurements.velocities)):
         for dof, series in sorted(quantities.items()):
-            late = dof in measurements.delayed and kind == "position"
             first = next((f for f in measurements.attitudes if kind == "position" and f <= dof < f + 3), None)
             if first is not None:
                 attitude, place = measurements.attitudes[first], find_place(twins[0].model, first)
-                turned = [read_attitude(r, attitude, first, place)[:, dof - first] for r in replays]
+                shown = (read_attitude(r, c, attitude, first, place) for r, c in zip(replays, constants, strict=True))
+                turned = [each[:, dof - first] for each in shown]
                 predicted = [series.value + each for each in turned]
             else:
                 place = find_place(twins[0].model, dof) if kind == "position" else dof
-                given = series, dof, kind, late, place
+                given = series, dof, kind, place
                 predicted = [read_sensor(r, c, *given) for r, c in zip(replays, constants, strict=True)]
             logged = (series.time, series.value, float(series.std))
             tracks.append(Track(series.name, series.unit, kind, dof, *logged, np.array(predicted)))
@@ -93,7 +93,7 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
 
 
 def read_sensor(
-    prediction: Prediction, constants: Constants, series: Series, dof: int, kind: str, late: bool, place: int
+    prediction: Prediction, constants: Constants, series: Series, dof: int, kind: str, place: int
 ) -> np.ndarray:
     """What the sensor of one quantity would have shown in a twin, (n,); NaN where the twin was not simulated.
 
@@ -103,14 +103,13 @@ def read_sensor(
         series: the quantity as logged.
         dof: degree of freedom.
         kind: `position` or `velocity`.
-        late: poses may be older than their stamps.
         place: where in a pose its coordinate lies.
     """
-    time = series.time - age_of_pose(constants, series.time) if late else series.time
+    time = series.time - find_age(constants, "pose" if kind == "position" else "rate", dof, series.time)
     before, ahead, known = find_steps(prediction, time)
     velocity = prediction.qvel[before, dof]
-    if kind == "velocity":  # on the drone its gyro's; sensors of other rigs have no errors
-        value = measure_rate(constants, velocity)
+    if kind == "velocity":
+        value = measure_rate(constants, velocity, dof)
     else:
         value = measure_coordinate(constants, dof, prediction.qpos[before, place] + velocity * ahead)
     return np.where(known, value, np.nan)
@@ -125,12 +124,15 @@ def find_steps(prediction: Prediction, time: np.ndarray) -> tuple[np.ndarray, np
     return before, ahead, (ahead > -1e-6) & (ahead < 1.5 * step)
 
 
-def read_attitude(prediction: Prediction, attitude: Series, first: int, place: int) -> np.ndarray:
-    """Rotation from measured attitudes to a twin's about the body's axes, (n, 3) rad; NaN where it was not simulated.
+def read_attitude(prediction: Prediction, constants: Constants, attitude: Series, first: int, place: int) -> np.ndarray:
+    """Rotation from measured attitudes to those that a twin's sensor would show, about the body's axes, (n, 3) rad.
 
-    Its rates begin at degree of freedom `first`, its quaternion at `place` of a pose.
+    NaN where it was not simulated. Its rates begin at degree of freedom `first`, its quaternion at `place` of a pose.
     """
-    before, ahead, known = find_steps(prediction, attitude.time)
+    before, ahead, known = find_steps(prediction, attitude.time - find_age(constants, "pose", first, attitude.time))
     quaternion = prediction.qpos[before, place : place + 4]
     predicted = rotate(quaternion, ahead[:, None] * prediction.qvel[before, first : first + 3])
+    offset = constants["pose.offset"][0, first : first + 3]
+    if offset.any():
+        predicted = rotate(predicted, np.broadcast_to(offset, (len(predicted), 3)))
     return np.where(known[:, None], difference_attitudes(attitude.value, predicted), np.nan)

@@ -168,6 +168,7 @@ class Search(Fitter):
         strengths = [u.key for u in laws if u.parameter is u.effect.parameters[0]]
         forces = [u.key for u in laws if u.key in strengths and u.parameter.unit in ("N", "N m")]
         most = 1.5 * sum(abs(fit.values.get(key, 0.0)) for key in forces) or SIZES[-1] * added[0].parameter.size
+        there: Mapping[Key, float] = next((t.values for t in self.trials if t.effect == effect and law.placed), {})
         places = LatinHypercube(len(laws), rng=np.random.default_rng(0)).random(SCANNED)
         tried = []
         for place in places:
@@ -176,6 +177,8 @@ class Search(Fitter):
                 parameter, away = unknown.parameter, 2.0 * share - 1.0
                 if unknown.key not in strengths:
                     value = unknown.nominal * SPREAD**away
+                    if unknown.effect.placed:
+                        value = there.get(unknown.key, fit.values.get(unknown.key, unknown.nominal))
                 elif unknown.key in forces:
                     value = most * share**2
                 else:  # a share of the friction or of a load, which may have either sign
@@ -226,10 +229,12 @@ class Search(Fitter):
             return fit
         for _ in range(REFINED):
             places = LatinHypercube(len(own), rng=np.random.default_rng(1)).random(SCANNED)
-            now = np.array([fit.values[u.key] for u in own])
+            now, away = np.array([fit.values[u.key] for u in own]), 2.0 * places - 1.0
+            shape = np.array([u.effect.placed and u.parameter is not u.effect.parameters[0] for u in own])
+            size = np.array([u.parameter.size for u in own])
             around = [
                 fit.values | {u.key: float(u.parameter.clip(value)) for u, value in zip(own, row)}
-                for row in now * AROUND ** (2.0 * places - 1.0)
+                for row in np.where(shape, now + size * away, now * AROUND**away)
             ]
             found = [self.fit(fit.effects, values, fit.about) for values in self._pick_places(fit, around)]
             best = find_cheapest([self.judge_alone(each) for each in found])

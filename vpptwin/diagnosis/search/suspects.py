@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.search.places import find_places
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
 
@@ -88,7 +89,12 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     guessed = bench.guessed
     sized = SIZES if len(effects) <= MANY else SIZES[1:2]
     trials = []
+    placed = [u.effect for u, *_ in effects.values() if u.effect.placed and u.nominal == u.parameter.off and guessed]
+    places = find_places(bench, placed)
     for effect, (strength, *shapes) in effects.items():
+        if effect in places:
+            trials += [Trial(effect, {(effect, n): v for n, v in each.items()}, False) for each in places[effect]]
+            continue
         if strength.is_limit:
             trials += [Trial(effect, {strength.key: value}, True) for value in list_limits(strength, bench)]
             continue
@@ -96,13 +102,13 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
         if there and not guessed:
             continue
         grids = [grid_of_shape(shape, len(shapes) == 1) for shape in shapes]
-        places = [()] if there else list(product(*grids))
+        shaped = [()] if there else list(product(*grids))
         sizes = (
             list_sizes(strength, there, sized) if guessed else [strength.nominal + strength.step_from(strength.nominal)]
         )
-        if len(places) * len(sizes) < 2:
+        if len(shaped) * len(sizes) < 2:
             continue
-        for size, place in product(sizes, places):
+        for size, place in product(sizes, shaped):
             values = {shape.key: float(value) for shape, value in zip(shapes, place)}
             trials.append(Trial(effect, {strength.key: size, **values}, False))
     return tuple(trials)
