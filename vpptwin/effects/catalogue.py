@@ -170,6 +170,12 @@ def effects_for_rig(
     return (*found, *((link.MOUNT_TILT,) if mounted else ()))
 
 
+def effects_for_ball(place: Place, ways: tuple[str, ...]) -> tuple[Effect, ...]:
+    """Friction in a ball joint, alike about all of its axes, whose degrees of freedom are called `ways`."""
+    found = friction.coulomb(place, (f"{place.joint}.viscous",)), joint.viscous(place, (f"{place.joint}.coulomb",))
+    return tuple(replace(effect, members=ways) for effect in found)
+
+
 def tie_alike(effects: Sequence[Effect], strengths: Sequence[str], weights: Sequence[str]) -> list[Effect]:
     """The effects, of which `strengths` of all that drives a rig and `weights` of its links are hard to tell apart."""
     others = {**dict.fromkeys(strengths, tuple(weights)), **dict.fromkeys(weights, tuple(strengths))}
