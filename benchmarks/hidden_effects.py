@@ -13,9 +13,10 @@ dropouts, stamp jitter, small distractors, in a quarter of them outliers, the ri
 in three of five sessions, somewhat beyond (tests/reality, which shares no physics with vpptwin). Of twenty sessions
 eight hide one effect, two one whose law is not ours, three two, one three, three one that the catalogue lacks, three
 none. `--rigs other` takes carriages, carts, pendula and arms instead, each drawn (tests/mechanisms, no MuJoCo): of
-twenty nine hide one effect, four two, three one from outside, four none. `--rigs quadrotor` and `--rigs servo` take a
-quadrotor and an arm with position servos, one effect in five of six sessions (hidden/crafts.py). Every result names its
-commit; results of several are neither gone on from nor reported without --mixed.
+twenty nine hide one effect, four two, three one from outside, four none. `--rigs quadrotor`, `servo` and `leg` take a
+quadrotor, an arm with position servos and a leg on a trunk in the hand, one effect in five of six sessions
+(hidden/crafts.py). Every result names its commit; results of several are neither gone on from nor reported without
+--mixed.
 """
 
 from __future__ import annotations

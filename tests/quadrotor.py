@@ -13,7 +13,6 @@ from numba import njit
 
 from tests.crafts import Hidden, draw_one, save_twin
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.write import START_NS, Message, write_flight
 
 MASS, ARM, TORQUE = 0.030, 0.0325, 0.006  # kg, m, m (torque over thrust)
 INERTIA = np.array([1.5e-5, 1.5e-5, 2.6e-5])  # kg m²
@@ -210,31 +209,3 @@ def misread_poses(log: np.ndarray, hidden: Hidden) -> np.ndarray:
     for pose, rate, ahead in zip(seen, log[row.astype(int), 10:13], STEP * steps):
         pose[3:] = _turn(_turn(pose[3:], ahead * rate), markers)
     return seen
-
-
-def write_log(flight: Flight, path: Path) -> Path:
-    """The flight as MCAP: PoseStamped, Imu, and JointState of the motors."""
-    pose, imu = flight.spatial["/pose"], flight.spatial["/imu"]
-    zero = dict.fromkeys("xyz", 0.0)
-
-    def stamp(time: float) -> dict[str, object]:
-        whole = START_NS + round(time * 1e9)
-        return {"stamp": {"sec": whole // 10**9, "nanosec": whole % 10**9}, "frame_id": "world"}
-
-    messages = [
-        Message("/pose", "geometry_msgs/msg/PoseStamped", float(t), {
-            "header": stamp(t),
-            "pose": {"position": dict(zip("xyz", map(float, p))), "orientation": dict(zip("wxyz", map(float, q)))},
-        })
-        for t, p, q in zip(pose.time, pose["position"], pose["attitude"])
-    ]  # fmt: skip
-    messages += [
-        Message("/imu", "sensor_msgs/msg/Imu", float(t), {
-            "header": stamp(t), "orientation": {**zero, "w": 1.0}, "orientation_covariance": 9 * [0.0],
-            "angular_velocity": dict(zip("xyz", map(float, w))), "angular_velocity_covariance": 9 * [0.0],
-            "linear_acceleration": zero, "linear_acceleration_covariance": 9 * [0.0],
-        })
-        for t, w in zip(imu.time, imu["rate"])
-    ]  # fmt: skip
-    write_flight(path, {}, flight.joints, messages=sorted(messages, key=lambda message: message.time))
-    return path

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_log, write_twin
+from tests.crafts import write_log
+from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.twin_file import name_twin
@@ -239,13 +240,14 @@ def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str
         (ARM_ON_BASE, "{bodies: {arm: /pose}}", "free body 'arm'; expected one of base"),
         (
             ARM_ON_BASE,
-            "{bodies: {base: /pose}, driven: {elbow: /joint_states}}",
-            "driven joint 'elbow' on a rig with a",
+            "{bodies: {base: /pose}, driven: {base: /pose, elbow: /joint_states}}",
+            "body 'base' under bodies and driven; expected it under one",
         ),
+        (ARM_ON_BASE, "{driven: {base: /pose, elbow: /joint_states}}", "signals without joints"),
         (
             ARM_ON_BASE.replace('name="elbow" type="hinge"', 'name="hip" type="ball"'),
             "{bodies: {base: /pose}}",
-            "ball jo",
+            "leave out joint 'hip'",
         ),
     ],
 )

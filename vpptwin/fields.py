@@ -21,8 +21,8 @@ UNITS: dict[str, tuple[str, float]] = {
 }  # fmt: skip
 """Unit → that of the SI which it measures in, and how many of those it is."""
 
-BODIES, SITES = "/bodies/", "/sites/"
-"""Roots of the topics that bodies and IMUs out of fields are read as, one for each name."""
+BODIES, SITES, TURNS = "/bodies/", "/sites/", "/turns/"
+"""Roots of the topics that bodies, IMUs and ball joints out of fields are read as, one for each name."""
 TIME_UNITS = ("s", "ms", "us", "ns")
 NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
@@ -89,7 +89,8 @@ FieldList = Annotated[FieldEntry, BeforeValidator(lambda value: {"path": value} 
 class SignalEntry(Entry):
     """A joint or an actuator, one field each, or a free body or an IMU out of fields of any topic.
 
-    Of a body: position x, y, z and attitude w, x, y, z in the world; of an IMU: rate x, y, z in its axes.
+    Of a body: position x, y, z and attitude w, x, y, z in the world; of a ball joint: attitude from its parent; of an
+    IMU: rate x, y, z in its axes.
     """
 
     topic: str

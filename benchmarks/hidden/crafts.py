@@ -1,4 +1,4 @@
-"""Sessions of a quadrotor and of an arm with position servos (tests/quadrotor.py, tests/servo_arm.py).
+"""Sessions of a quadrotor, of an arm with position servos and of a leg (tests/quadrotor.py, servo_arm.py, leg.py).
 
 Simulated without MuJoCo, one effect hidden or none. Whether the logs show it and tell it from its look-alikes is not
 worked out there, as it is for the rigs of tests/mechanisms.
@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hidden.mechanisms import MechanismPlan
-from tests import quadrotor, servo_arm
-from vpptwin.logs.write import write_flight
+from tests import leg, quadrotor, servo_arm
+from tests.crafts import write_log
 
-GROUNDS = {"quadrotor": quadrotor, "servo": servo_arm}
+GROUNDS = {"quadrotor": quadrotor, "servo": servo_arm, "leg": leg}
+LOGS = {"quadrotor": (quadrotor.fly, 3, 12.0), "servo": (servo_arm.move, 2, 16.0), "leg": (leg.move, 2, 16.0)}
+"""What makes a log, how many, and how long they are [s]."""
 
 
 @dataclass(frozen=True)
@@ -45,28 +47,11 @@ class CraftSession:
         return "single" if self.hidden else "none"
 
     def record(self, folder: Path) -> RecordedCraft:
-        """Write the nominal twin and the logs: three flights of 12 s, two motions of 16 s."""
+        """Write the nominal twin and the logs, as `LOGS` has it."""
         folder.mkdir(parents=True, exist_ok=True)
-        ground, hidden = GROUNDS[self.family], self.hidden
+        hidden, (make, count, duration) = self.hidden, LOGS[self.family]
         first = 100 * (10_000 * self.seed + self.number)
-        logs = []
-        for i in range(3 if ground is quadrotor else 2):
-            path = folder / f"log_{i}.mcap"
-            if ground is quadrotor:
-                logs.append(quadrotor.write_log(quadrotor.fly(hidden, 12.0, first + i), path))
-            else:
-                write_flight(path, {}, servo_arm.move(hidden, 16.0, first + i).joints)
-                logs.append(path)
-        done = "flights of 12 s" if ground is quadrotor else "motions of 16 s, 50 Hz"
+        logs = [write_log(make(hidden, duration, first + i), folder / f"log_{i}.mcap") for i in range(count)]
+        done = f"{count} logs of {duration:.0f} s"
         plan = MechanismPlan(self.number, self.kind, self.family, hidden, true=hidden, logged=done)
-        return RecordedCraft(ground.write_twin(folder), logs, plan)
-
-
-def draw_quadrotor(seed: int, number: int) -> CraftSession:
-    """Session of a quadrotor."""
-    return CraftSession(seed, number, "quadrotor")
-
-
-def draw_servo(seed: int, number: int) -> CraftSession:
-    """Session of an arm with position servos."""
-    return CraftSession(seed, number, "servo")
+        return RecordedCraft(GROUNDS[self.family].write_twin(folder), logs, plan)

@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import count as count_up
 from itertools import islice
 from pathlib import Path
 
 from hidden.campaign import open_pool
 from hidden.case import CONFIDENT, Case
-from hidden.crafts import CraftSession, draw_quadrotor, draw_servo
+from hidden.crafts import GROUNDS, CraftSession
 from hidden.mechanisms import MechanismPlan
 from hidden.rates import Figure, Rate, count, measure_parameters, measure_time
 from hidden.session import read_verdict
@@ -31,17 +32,18 @@ SECONDS, MEMORY = 1200, 10 * 2**30
 UNRECORDED = "unrecorded"
 """Kind of a session that could not be recorded."""
 
-
-DRAWS = {"other": draw_session, "quadrotor": draw_quadrotor, "servo": draw_servo}
-"""Rigs that are not ours → what draws a session of them."""
 AnySession = Session | CraftSession
+DRAWS: dict[str, Callable[[int, int], AnySession]] = {
+    "other": draw_session, **{family: partial(CraftSession, family=family) for family in GROUNDS},
+}  # fmt: skip
+"""Rigs that are not ours → what draws a session of them."""
 
 
 def choose_sessions(
     rigs: str, seed: int, cases: int, kinds: Sequence[str], numbers: str | None, shard: str
 ) -> list[AnySession]:
     """The sessions that a command line asks for."""
-    draw: Callable[[int, int], AnySession] = DRAWS[rigs]
+    draw = DRAWS[rigs]
     if numbers:
         return [draw(seed, int(number)) for number in numbers.split(",")]
     first, shards = map(int, shard.split("/"))

@@ -43,7 +43,7 @@ def test_free_joint_feels_a_driven_one(tmp_path: Path, free: int, driven: int) -
     pose = both.pose_at_time(qpos, velocity)
     full_pose = np.concatenate([start[:, None], pose], axis=1)
     full_velocity = np.concatenate([np.zeros((ROWS, 1, 2)), velocity], axis=1)
-    led = Driven(np.array([driven]), full_pose[:, :-1, [driven]], full_velocity[:, :-1, [driven]])
+    led = Driven(np.array([driven]), full_pose[:, :-1], full_velocity[:, :-1])
     half = Twin(load_cart(tmp_path, JOINTS[free], JOINTS[driven]), ROWS, num_threads=1)
     applied = commands if free == 0 else np.zeros_like(commands)  # what acts on the driven joint need not be known
     _, led_qpos, led_velocity, _ = half.replay_commands(half.initial_state(qpos=start), applied, driven=led)
@@ -69,8 +69,9 @@ def test_friction_of_a_free_joint_holds_beside_a_driven_one(tmp_path: Path) -> N
     twin = Twin(load_cart(tmp_path, "slide", "swing"), 1, active=["slide.coulomb"], num_threads=1)
     twin.set_parameter("slide.coulomb", "force", 1.0)
     time = np.arange(2000) * twin.dt
-    angle = 0.3 * np.sin(3.0 * time)[None, :, None]
-    speed = 0.9 * np.cos(3.0 * time)[None, :, None]  # pulls with 0.2 kg * 0.3 m * 2.7 rad/s² = 0.16 N or so
+    angle, speed = np.zeros((2, 1, 2000, 2))
+    angle[..., 1] = 0.3 * np.sin(3.0 * time)
+    speed[..., 1] = 0.9 * np.cos(3.0 * time)  # pulls with 0.2 kg * 0.3 m * 2.7 rad/s² = 0.16 N or so
     start = twin.initial_state(qvel=np.array([0.0, 0.9]))
     qpos = twin.replay_commands(start, np.zeros((1, 2000, 1)), driven=Driven(np.array([1]), angle, speed)).qpos
     assert np.abs(qpos[..., 0]).max() < 2e-5  # m in 2 s: the creep of 0.1 mm in 10 s that SPEC 1 allows

@@ -186,7 +186,7 @@ def excite(spec: TwinSpec) -> tuple[np.ndarray, np.ndarray]:
     steps, each = round(spec.robot.window / model.opt.timestep), max(round(HELD / model.opt.timestep), 1)
     drawn = rng.uniform(-1.0, 1.0, (steps // each + 1, model.nu))
     velocity = SPEED * rng.uniform(-1.0, 1.0, model.nv)
-    velocity[[model.joint(name).dofadr[0] for name in spec.robot.driven]] = 0.0
+    velocity[spec.robot.driven] = 0.0
     moved, typical = weigh_actuators(spec), typical_forces(model)
     middle, half = np.zeros(model.nu), np.full(model.nu, SHARE)
     for i in range(model.nu):
@@ -221,7 +221,7 @@ def simulate_plain(
 ) -> np.ndarray:  # fmt: skip
     """Positions of MuJoCo alone after every step, (steps, nq); joints that follow a log stay where they are."""
     with installed(None):
-        model = hold_joints(model, spec.robot.driven) if spec.robot.driven else model
+        model = hold_joints(model, spec.robot.driven) if spec.robot.driven.size else model
         data, way = mujoco.MjData(model), np.zeros((len(commands), model.nq))
         data.qpos[:], data.qvel[:] = spec.robot.start_pose, velocity
         for step, command in enumerate(commands):

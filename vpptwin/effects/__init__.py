@@ -10,6 +10,7 @@ from vpptwin.effects.catalogue import (
     CATALOGUE,
     GENERIC_ACTUATOR,
     GENERIC_JOINT,
+    effects_for_ball,
     effects_for_rig,
     find_effect,
     generic_place,
@@ -19,6 +20,6 @@ from vpptwin.effects.parameter import SIGMAS_90, UNLIMITED, Parameter, Prior
 
 __all__ = [
     "CATALOGUE", "GENERIC_ACTUATOR", "GENERIC_JOINT", "SIGMAS_90", "UNLIMITED", "Body", "Constants", "Craft", "Effect",
-    "FreeBody", "Link", "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_body",
-    "effects_for_rig", "find_effect", "generic_place",
+    "FreeBody", "Link", "Motion", "Parameter", "Prior", "Rotor", "Site", "Stage", "State", "effects_for_ball",
+    "effects_for_body", "effects_for_rig", "find_effect", "generic_place",
 ]  # fmt: skip

@@ -171,6 +171,12 @@ def effects_for_rig(
     return (*found, *((link.MOUNT_TILT,) if mounted else ()))
 
 
+def effects_for_ball(place: Place, ways: tuple[str, ...]) -> tuple[Effect, ...]:
+    """Friction in a ball joint, alike about all of its axes, whose degrees of freedom are called `ways`."""
+    found = friction.coulomb(place, (f"{place.joint}.viscous",)), joint.viscous(place, (f"{place.joint}.coulomb",))
+    return tuple(replace(effect, members=ways) for effect in found)
+
+
 def tie_alike(effects: Iterable[Effect], some: Sequence[str], others: Sequence[str]) -> list[Effect]:
     """The effects, of which each of `some` is hard to tell from each of `others`: a drive's strength, a link's mass."""
     alike = {**dict.fromkeys(some, tuple(others)), **dict.fromkeys(others, tuple(some))}

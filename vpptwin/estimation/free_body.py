@@ -22,7 +22,8 @@ from vpptwin.estimation.guess import (
 )
 from vpptwin.fields import UNITS
 from vpptwin.logs.survey import Signal
-from vpptwin.twin.model import find_free
+from vpptwin.twin.manifold import BALL
+from vpptwin.twin.model import find_floating
 
 AXES = ("x", "y", "z")
 REST_S = 1.0
@@ -44,19 +45,19 @@ class Told:
 
 
 def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess]:
-    """The likeliest signals of every free body, and of the IMU that is a site on it.
+    """The likeliest signals of every free body, or one on a ball joint, and of the IMU that is a site on it.
 
     What a tracker saw comes before what an estimator made of it.
     """
     guesses = []
-    for joint in find_free(model):
-        index = int(model.jnt_bodyid[joint])
+    for body_name, joint in find_floating(model).items():
+        index, wanted = int(model.jnt_bodyid[joint]), ("position", "attitude")[model.jnt_type[joint] == BALL :]
         told = list(tell_body(signals))
         sites = [model.site(i).name for i in range(model.nsite) if model.site_bodyid[i] == index]
         imus = [name for name in sites if "imu" in split_words(name)] or sites[: len(sites) == 1]
-        body = Guess(model.body(index).name, "bodies")
-        take(body, [each for each in told if each.quantity in ("position", "attitude")])
-        missing = {"position", "attitude"} - set(body.vectors)
+        body = Guess(body_name, "bodies")
+        take(body, [each for each in told if each.quantity in wanted])
+        missing = set(wanted) - set(body.vectors)
         body.doubts += [f"no {kind} in the log looks like its" for kind in sorted(missing)]
         guesses.append(body)
         for name in imus[:1]:

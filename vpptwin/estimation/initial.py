@@ -9,7 +9,14 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.series import Measurements, Series, integrate
-from vpptwin.twin.manifold import conjugate, difference_attitudes, find_place, multiply_attitudes, rotate
+from vpptwin.twin.manifold import (
+    conjugate,
+    difference_attitudes,
+    find_place,
+    list_attitudes,
+    multiply_attitudes,
+    rotate,
+)
 
 SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
@@ -40,7 +47,7 @@ def estimate_states(
     Returns:
         Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
-    pose, velocity = np.zeros((len(times), model.nq)), np.zeros((len(times), model.nv))
+    pose, velocity = follow_log(measurements, times, model)
     displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
     turning = [first + axis for first in measurements.attitudes for axis in range(3)]
     for dof, series in measurements.positions.items():
@@ -56,6 +63,26 @@ def estimate_states(
         pose[:, place : place + 4], velocity[:, first : first + 3] = found
     if 2 in displacement:
         velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, causal)
+    return pose, velocity
+
+
+def follow_log(measurements: Measurements, times: np.ndarray, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (..., nq) and velocities (..., nv) of what is driven at `times` (...) s, by a spline; the rest at zero."""
+    pose, velocity = np.zeros((*times.shape, model.nq)), np.zeros((*times.shape, model.nv))
+    pose[..., [place for place, _ in list_attitudes(model)]] = 1.0
+    if not measurements.driven:
+        return pose, velocity
+    from scipy.interpolate import make_interp_spline  # only rigs that are driven wait for it
+
+    for dof, series in measurements.driven.items():
+        spline, place = make_interp_spline(series.time, series.value, k=3), find_place(model, dof)
+        at, slope = spline(times), spline.derivative()(times)
+        if series.value.ndim == 1:
+            pose[..., place], velocity[..., dof] = at, slope
+            continue
+        size = np.linalg.norm(at, axis=-1, keepdims=True)
+        pose[..., place : place + 4] = at / size
+        velocity[..., dof : dof + 3] = 2.0 * multiply_attitudes(conjugate(at), slope)[..., 1:] / size**2
     return pose, velocity
 
 

@@ -13,7 +13,8 @@ from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.series import Measurements, Series, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.twin.manifold import difference_attitudes, follow_sign, turn_to_world
+from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
+from vpptwin.twin.signals import Tracked, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
@@ -33,23 +34,15 @@ BELIEVED = 0.01
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     """Measurements of another rig: the joint states, poses and control inputs that the twin's `signals` name."""
-    signals = spec.robot.signals
+    signals, kinds = spec.robot.signals, spec.model.jnt_type
     found = Found()
-    for joint, topic in {**signals.joints, **signals.driven}.items():
-        stream, told = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
-        found.warnings += told
-        if "position" not in stream.values:
-            raise InputError(
-                f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
-            )
-        dof = int(spec.model.joint(joint).dofadr[0])
-        found.spans[f"{topic} {joint}"] = (float(stream.time[0]), float(stream.time[-1]))
-        found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), f"{topic} {joint}")
-        if joint in signals.driven:
-            found.driven[dof] = found.positions.pop(dof)
-            found.velocities.pop(dof, None)
-    for body, topic in signals.bodies.items():
-        read_body(spec, flight, body, topic, found)
+    for each in spec.robot.tracked:
+        if kinds[each.joint] in (FREE, BALL):
+            read_body(spec, flight, each, found)
+        else:
+            read_joint(spec, flight, each, found)
+        if each.led:
+            found.lead([int(dof) for dof in np.flatnonzero(spec.model.dof_jntid == each.joint)])
     command = read_efforts(spec, flight, signals.actuators)
     spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
@@ -79,6 +72,49 @@ class Found:
                 kept[dof], told = clean_series(series, f"{label}: {what}")
                 self.warnings += told
 
+    def lead(self, dofs: list[int]) -> None:
+        """Have degrees of freedom follow what was read of them, those of a body smoothed by as much as its noise."""
+        turns = [first for first in self.attitudes if first in dofs]
+        for dof in dofs:
+            track = self.positions.pop(dof)
+            self.velocities.pop(dof, None)
+            if not any(first <= dof < first + 3 for first in turns):
+                self.driven[dof] = smooth_series(track) if turns else track
+        for first in turns:
+            self.driven[first] = smooth_series(self.attitudes.pop(first))
+
+
+def smooth_series(series: Series) -> Series:
+    """A series (n,) or (n, k) on splines as smooth as leaves beside them the noise that each column shows."""
+    from scipy.interpolate import splev, splrep  # which few rigs wait for
+
+    time, columns = series.time, series.value.reshape(len(series.time), -1).T
+    smooth = [splev(time, splrep(time, column, s=len(time) * find_spread(column) ** 2)) for column in columns]
+    return replace(series, value=np.stack(smooth, axis=1).reshape(series.value.shape))
+
+
+def find_spread(value: np.ndarray) -> float:
+    """Noise from sample to sample of what is smooth otherwise, (n,), by its third differences."""
+    return float(np.median(np.abs(np.diff(value, 3)))) / 0.6745 / np.sqrt(20.0)
+
+
+def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
+    """Position and, where logged, velocity of a hinge or slide.
+
+    Raises:
+        InputError: if the log has no position of it.
+    """
+    joint, topic = tracked.name, tracked.topic
+    stream, told = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
+    found.warnings += told
+    if "position" not in stream.values:
+        raise InputError(
+            f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+        )
+    dof = int(spec.model.jnt_dofadr[tracked.joint])
+    found.spans[f"{topic} {joint}"] = (float(stream.time[0]), float(stream.time[-1]))
+    found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), f"{topic} {joint}")
+
 
 def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:
     """Position and, where logged, velocity of one degree of freedom, with the noise that they show."""
@@ -95,48 +131,56 @@ def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series 
     return position, Series(f"{name} rate", unit, time, stream["velocity"], noise, white=False)
 
 
-def read_body(spec: TwinSpec, flight: Flight, body: str, topic: str, found: Found) -> None:
-    """Position, attitude and their rates of a free body, from its pose and from an IMU on it.
+def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
+    """Attitude, of a free body also position, and their rates, from its pose and from an IMU on it.
 
     Raises:
         InputError: if the log has no such poses.
     """
-    stream = find_spatial(flight, topic, "position", "attitude")
-    dof, attitude = int(spec.model.body(body).dofadr[0]), follow_sign(stream["attitude"])
-    found.spans[f"{topic} {body}"] = (float(stream.time[0]), float(stream.time[-1]))
+    model, joint, label = spec.model, tracked.joint, f"{tracked.topic} {tracked.name}"
+    free = int(model.jnt_type[joint]) == FREE
+    stream = find_spatial(flight, tracked.topic, *["position"] * free, "attitude")
+    dof, attitude = int(model.jnt_dofadr[joint]), follow_sign(stream["attitude"])
+    found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
+    linear = {}
+    if free:
+        linear["position"] = stream["position"]
+        if "velocity" in stream.values:  # of a body in its own axes, as Odometry has it
+            linear["velocity"] = turn_to_world(attitude, stream["velocity"])
+    else:
+        attitude = turn_from_parent(model, tracked, attitude)
     steps = difference_attitudes(attitude[:-1], attitude[1:])
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    linear = {"position": stream["position"]}
-    if "velocity" in stream.values:  # of a body in its own axes, as Odometry has it
-        linear["velocity"] = turn_to_world(attitude, stream["velocity"])
     angular = {"position": turned} | ({"velocity": stream["rate"]} if "rate" in stream.values else {})
-    gyro = read_gyro(spec, flight, body, found)
+    gyro = read_gyro(spec, flight, joint, found)
     if gyro is not None:
         rate = np.stack([np.interp(stream.time, gyro.time, column) for column in gyro["rate"].T], axis=1)
         angular["velocity"] = rate
-    for axis in range(6):
-        columns, place = (linear, axis) if axis < 3 else (angular, axis - 3)
-        track = Stream(stream.time, {name: values[:, place] for name, values in columns.items()})
-        found.add(dof + axis, read_track(track, spec.robot.name_dof(dof + axis), axis >= 3), f"{topic} {body}")
+    turn = dof + 3 if free else dof
+    for first, columns in ((dof, linear), (turn, angular)):
+        for axis in range(3) if columns else ():
+            track = Stream(stream.time, {name: values[:, axis] for name, values in columns.items()})
+            name = spec.robot.name_dof(first + axis)
+            found.add(first + axis, read_track(track, name, first == turn), label)
     for axis in range(3):
-        rate_seen = found.velocities.get(dof + 3 + axis)
+        rate_seen = found.velocities.get(turn + axis)
         if gyro is not None and rate_seen is not None:
-            found.velocities[dof + 3 + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis])
-    turns = [found.positions[dof + 3 + axis] for axis in range(3)]
+            found.velocities[turn + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis])
+    turns = [found.positions[turn + axis] for axis in range(3)]
     std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
     time = stream.time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
     if gyro is None:
         time = time - float(np.mean([time[0] - series.time[0] for series in turns]))
-    found.attitudes[dof + 3] = Series(f"{body} attitude", "rad", time, attitude, std, white=False)
+    found.attitudes[turn] = Series(f"{tracked.name} attitude", "rad", time, attitude, std, white=False)
     for axis in range(3):  # all three or none: a spike in one is one in the attitude
-        found.positions[dof + 3 + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)
+        found.positions[turn + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)
 
 
-def read_gyro(spec: TwinSpec, flight: Flight, body: str, found: Found) -> Stream | None:
-    """Rates about a body's axes of the first IMU on it, (n, 3) rad/s; None without one."""
+def read_gyro(spec: TwinSpec, flight: Flight, joint: int, found: Found) -> Stream | None:
+    """Rates about its axes of the first IMU on the body that a joint moves, (n, 3) rad/s; None without one."""
     model = spec.model
     for site, topic in spec.robot.signals.sites.items():
-        if model.body(int(model.site(site).bodyid[0])).name == body:
+        if model.site(site).bodyid[0] == model.jnt_bodyid[joint]:
             stream = find_spatial(flight, topic, "rate")
             found.spans[f"{topic} {site}"] = (float(stream.time[0]), float(stream.time[-1]))
             turn = np.broadcast_to(model.site(site).quat, (len(stream), 4))
@@ -235,9 +279,8 @@ def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, apart: flo
     floor = max(share * float(high - low), 1e-9)
     if len(value) < MIN_SAMPLES:
         return floor
-    third = np.diff(value, 3)
-    spread = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
-    third = np.clip(third, -WILD * spread, WILD * spread)
+    spread = find_spread(value)
+    third = np.clip(np.diff(value, 3), -WILD * spread, WILD * spread)
     likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
     if white := WHITE[0] < likeness < WHITE[1]:
         spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))

@@ -52,7 +52,8 @@ class Measurements:
         rotor_speed: measured speed (n, 2) rad/s; None where it was not measured.
         delayed: degrees of freedom whose position comes from the motion capture.
         start, end: span in which everything needed is there [s].
-        driven: degree of freedom → position of a joint that is not simulated but follows its log.
+        driven: degree of freedom → position of a joint that is not simulated but follows its log; of three that turn
+            a body the first → its attitude (n, 4).
         throttle: commanded share of the battery's voltage (n, 2); None where it was not logged.
         current: measured motor currents (n, 2) A; None where they were not measured.
         lag: of the motion capture's angle behind the gyro's integral; None where nothing tells.

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.initial import estimate_states, fit_end
+from vpptwin.estimation.initial import estimate_states, fit_end, follow_log
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.manifold import find_place, integrate_pose
+from vpptwin.twin.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
@@ -116,10 +116,9 @@ def cut_windows(
             throttle = average_held(measurements.throttle, edges[:, warm:])
             spin = estimate_spin(measurements.rotor_speed, starts, causal)
     pose, velocity = estimate_states(measurements, starts, spec.model, causal)
-    driven = follow_log(measurements, edges[:, warm:]) if measurements.driven else None
-    if driven is not None:
-        places = [find_place(spec.model, dof) for dof in driven.dofs]
-        pose[:, places], velocity[:, driven.dofs] = driven.pose[:, 0], driven.velocity[:, 0]
+    driven = None
+    if measurements.driven:
+        driven = Driven(spec.robot.driven, *follow_log(measurements, edges[:, warm:-1], spec.model))
     return Windows(
         flight=np.full(len(starts), flight), start=starts, steps=steps, dt=dt, warm=command[:, :warm],
         command=command[:, warm:], rotor_speed=speed, pose=pose, velocity=velocity, driven=driven, throttle=throttle,
@@ -131,18 +130,6 @@ def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
     """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
     rotors = [replace(speed, value=speed.value[:, i]) for i in range(2)]
     return np.stack([fit_end(rotor, times, SPIN_SPAN, causal) for rotor in rotors], axis=1)
-
-
-def follow_log(measurements: Measurements, edges: np.ndarray) -> Driven:
-    """Tracks of the driven joints at the start of every step, from a spline through their log; edges (K, steps + 1)."""
-    from scipy.interpolate import make_interp_spline  # only rigs that are driven wait for it
-
-    poses, velocities = [], []
-    for series in measurements.driven.values():
-        spline = make_interp_spline(series.time, series.value, k=3)
-        poses.append(spline(edges[:, :-1]))
-        velocities.append(spline.derivative()(edges[:, :-1]))
-    return Driven(np.array(list(measurements.driven)), np.stack(poses, axis=-1), np.stack(velocities, axis=-1))
 
 
 def join_windows(parts: list[Windows]) -> Windows:

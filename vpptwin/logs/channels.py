@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from vpptwin.fields import BODIES, SITES
+from vpptwin.fields import BODIES, SITES, TURNS
 from vpptwin.logs.messages import shorten_type
 
 # Axis names of a rotation -> (quaternion component, sign). SPEC 1: theta turns about -y.
@@ -177,8 +177,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TOPICS = ("/joint_states", "/actuator_command")
 JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "control input, N or N m"}
 
-SPATIAL_COLUMNS = {BODIES: {"position": 3, "attitude": 4}, SITES: {"rate": 3}}
-"""Bodies and IMUs out of fields: root of the topics that they are read as -> column -> numbers."""
+SPATIAL_COLUMNS = {BODIES: {"position": 3, "attitude": 4}, SITES: {"rate": 3}, TURNS: {"attitude": 4}}
+"""Bodies, IMUs and ball joints out of fields: root of the topics that they are read as -> column -> numbers."""
 
 SIGNAL_COLUMNS = (*JOINT_COLUMNS, "attitude", "rate")
 

@@ -129,7 +129,7 @@ def check_place(effect: Effect, where: str, rig: Robot) -> None:
         listed = ", ".join(filter(None, joints)) or "none, as the MJCF names no joint"
         action = "correct it, or leave the file out"
         raise InputError(f"{where}: target {target!r}", f"a joint of the rig: {listed}", action)
-    if on_joint and target in rig.driven:
+    if on_joint and target in rig.signals.driven:
         found = f"{where}: target {target!r}, which follows its log"
         raise InputError(found, "a joint that is simulated", "list it under joints in the twin, not under driven")
     if effect.stage is Stage.CONSTANT and target and target not in [*joints, *actuators, *bodies]:

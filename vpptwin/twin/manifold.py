@@ -8,6 +8,8 @@ as MuJoCo's angular velocities of free and ball joints are.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import mujoco
 import numpy as np
 
@@ -87,6 +89,13 @@ def find_place(model: mujoco.MjModel, dof: int) -> int:
     if model.jnt_type[joint] == BALL:
         return q
     return q + min(offset, 3)
+
+
+def find_places(model: mujoco.MjModel, dofs: Iterable[int]) -> np.ndarray:
+    """Where in a pose the numbers of some degrees of freedom lie, all four of a quaternion for those that turn."""
+    turning = {turn + i: q for q, turn in list_attitudes(model) for i in range(3)}
+    places = ([turning[d] + i for i in range(4)] if d in turning else [find_place(model, d)] for d in map(int, dofs))
+    return np.unique([place for found in places for place in found]).astype(int)
 
 
 def chart(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:

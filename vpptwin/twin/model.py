@@ -77,7 +77,7 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_file(str(path))
     adapt(spec, path)
     for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+        if joint.type in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             joint.parent.simple = 0  # whose centre of mass effects may move
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
@@ -175,9 +175,18 @@ def find_free(model: mujoco.MjModel) -> list[int]:
     return [int(i) for i in np.flatnonzero(model.jnt_type == FREE)]
 
 
-def free_bodies(model: mujoco.MjModel) -> list[int]:
-    """Indices of the bodies that these free."""
-    return [int(model.jnt_bodyid[i]) for i in find_free(model)]
+def find_floating(model: mujoco.MjModel) -> dict[str, int]:
+    """Named bodies whose pose tells a joint's → the joint: a free one, or the ball joint by which a body hangs alone.
+
+    What that hangs from must stand still.
+    """
+    found = {}
+    for i in range(model.njnt):
+        body = int(model.jnt_bodyid[i])
+        alone = model.body_jntnum[body] == 1 and not model.body_weldid[model.body_parentid[body]]
+        if model.jnt_type[i] == FREE or (model.jnt_type[i] == BALL and alone):
+            found[model.body(body).name] = i
+    return {name: joint for name, joint in found.items() if name}
 
 
 def group_rotors(model: mujoco.MjModel) -> list[tuple[str, ...]]:
@@ -197,19 +206,20 @@ def is_driven(model: mujoco.MjModel, joint: str) -> bool:
     return bool((acting & (model.actuator_trnid[:, 0] == model.joint(joint).id)).any())
 
 
-def list_swung(model: mujoco.MjModel) -> list[int]:
+def list_swung(model: mujoco.MjModel, led: np.ndarray) -> list[int]:
     """Bodies that a hinge and another joint move: of one joint alone, mass is but the inverse of its drive's gain.
 
-    What only slides is left out, its mass being the inertia of its slide, and what hangs on a free body.
+    What only slides is left out, its mass being the inertia of its slide. A base that follows its log, as its degrees
+    of freedom among `led` tell, is no joint.
     """
-    found = []
+    found, counts = [], ~((model.jnt_type == FREE) & np.isin(model.jnt_dofadr, led))
     for body in range(1, model.nbody):
         chain, joints = body, list[int]()
         while chain:
             joints += range(model.body_jntadr[chain], model.body_jntadr[chain] + model.body_jntnum[chain])
             chain = int(model.body_parentid[chain])
-        kinds = [int(model.jnt_type[i]) for i in joints]
-        if HINGE in kinds and FREE not in kinds and np.count_nonzero(model.dof_treeid == model.body_treeid[body]) > 1:
+        same = counts & (model.body_treeid[model.jnt_bodyid] == model.body_treeid[body])
+        if {HINGE, BALL} & {int(model.jnt_type[i]) for i in joints} and np.count_nonzero(same) > 1:
             found.append(body)
     return found
 
@@ -221,7 +231,7 @@ def tells_mount(model: mujoco.MjModel) -> bool:
     """
     first = int(model.jnt_bodyid[0])
     up = np.abs(model.opt.gravity) / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
-    if model.njnt < 2 or not up.any() or FREE in model.jnt_type or model.body_parentid[first]:
+    if model.njnt < 2 or not up.any() or {FREE, BALL} & set(model.jnt_type) or model.body_parentid[first]:
         return False
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -243,12 +253,10 @@ def typical_forces(model: mujoco.MjModel) -> np.ndarray:
     return np.asarray(np.diag(inertia_at_rest(model)) * typical)
 
 
-def hold_joints(model: mujoco.MjModel, joints: Iterable[str]) -> mujoco.MjModel:
-    """A copy of the model in which these joints are so heavy that only the force meant to lead them moves them."""
-    held, inertia = copy.copy(model), inertia_at_rest(model)
-    for name in joints:
-        dof = int(model.joint(name).dofadr[0])
-        held.dof_armature[dof] += HEAVY * inertia[dof, dof]
+def hold_joints(model: mujoco.MjModel, dofs: np.ndarray) -> mujoco.MjModel:
+    """A copy of the model whose degrees of freedom `dofs` are so heavy that only what is meant to lead moves them."""
+    held = copy.copy(model)
+    held.dof_armature[dofs] += HEAVY * np.diag(inertia_at_rest(model))[dofs]
     held.opt.tolerance /= HEAVY  # the solver takes it relative to the mean inertia
     mujoco.mj_setConst(held, mujoco.MjData(held))
     return held

@@ -19,7 +19,7 @@ import numpy as np
 from vpptwin.effects import Effect, Stage
 from vpptwin.effects.base import Body, Motion
 from vpptwin.twin import step
-from vpptwin.twin.manifold import FREE
+from vpptwin.twin.manifold import BALL, FREE, find_place, list_attitudes
 
 STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION, Stage.SLIP)
 
@@ -148,9 +148,9 @@ class ChainWriter:
         returned = ", ".join([result, *(own if kept is None else kept)])
         return f"        {returned} = {name_function(self.places[effect.id], effect)}({', '.join(given)})"
 
-    def moves(self, joint: int, direction: str) -> str:
+    def moves(self, dof: int, direction: str) -> str:
         """The motion of a joint as its effects see it."""
-        q, dof = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
+        q = find_place(self.model, dof)
         diagonal = int(self.model.M_rowadr[dof] + self.model.M_rownnz[dof]) - 1
         return f"Motion(view.qpos[{q}], view.qvel[{dof}], {direction}, load[{dof}], lever, view.inertia[{diagonal}])"
 
@@ -175,21 +175,23 @@ class ChainWriter:
         lines += self.push_bodies()
         for joint, i in joints.items():
             for effect in self.of(Stage.FORCE, joint) if joint else ():
-                lines += [self.when(effect), self.call(effect, "more", self.moves(i, "0.0"))]
-                lines += [f"        force[{int(self.model.jnt_dofadr[i])}] += more"]
+                dof = int(self.model.jnt_dofadr[i])
+                lines += [self.when(effect), self.call(effect, "more", self.moves(dof, "0.0"))]
+                lines += [f"        force[{dof}] += more"]
         return [*lines, "    return None"]
 
     def push_bodies(self) -> list[str]:
-        """Forces and moments on every free body add up."""
-        lines = []
-        for joint in np.flatnonzero(self.model.jnt_type == FREE):
-            name = self.model.body(int(self.model.jnt_bodyid[joint])).name
-            q, dof = int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
-            state = [f"view.qpos[{q + i}]" for i in range(7)] + [f"view.qvel[{dof + i}]" for i in range(6)]
+        """Forces and moments on every body that turns any way add up; on a ball joint's but moments."""
+        lines, more = [], [f"more_{i}" for i in range(6)]
+        for q, turn in list_attitudes(self.model):
+            joint = int(self.model.dof_jntid[turn])
+            name, free = self.model.body(int(self.model.jnt_bodyid[joint])).name, self.model.jnt_type[joint] == FREE
+            place = [f"view.qpos[{q - 3 + i}]" if free or i > 2 else "0.0" for i in range(7)]
+            speed = [f"view.qvel[{turn - 3 + i}]" if free or i > 2 else "0.0" for i in range(6)]
             for effect in self.of(Stage.FORCE, name) if name else ():
-                more = [f"more_{i}" for i in range(6)]
-                lines += [self.when(effect), self.call(effect, ", ".join(more), f"Body({', '.join(state)}, view.time)")]
-                lines += [f"        force[{dof + i}] += {each}" for i, each in enumerate(more)]
+                given = f"Body({', '.join([*place, *speed])}, view.time)"
+                lines += [self.when(effect), self.call(effect, ", ".join(more), given)]
+                lines += [f"        force[{turn - 3 + i}] += {more[i]}" for i in range(0 if free else 3, 6)]
         return lines
 
     def muster_friction(self, joints: Mapping[str, int]) -> list[str]:
@@ -198,26 +200,24 @@ class ChainWriter:
         lines += ["    dt, most = view.timestep, 0.0", "    for i in range(len(forward)):"]
         lines += ["        forward[i] = backward[i] = dry[i]", "        most = max(most, dry[i])"]
         for joint, i in joints.items():
-            dof = int(self.model.jnt_dofadr[i])
             rubbing, slipping = (self.of(stage, joint) if joint else [] for stage in (Stage.FRICTION, Stage.SLIP))
-            if not rubbing and not slipping:
-                continue
-            lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
-            for effect in rubbing:
-                lines += self.muster(effect, i)
-            for effect in slipping:
-                lines += [self.when(effect), self.call(effect, "more", self.moves(i, "0.0"), "ahead", "back")]
-                lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
-            lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
+            dofs = int(self.model.jnt_dofadr[i]) + np.arange(3 if self.model.jnt_type[i] == BALL else 1)
+            for dof in map(int, dofs) if rubbing or slipping else ():
+                lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
+                for effect in rubbing:
+                    lines += self.muster(effect, dof)
+                for effect in slipping:
+                    lines += [self.when(effect), self.call(effect, "more", self.moves(dof, "0.0"), "ahead", "back")]
+                    lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
+                lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
         return [*lines, "    return most > 0.0"]
 
-    def muster(self, effect: Effect, joint: int) -> list[str]:
+    def muster(self, effect: Effect, dof: int) -> list[str]:
         """Either sense of motion has a level, which passes through the joint's effects in order: they add or scale."""
         ways = {"ahead": "1.0", "back": "-1.0"}
         after = {level: [f"{level}_{k}" for k in range(len(effect.states))] for level in ways}
         lines = [self.when(effect)]
-        lines += [self.call(effect, way, way, self.moves(joint, s), kept=after[way]) for way, s in ways.items()]
-        dof = int(self.model.jnt_dofadr[joint])
+        lines += [self.call(effect, way, way, self.moves(dof, s), kept=after[way]) for way, s in ways.items()]
         for own, *pair in zip(self.states[effect.id], *after.values()):
             lines += [f"        {own} = {pair[0]} if view.qvel[{dof}] >= 0.0 else {pair[1]}"]
         return lines

@@ -12,7 +12,13 @@ from vpptwin.twin.state import TwinState
 
 @dataclass(frozen=True)
 class Driven:
-    """Joints that follow a log: their degrees of freedom (D,), poses and velocities at every step, (N, steps, D)."""
+    """Joints and free bodies that follow a log.
+
+    Attributes:
+        dofs: their degrees of freedom, (D,).
+        pose: whole poses at every step, of which theirs count, (N, steps, nq) m, rad, unit quaternions.
+        velocity: likewise, (N, steps, nv) m/s, rad/s.
+    """
 
     dofs: np.ndarray
     pose: np.ndarray

@@ -16,15 +16,25 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from vpptwin.effects import Effect, FreeBody, Link, Site, effects_for_body, effects_for_rig, generic_place, sensing
+from vpptwin.effects import (
+    Effect,
+    FreeBody,
+    Link,
+    Site,
+    effects_for_ball,
+    effects_for_body,
+    effects_for_rig,
+    generic_place,
+    sensing,
+)
 from vpptwin.effects.actuator import list_loop_effects
-from vpptwin.effects.catalogue import INPUT_ROOM, tie_alike
+from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.errors import InputError
-from vpptwin.twin.manifold import FREE
+from vpptwin.twin.manifold import BALL, FREE, list_attitudes
 from vpptwin.twin.model import (
     compile_model,
     describe_joints,
-    find_free,
+    find_floating,
     group_rotors,
     is_driven,
     list_swung,
@@ -32,13 +42,13 @@ from vpptwin.twin.model import (
     tells_mount,
     typical_forces,
 )
-from vpptwin.twin.signals import NO_SIGNALS, Signals, check_signals
+from vpptwin.twin.signals import NO_SIGNALS, Signals, Tracked, check_signals, list_tracked
 from vpptwin.vehicle import Vehicle
 
 GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
 WAYS = ("x", "y", "z", "roll", "pitch", "yaw")
-"""What a free body's degrees of freedom are called: along the world's axes, about its own."""
+"""What a free body's degrees of freedom are called: along the world's axes, about its own; a ball joint's are three."""
 GUST_TIME = 0.2
 """Time over which it stays alike [s]: slower than a bump, faster than a law that the catalogue would name."""
 
@@ -148,10 +158,16 @@ class Robot:
             raise InputError(found, "a twin that names a vehicle", action)
         return self.rotorcraft
 
-    @property
-    def driven(self) -> tuple[str, ...]:
-        """Joints that follow their log."""
-        return tuple(self.signals.driven)
+    @cached_property
+    def tracked(self) -> list[Tracked]:
+        """What its signals tell the motion of."""
+        return list_tracked(self.model, self.signals)
+
+    @cached_property
+    def driven(self) -> np.ndarray:
+        """Degrees of freedom that follow their log, (D,)."""
+        led = [each.joint for each in self.tracked if each.led]
+        return np.flatnonzero(np.isin(self.model.dof_jntid, led))
 
     @property
     def numbers(self) -> np.ndarray:
@@ -195,9 +211,10 @@ class Robot:
         What turns a craft that hovers is next to nothing, and a gust that pushes it pushes off its centre.
         """
         force = np.array(self.forces)
-        for joint, free in zip(find_free(self.model), self.list_free()):
-            turns = slice(int(self.model.jnt_dofadr[joint]) + 3, int(self.model.jnt_dofadr[joint]) + 6)
-            force[turns] = np.maximum(force[turns], free.force * free.size)
+        for joint, free in self.list_free().items():
+            if self.model.jnt_type[joint] == FREE:
+                turns = slice(int(self.model.jnt_dofadr[joint]) + 3, int(self.model.jnt_dofadr[joint]) + 6)
+                force[turns] = np.maximum(force[turns], free.force * free.size)
         return force
 
     def scale(self, loads: Loads) -> Robot:
@@ -226,7 +243,8 @@ class Robot:
         model, loads = self.model, self.loads
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
-        apart = [effect for body in self.list_free() for effect in effects_for_body(body)] + self.list_misread()
+        apart = [effect for joint, body in self.list_free().items() for effect in self.list_of_body(joint, body)]
+        apart += self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
         more = about, group_rotors(model), self.list_links(), tells_mount(model)
         if loads is None:
@@ -253,7 +271,9 @@ class Robot:
         """Errors of the signals of free bodies, and of joints that are logged on topics of their own."""
         model, signals = self.model, self.signals
         found: list[Effect] = []
-        for joint in find_free(model):
+        for joint in self.list_free():
+            if model.jnt_type[joint] != FREE:
+                continue
             body, dof = model.body(int(model.jnt_bodyid[joint])), int(model.jnt_dofadr[joint])
             gyros = [name for name in signals.sites if model.site(name).bodyid[0] == body.id]
             found += sensing.effects_for_pose(body.name, dof, gyros[0] if gyros else "")
@@ -293,7 +313,7 @@ class Robot:
         """The bodies whose mass shows, and where the last ones of a chain may carry something."""
         model = self.model
         found = []
-        for body in list_swung(model):
+        for body in list_swung(model, self.driven):
             name, mass = model.body(body).name, float(model.body_mass[body])
             centre, tip = model.body_ipos[body], None
             away = centre - model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else centre
@@ -305,25 +325,42 @@ class Robot:
                 found.append(Link(name, mass, tip, reach))
         return found
 
-    def list_free(self) -> list[FreeBody]:
-        """The bodies that nothing holds, with what is typical of them."""
-        model, loads, force, found = self.model, self.loads, self.forces, []
-        for joint in find_free(model):
+    def list_free(self) -> dict[int, FreeBody]:
+        """The bodies that turn any way and are simulated, by their joint, with what is typical of them."""
+        model, loads, force, found = self.model, self.loads, self.forces, {}
+        for _, turn in list_attitudes(model):
+            joint = int(model.dof_jntid[turn])
             body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
-            name = model.body(body).name
+            name, mass = model.body(body).name, float(model.body_mass[body])
+            if turn in self.driven or not name or not mass:
+                continue
             speed = 1.0 if loads is None else float(loads.speed[dof : dof + 3].max())
-            size = float(np.sqrt(model.body_inertia[body].max() / model.body_mass[body]))
-            push, turn = (float(force[part].max()) for part in (slice(dof, dof + 3), slice(dof + 3, dof + 6)))
-            mass, inertia = float(model.body_mass[body]), tuple(map(float, model.body_inertia[body]))
-            found.append(FreeBody(name, mass, inertia, size, push, turn, speed))
+            size = float(np.sqrt(model.body_inertia[body].max() / mass))
+            push, twist = (float(force[part].max()) for part in (slice(dof, dof + 3), slice(turn, turn + 3)))
+            inertia = tuple(map(float, model.body_inertia[body]))
+            found[joint] = FreeBody(name, mass, inertia, size, push, twist, speed)
         return found
+
+    def list_of_body(self, joint: int, body: FreeBody) -> list[Effect]:
+        """What a free body may have, or one on a ball joint: friction there, and what no force on the joint undoes."""
+        model, effects = self.model, effects_for_body(body)
+        if model.jnt_type[joint] == FREE:
+            return list(effects)
+        held = [effect for effect in effects if effect.id.rsplit(".", 1)[1] in ("com", "inertia", "twist")]
+        name, dof = model.joint(joint).name, int(model.jnt_dofadr[joint])
+        if not name:
+            return held
+        speed = 1.0 if self.loads is None else float(self.loads.speed[dof : dof + 3].max())
+        told = ("", GENERIC_ROOM) if self.loads is None else ("the log", 1.0)
+        place = generic_place(name, True, body.torque, *told, speed=speed)
+        return [*effects_for_ball(place, tuple(self.name_dof(dof + i) for i in range(3))), *held]
 
     def name_dof(self, dof: int) -> str:
         """What a degree of freedom is called: its joint's name, or which way a body goes or turns."""
         model, joint = self.model, int(self.model.dof_jntid[dof])
-        if model.jnt_type[joint] != FREE:
-            return str(model.joint(joint).name)
-        return f"{model.body(int(model.jnt_bodyid[joint])).name} {WAYS[dof - int(model.jnt_dofadr[joint])]}"
+        name, body = str(model.joint(joint).name), str(model.body(int(model.jnt_bodyid[joint])).name)
+        way, kind = dof - int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
+        return f"{body} {WAYS[way]}" if kind == FREE else f"{name or body} {WAYS[3 + way]}" if kind == BALL else name
 
     def nominal(self, key: str) -> float:
         """Its nominal number at a dotted key of a vehicle file; KeyError where it has none."""
@@ -337,7 +374,8 @@ class Robot:
         """Indices of the place in the model where an effect acts."""
         model = self.model
         joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt)}
-        joints |= {model.body(int(model.jnt_bodyid[i])).name: int(model.jnt_dofadr[i]) for i in find_free(model)}
+        joints |= {name: int(model.jnt_dofadr[i]) for name, i in find_floating(model).items()}
+        joints |= {self.name_dof(turn + i): turn + i for _, turn in list_attitudes(model) for i in range(3)}
         actuators = {model.actuator(i).name: i for i in range(model.nu)}
         bodies = {model.body(i).name: i for i in range(model.nbody)}
         places = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}

@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vpptwin.errors import InputError
-from vpptwin.fields import BODIES, SITES, SignalEntry, dump_entry
-from vpptwin.twin.manifold import BALL, FREE
-from vpptwin.twin.model import find_free, free_bodies
+from vpptwin.fields import BODIES, SITES, TURNS, SignalEntry, dump_entry
+from vpptwin.twin.manifold import FREE, conjugate, multiply_attitudes
+from vpptwin.twin.model import find_floating
 
-SIGNAL_TOPICS = {
-    "joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command",
-    "bodies": BODIES + "{}", "sites": SITES + "{}",
-}  # fmt: skip
-"""Where signals are read, bodies and IMUs each on a topic of its own, that a twin makes of fields of other topics."""
+SIGNAL_TOPICS = {"joints": "/joint_states", "driven": "/joint_states", "actuators": "/actuator_command",
+                 "bodies": BODIES, "sites": SITES}  # fmt: skip
+"""Where signals are read that a twin makes of fields of other topics; what is a vector on a topic of its own below."""
 
 
 class Signals(BaseModel):
     """Topics that carry a rig's joints, free bodies, IMUs and control inputs, by MJCF name.
 
-    Joints under `driven` are not simulated but follow their log: whatever moves them, its errors stay out of the
-    question. Bodies are those that fly or float; sites those where an IMU sits on one. Instead of a JointState topic a
-    YAML may name fields of any topic, which come to lie in `entries`: topic that they are read as → name → where they
-    are.
+    Joints and free bodies under `driven` are not simulated but follow their log: whatever moves them, its errors stay
+    out of the question. Bodies are those that fly, float or hang by a ball joint; sites those where an IMU sits on one.
+    Instead of a topic a YAML may name fields of any topic, which come to lie in `entries`: topic that they are read as
+    → name → where they are.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -49,34 +47,81 @@ class Signals(BaseModel):
             signals = given.get(group)
             if isinstance(signals, dict):
                 fields = {name: entry for name, entry in signals.items() if isinstance(entry, dict)}
+                told = {name: place_entry(topic, name, entry) for name, entry in fields.items()}
                 for name, entry in fields.items():
-                    entries.setdefault(topic.format(name), {})[name] = entry
-                split[group] = {**signals, **{name: topic.format(name) for name in fields}}
+                    entries.setdefault(told[name], {})[name] = entry
+                split[group] = {**signals, **told}
         return {**split, "entries": {topic: names for topic, names in entries.items() if names}}
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """What a twin YAML says."""
         told = self.model_dump()
         content = {part: names for part, names in told.items() if names or part not in ("bodies", "sites")}
-        for group, topic in SIGNAL_TOPICS.items():
-            for name in content.get(group, ()):
-                if (entry := self.entries.get(topic.format(name), {}).get(name)) is not None:
-                    content[group][name] = dump_entry(entry)
+        for names in content.values():
+            for name, topic in names.items():
+                if (entry := self.entries.get(topic, {}).get(name)) is not None:
+                    names[name] = dump_entry(entry)
         return content
 
 
 NO_SIGNALS = Signals()
 
 
+def place_entry(topic: str, name: str, entry: dict[str, Any]) -> str:
+    """The topic that an entry is read as: one of its own for bodies, IMUs and joints that turn any way."""
+    if topic.endswith("/"):
+        return topic + name
+    if "attitude" not in entry:
+        return topic
+    return (BODIES if "position" in entry else TURNS) + name
+
+
+class Tracked(NamedTuple):
+    """What a signal tells the motion of.
+
+    Attributes:
+        name: of the joint or the body.
+        topic: that carries it.
+        joint: index of the joint, or of that which carries the body.
+        posed: it is the pose of a body in the world, not where a joint is from its parent.
+        led: it follows the log.
+    """
+
+    name: str
+    topic: str
+    joint: int
+    posed: bool
+    led: bool
+
+
+def list_tracked(model: mujoco.MjModel, signals: Signals) -> list[Tracked]:
+    """All that signals tell the motion of: joints, then bodies, then what is driven."""
+    joints = {model.joint(i).name: i for i in range(model.njnt) if model.jnt_type[i] != FREE}
+    bodies = find_floating(model)
+    found = [Tracked(n, topic, joints[n], False, False) for n, topic in signals.joints.items()]
+    found += [Tracked(n, topic, bodies[n], True, False) for n, topic in signals.bodies.items()]
+    for name, topic in signals.driven.items():
+        found.append(Tracked(name, topic, joints.get(name, bodies.get(name, -1)), name not in joints, True))
+    return found
+
+
+def turn_from_parent(model: mujoco.MjModel, tracked: Tracked, attitude: np.ndarray) -> np.ndarray:
+    """What a ball joint turns by, (n, 4), of logged attitudes: as they are, or those of its body in the world."""
+    if not tracked.posed:
+        return attitude
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    mujoco.mj_kinematics(model, data)
+    return multiply_attitudes(conjugate(data.xquat[model.jnt_bodyid[tracked.joint]]), attitude)
+
+
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
-    """Check that signals name joints, free bodies, sites and actuators of the MJCF, and all that can move.
+    """Check that signals name joints, bodies, sites and actuators of the MJCF, and all that can move, each once.
 
     A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
     """
-    if (model.jnt_type == BALL).any():
-        joint = model.joint(int(np.argmax(model.jnt_type == BALL))).name
-        raise InputError(f"{name}: ball joint {joint!r}", "hinges, slides and free bodies", "replace it by hinges")
-    free = [model.body(int(model.jnt_bodyid[i])).name for i in find_free(model)]
+    floating = find_floating(model)
+    free = [body for body, i in floating.items() if model.jnt_type[i] == FREE]
     joints = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] != FREE]
     actuators = [model.actuator(i).name for i in range(model.nu)]
     if signals is None or not (signals.joints or signals.bodies):
@@ -86,29 +131,34 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
             "signals that map joints and actuators to topics, as the rig is not ours",
             f"add `signals: {{{example if free else example + '/joint_states}'}}}`",
         )
-    both = sorted(set(signals.joints) & set(signals.driven))
-    if both:
-        raise InputError(f"{name}: joint {both[0]!r} under joints and driven", "it under one of them", "remove one")
-    if signals.driven and free:
-        found = f"{name}: driven joint {next(iter(signals.driven))!r} on a rig with a free body"
-        raise InputError(found, "driven joints where the base stands", "list it under joints")
-    sites = [model.site(i).name for i in range(model.nsite)]
-    kinds = (("joint", signals.joints, joints), ("joint", signals.driven, joints), ("free body", signals.bodies, free),
-             ("site", signals.sites, sites), ("actuator", signals.actuators, actuators))  # fmt: skip
-    unheld = [site for site in signals.sites if site in sites and model.site(site).bodyid[0] not in free_bodies(model)]
+    sites = {model.site(i).name: model.body(int(model.site_bodyid[i])).name for i in range(model.nsite)}
+    unheld = [site for site in signals.sites if site in sites and sites[site] not in floating]
     if unheld:
         found = f"{name}: signals name site {unheld[0]!r}, which is on no free body"
         raise InputError(found, "IMUs on bodies that fly or float", "leave it out: joints tell their own motion")
+    kinds = (("joint", signals.joints, joints), ("free body", signals.bodies, list(floating)),
+             ("joint", signals.driven, [*joints, *floating]), ("site", signals.sites, list(sites)),
+             ("actuator", signals.actuators, actuators))  # fmt: skip
     for kind, given, known in kinds:
         for key in given:
             if key not in known:
                 listed = ", ".join(filter(None, known))
                 named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
                 raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
-    told = {**signals.joints, **signals.driven}
-    lost = [f"joint {joint!r}" if joint else "a joint without a name" for joint in joints if joint not in told]
-    unseen = (body for body in free if body not in signals.bodies)
-    lost += [f"free body {body!r}" if body else "a free body without a name" for body in unseen]
+    told: dict[int, Tracked] = {}
+    for each in list_tracked(model, signals):
+        if (other := told.setdefault(each.joint, each)) is not each:
+            what = [("driven" if one.led else "bodies" if one.posed else "joints", one.name) for one in (other, each)]
+            (first, called), (second, too) = what
+            found = f"{name}: {'body' if other.posed else 'joint'} {called!r} under {first} and "
+            found += second if called == too else f"{too!r} under {second}"
+            raise InputError(found, "it under one of them", "remove one")
+    lost = []
+    for i in (i for i in range(model.njnt) if i not in told):
+        missed, kind = model.joint(i).name, "joint"
+        if model.jnt_type[i] == FREE:
+            missed, kind = model.body(int(model.jnt_bodyid[i])).name, "free body"
+        lost.append(f"{kind} {missed!r}" if missed else f"a {kind} without a name")
     if lost:
         raise InputError(
             f"{name}: signals leave out {' and '.join(lost)}",

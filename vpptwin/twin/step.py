@@ -58,7 +58,7 @@ class Tape(NamedTuple):
         speed: measured rotor speed, which thrust goes by, (steps, nu) rad/s; no rows when it is simulated.
         throttle: by which motors are simulated, (steps, nu) 0..1; no rows when there is none.
         push: generalized force added, (segments, nv) N, N m; no rows for none.
-        lead: where driven joints' qpos is after each step, (steps, nv); no rows when none is driven.
+        lead: velocities of driven joints in each step, (steps, nv); no rows when none is driven.
         driven: inertia by which each joint is driven, (nv,); 0 for free ones.
         steps: number of steps of the call.
     """
@@ -226,8 +226,7 @@ def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
     if len(tape.lead) > 0:
         for i in range(len(force)):
             if tape.driven[i] > 0.0:
-                wanted = (tape.lead[k, i] - view.qpos[i]) / view.timestep
-                force[i] += tape.driven[i] * (wanted - view.qvel[i]) / view.timestep
+                force[i] += tape.driven[i] * (tape.lead[k, i] - view.qvel[i]) / view.timestep
 
 
 @register_jitable(forceinline=True)

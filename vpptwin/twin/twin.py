@@ -17,7 +17,7 @@ from vpptwin.twin.constants import ConstantTable
 from vpptwin.twin.fused import Stepper
 from vpptwin.twin.kernel import CONTEXT, delay_depth, warm_up, write_kernel
 from vpptwin.twin.layout import read_layout
-from vpptwin.twin.manifold import find_place, integrate_pose
+from vpptwin.twin.manifold import difference_poses, find_places, integrate_pose
 from vpptwin.twin.model import hold_joints
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
@@ -65,7 +65,7 @@ class Twin:
         self.effects: dict[str, Effect] = {e.id: e for e in spec.catalogue if e.id in wanted}
         self.dt = float(spec.model.opt.timestep)
         robot, driven = spec.robot, spec.robot.driven
-        model = hold_joints(spec.stepped, driven) if driven else copy.copy(spec.stepped)
+        model = hold_joints(spec.stepped, driven) if driven.size else copy.copy(spec.stepped)
         self._dry = np.array(model.dof_frictionloss)
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -87,9 +87,7 @@ class Twin:
         places = self._kernel.pipeline.places
         self._active = np.array([name in self.effects for name in places], dtype=np.bool_)
         self._led = np.zeros(model.nv)
-        for name in driven:
-            dof = int(model.joint(name).dofadr[0])
-            self._led[dof] = model.dof_armature[dof]
+        self._led[driven] = model.dof_armature[driven]
         self._numbers = robot.numbers
         self._scratch = np.zeros(self._kernel.scratch_shape(num_sims, int(model.nv)))
         self._context = np.zeros(1, CONTEXT)
@@ -268,14 +266,12 @@ class Twin:
         return Replay(result, qpos, qvel, tape.get("rotor_speed"))
 
     def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
-        """Put driven joints at the start of their tracks; where their qpos is to be after each step, (N, steps, nv)."""
-        track = driven.pose + 0.5 * self.dt * driven.velocity
-        places = [find_place(self.spec.model, dof) for dof in driven.dofs]
-        state.qpos[:, places], state.qvel[:, driven.dofs] = track[:, 0], driven.velocity[:, 0]
-        lead = np.zeros((self.num_sims, steps, self.spec.model.nv))
-        lead[:, :-1, driven.dofs] = track[:, 1:steps]
-        lead[:, -1, driven.dofs] = track[:, -1] + self.dt * driven.velocity[:, -1]
-        return lead
+        """Put driven joints at the start of their tracks; the velocities that lead them along, (N, steps, nv)."""
+        model, dofs = self.spec.model, driven.dofs
+        track, places = self.pose_for_engine(driven.pose, driven.velocity), find_places(model, dofs)
+        state.qpos[:, places], state.qvel[:, dofs] = track[:, 0][:, places], driven.velocity[:, 0][:, dofs]
+        ahead = difference_poses(model, track[:, :-1], track[:, 1:]) / self.dt
+        return np.concatenate([ahead, driven.velocity[:, -1:]], axis=1)
 
     def _run(self, state: TwinState, steps: int, tape: dict[str, np.ndarray], policy: bool = False) -> None:
         """Advance `state` in place by a number of inner steps under the inputs of a tape."""

@@ -12,8 +12,9 @@ import numpy as np
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
-from vpptwin.twin.manifold import find_place, follow_sign
+from vpptwin.twin.manifold import BALL, FREE, follow_sign
 from vpptwin.twin.robot import Robot
+from vpptwin.twin.signals import Tracked, turn_from_parent
 from vpptwin.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -75,25 +76,32 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
     Raises:
         InputError: if the log holds no position of our craft, or of any joint or body that the twin's signals name.
     """
-    model, topics = robot.model, robot.signals.joints
+    model = robot.model
     found: Positions = {}
-    for joint, topic in topics.items():
-        stream = flight.joints.get(topic, {}).get(joint)
+    for tracked in robot.tracked:
+        place, stream = int(model.jnt_qposadr[tracked.joint]), flight.joints.get(tracked.topic, {}).get(tracked.name)
         if stream is not None and "position" in stream.values:
-            found[model.joint(joint).qposadr[0]] = (stream.time, stream["position"])
-    for body, topic in robot.signals.bodies.items():
-        stream = flight.spatial.get(topic)
-        if stream is not None and "attitude" in stream.values:
-            place = find_place(model, int(model.body(body).dofadr[0]))
-            values = np.concatenate([stream["position"], follow_sign(stream["attitude"])], axis=1)
-            found |= {place + i: (stream.time, column) for i, column in enumerate(values.T)}
+            found[place] = (stream.time, stream["position"])
+        elif (poses := place_body(model, tracked, flight)) is not None:
+            found |= {place + i: (poses[0], column) for i, column in enumerate(poses[1].T)}
     if not found:
-        named = " or ".join(f"{part} on {topic}" for part, topic in {**topics, **robot.signals.bodies}.items())
+        named = " or ".join(f"{tracked.name} on {tracked.topic}" for tracked in robot.tracked)
         present = ", ".join([*flight.streams, *flight.joints, *flight.spatial]) or "none"
         advice = "correct `signals` of the twin or use a topic map"
         wanted = f"the position of {named or 'a joint'}"
         raise InputError(f"{flight.path}: no position to draw, topics {present}", wanted, advice)
     return found
+
+
+def place_body(model: mujoco.MjModel, tracked: Tracked, flight: Flight) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times (n,) [s] and the numbers of a joint that turns any way, (n, 7) or (n, 4), as a log has them."""
+    stream, kind = flight.spatial.get(tracked.topic), model.jnt_type[tracked.joint]
+    if stream is None or kind not in (FREE, BALL) or "attitude" not in stream.values:
+        return None
+    attitude = follow_sign(stream["attitude"])
+    if kind == FREE:
+        return stream.time, np.concatenate([stream["position"], attitude], axis=1)
+    return stream.time, turn_from_parent(model, tracked, attitude)
 
 
 @find_positions.register(PlanarDrone)

@@ -6,18 +6,18 @@ from dataclasses import dataclass, field, replace
 from functools import singledispatch
 from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.twin.drone import PlanarDrone
-from vpptwin.twin.manifold import find_place
+from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.robot import Robot
+from vpptwin.twin.signals import Tracked
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Rotor
 from vpptwin.viz.figure import INK
-from vpptwin.viz.motion import interpolate
+from vpptwin.viz.motion import interpolate, place_body
 from vpptwin.viz.palette import ORANGE, PURPLE, SKY, TARGET, TWIN
 
 if TYPE_CHECKING:
@@ -122,9 +122,12 @@ def find_triggers(flight: Flight) -> np.ndarray:
 def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> list[Panel]:
     """Position and velocity of each joint of a rig, and the inputs of its actuators, as far as recorded."""
     panels = []
-    for joint, topic in robot.signals.joints.items():
-        stream, model = flight.joints.get(topic, {}).get(joint), robot.model.joint(joint)
-        turns = robot.rotary[model.dofadr[0]]
+    for tracked in robot.tracked:
+        joint, model = tracked.name, robot.model.joint(tracked.joint)
+        if model.type[0] in (FREE, BALL):
+            panels += tell_body(robot, tracked, flight, prediction)
+            continue
+        stream, turns = flight.joints.get(tracked.topic, {}).get(joint), robot.rotary[model.dofadr[0]]
         if stream is None:
             continue
         for column, unit, kind, place in (
@@ -134,9 +137,6 @@ def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> l
             if column in stream.values:
                 lines = [measured(stream.time, stream[column]), *twin_line(prediction, kind, int(place))]
                 panels.append(Panel(f"{joint} {column} [{unit}]", lines))
-    for body, topic in robot.signals.bodies.items():
-        if (stream := flight.spatial.get(topic)) is not None and "attitude" in stream.values:
-            panels += tell_body(robot.model, body, stream, prediction)
     for actuator, topic in robot.signals.actuators.items():
         stream = flight.joints.get(topic, {}).get(actuator)
         if stream is not None and "effort" in stream.values:
@@ -144,21 +144,24 @@ def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> l
     return panels
 
 
-def tell_body(model: mujoco.MjModel, body: str, stream: Stream, prediction: Prediction | None) -> list[Panel]:
-    """Position and attitude of a free body, as roll, pitch and yaw."""
-    place, panels = find_place(model, int(model.body(body).dofadr[0])), []
-    for axis, name in enumerate("xyz"):
-        lines = [measured(stream.time, stream["position"][:, axis]), *twin_line(prediction, "qpos", place + axis)]
-        panels.append(Panel(f"{body} {name} [m]", lines))
-    told = prediction
+def tell_body(robot: Robot, tracked: Tracked, flight: Flight, prediction: Prediction | None) -> list[Panel]:
+    """Position, of a free body, and attitude, as roll, pitch and yaw."""
+    poses = place_body(robot.model, tracked, flight)
+    if poses is None:
+        return []
+    (time, values), panels = poses, []
+    q, told = int(robot.model.jnt_qposadr[tracked.joint]), prediction
+    turn = q + values.shape[1] - 4
     if prediction is not None:  # whose quaternion gives way to angles
         qpos = prediction.qpos.copy()
-        qpos[:, place + 3 : place + 6] = tell_angles(qpos[:, place + 3 : place + 7])
+        qpos[:, turn : turn + 3] = tell_angles(qpos[:, turn : turn + 4])
         told = replace(prediction, qpos=qpos)
-    angles = tell_angles(stream["attitude"])
-    for axis, name in enumerate(("roll", "pitch", "yaw")):
-        lines = [measured(stream.time, angles[:, axis]), *twin_line(told, "qpos", place + 3 + axis)]
-        panels.append(Panel(f"{body} {name} [rad]", lines))
+    for axis in range(turn - q):
+        lines = [measured(time, values[:, axis]), *twin_line(prediction, "qpos", q + axis)]
+        panels.append(Panel(f"{tracked.name} {'xyz'[axis]} [m]", lines))
+    for axis, angle in enumerate(tell_angles(values[:, -4:]).T):
+        lines = [measured(time, angle), *twin_line(told, "qpos", turn + axis)]
+        panels.append(Panel(f"{tracked.name} {('roll', 'pitch', 'yaw')[axis]} [rad]", lines))
     return panels
 
 

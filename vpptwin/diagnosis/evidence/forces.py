@@ -12,8 +12,8 @@ from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import average_held
-from vpptwin.twin.manifold import chart, find_place, list_attitudes
-from vpptwin.twin.model import inertia_at_rest
+from vpptwin.twin.manifold import FREE, chart, difference_poses
+from vpptwin.twin.model import hold_joints, inertia_at_rest
 from vpptwin.twin.robot import Loads
 from vpptwin.twin.spec import TwinSpec
 
@@ -66,11 +66,10 @@ def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: 
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
     around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
-    for dof, series in log.driven.items():
-        track = [np.interp(times + side, series.time, series.value) for side in (-REACH, 0.0, REACH)]
-        speed = (track[2] - track[0]) / (2.0 * REACH), (track[1] - track[0]) / REACH, (track[2] - track[1]) / REACH
-        for (pose, velocity), place, rate in zip(around, track, (speed[1], speed[0], speed[2])):
-            pose[:, find_place(model, dof)], velocity[:, dof] = place, rate
+    if log.driven:
+        led, (before, at, after) = spec.robot.driven, (pose for pose, _ in around)
+        for (_, velocity), ends, span in zip(around, ((before, at), (before, after), (at, after)), (1.0, 2.0, 1.0)):
+            velocity[:, led] = difference_poses(model, *ends)[:, led] / (span * REACH)
     pose, velocity = around[1]
     acceleration = (around[2][1] - around[0][1]) / (2.0 * REACH)
     edges = times[:, None] + np.array([-REACH, REACH])
@@ -100,7 +99,7 @@ def invert(
 
 def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
     """Rate at which small errors of a state grow in the twin's MJCF, typical along the logs [1/s]; 0 for none."""
-    model, rates = spec.model, list[float]()
+    model, rates = hold_joints(spec.model, spec.robot.driven), list[float]()
     data, moved = mujoco.MjData(model), np.zeros((2 * model.nv, 2 * model.nv))
     for log in measurements:
         times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
@@ -118,7 +117,8 @@ def measure_turning(spec: TwinSpec, measurements: Sequence[Measurements]) -> flo
 
     Forces turn with the body: a twin that is wrong by as much knows nothing of its motion beyond.
     """
-    turning = [dof + i for _, dof in list_attitudes(spec.model) for i in range(3)]
+    bodies = (joint for joint in spec.robot.list_free() if spec.model.jnt_type[joint] == FREE)
+    turning = [int(spec.model.jnt_dofadr[joint]) + 3 + i for joint in bodies for i in range(3)]
     if not turning:
         return float("inf")
     forces = measure_forces(spec, measurements)

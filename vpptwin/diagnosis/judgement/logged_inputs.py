@@ -72,7 +72,7 @@ def describe_weak_inputs(
             found.append((asked * given).mean(axis=0) ** 2 / (sizes[0] * sizes[1]))
         found[-1][~(sizes[0] > rough**2) | (sizes[1] <= DRIVEN**2 * sizes[0])] = np.nan
     best = np.max(found, axis=0)
-    best[list(measurements[0].driven)] = np.nan
+    best[spec.robot.driven] = np.nan
     weak = [f"{share:.0%} on {spec.robot.name_dof(dof)}" for dof, share in enumerate(best) if share < criteria.obeyed]
     told = f"the inputs in these logs explain but {', '.join(weak)} of the force that motion asks for: "
     why = "they may change faster than they are logged, or be asked for and not what acted; causes there are guesses"

@@ -148,7 +148,7 @@ def write_own_effect(verdict: Verdict, robot: Robot) -> str:
     """A Python file with an effect on the joint in which something is left; "" for a rig that only flies freely."""
     left, miss = verdict.unexplained, verdict.misfit
     told = " ".join([left.channel or "", *left.depends_on, miss.joint if miss is not None else ""])
-    joints = {joint[0]: joint for joint in describe_joints(robot.model) if joint[0] not in robot.driven}
+    joints = {joint[0]: joint for joint in describe_joints(robot.model) if joint[0] not in robot.signals.driven}
     if not joints:
         return ""
     meant = [name for name in joints if re.search(rf"(?<!\w){re.escape(name)}(?!\w)", told)]

@@ -196,20 +196,23 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     """
     spec, nv = bench.spec, bench.spec.model.nv
     rotary, assumed, criteria = spec.robot.rotary, gust_std(bench), bench.criteria
-    variations = [Variation(values)]
+    still = Variation(values)
+    variations = [still]
     sizes = []
+    led = set(spec.robot.driven)  # which nothing moves
     for dof in range(nv):
         step = STEP_POSE[bool(rotary[dof])]
-        variations.append(Variation(values, pose=step * np.eye(nv)[dof]))
+        variations.append(still if dof in led else Variation(values, pose=step * np.eye(nv)[dof]))
         sizes.append(step)
     for dof in range(nv):
         step = STEP_VELOCITY[bool(rotary[dof])]
-        variations.append(Variation(values, velocity=step * np.eye(nv)[dof]))
+        variations.append(still if dof in led else Variation(values, velocity=step * np.eye(nv)[dof]))
         sizes.append(step)
     for segment in range(bench.segments):
         for dof in range(nv):
             times = 1.0 if gust is None else float(max(gust[dof], 1.0))
-            variations.append(Variation(values, push=(segment, dof, times * float(assumed[dof]))))
+            push = segment, dof, times * float(assumed[dof])
+            variations.append(still if dof in led else Variation(values, push=push))
             sizes.append(times)
     predicted = bench.predict(variations, values)
     slopes = bench.bound(predicted[1:] - predicted[0]) / np.array(sizes)[:, None, None]
