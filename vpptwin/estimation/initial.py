@@ -24,7 +24,7 @@ FREE = 1e6
 
 
 def estimate_states(
-    measurements: Measurements, times: np.ndarray, model: mujoco.MjModel, causal: bool
+    measurements: Measurements, times: np.ndarray, model: mujoco.MjModel, causal: bool, until: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate poses and velocities at `times`.
 
@@ -36,10 +36,12 @@ def estimate_states(
         times: (K,) s.
         model: whose state it is; its gravity turns specific force into acceleration.
         causal: use nothing later than each instant.
+        until: use nothing later than this, (K,) s, in the place of `causal`.
 
     Returns:
         Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
+    until = known_until(times, causal) if until is None else until
     pose, velocity = np.zeros((len(times), model.nq)), np.zeros((len(times), model.nv))
     displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
     turning = [first + axis for first in measurements.attitudes for axis in range(3)]
@@ -48,15 +50,20 @@ def estimate_states(
             continue
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, causal)
+        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, until)
     for first, attitude in measurements.attitudes.items():
         place, axes = find_place(model, first), range(first, first + 3)
         gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
-        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, causal)
+        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, until)
         pose[:, place : place + 4], velocity[:, first : first + 3] = found
     if 2 in displacement:
-        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, causal)
+        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, until)
     return pose, velocity
+
+
+def known_until(times: np.ndarray, causal: bool) -> np.ndarray:
+    """Until when measurements may be used for estimates at `times` (K,) [s]."""
+    return times if causal else np.full(len(times), np.inf)
 
 
 @dataclass(frozen=True)
@@ -108,27 +115,26 @@ def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, 
     return result
 
 
-def select_samples(time: np.ndarray, times: np.ndarray, span: float, causal: bool) -> tuple[np.ndarray, np.ndarray]:
+def select_samples(
+    time: np.ndarray, times: np.ndarray, span: float, until: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Samples within `span` [s] of each instant, or the three nearest if there are fewer.
 
     Args:
         time: of the samples, (n,) s.
         times: the instants, (K,) s.
         span: s.
-        causal: none after the instant.
+        until: none after this, (K,) s.
 
     Returns:
         Indices of samples and which of them count, (K, S) each.
     """
     first = np.searchsorted(time, times - span, side="right")
-    stop = np.searchsorted(time, times if causal else times + span, side="right")
+    stop = np.searchsorted(time, np.minimum(times + span, until), side="right")
     few = stop - first < 3
-    if causal:
-        nearest = stop - 3, np.maximum(stop, 1)
-    else:
-        middle = np.clip(np.searchsorted(time, times), 2, len(time) - 1)
-        nearest = middle - 2, middle + 1
-    return list_samples(np.where(few, nearest[0], first), np.where(few, nearest[1], stop), len(time))
+    last = np.maximum(np.searchsorted(time, until, side="right"), 1)
+    nearest = np.minimum(np.clip(np.searchsorted(time, times), 2, len(time) - 1) + 1, last)
+    return list_samples(np.where(few, nearest - 3, first), np.where(few, nearest, stop), len(time))
 
 
 def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +145,7 @@ def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.nd
 
 
 def fit_local(
-    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, causal: bool
+    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, until: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity at instants `times` (K,) by regularised least squares over the samples around each.
 
@@ -150,7 +156,7 @@ def fit_local(
         Positions (K,) and velocities (K,).
     """
     horizon = find_horizon(series) if moved is None else HORIZON
-    index, near = select_samples(series.time, times, horizon, causal)
+    index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
     if moved is not None:
@@ -159,7 +165,8 @@ def fit_local(
     parts = [weigh_samples(t, near, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
     if rate is not None:
         first, stop = (
-            np.searchsorted(rate.time, times + reach, side="right") for reach in (-horizon, 0.0 if causal else horizon)
+            np.searchsorted(rate.time, ends, side="right")
+            for ends in (times - horizon, np.minimum(times + horizon, until))
         )
         index, near = list_samples(first, stop, len(rate.time))
         t = rate.time[index] - times[:, None]
@@ -193,7 +200,7 @@ def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float
 
 
 def fit_attitude(
-    attitude: Series, gyro: Sequence[Series], times: np.ndarray, causal: bool
+    attitude: Series, gyro: Sequence[Series], times: np.ndarray, until: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Attitude and rate about body axes at instants `times` (K,), from the samples around each.
 
@@ -203,7 +210,7 @@ def fit_attitude(
     Returns:
         Unit quaternions (K, 4) and rates (K, 3) rad/s.
     """
-    index, near = select_samples(attitude.time, times, find_horizon(attitude), causal)
+    index, near = select_samples(attitude.time, times, find_horizon(attitude), until)
     t = attitude.time[index] - times[:, None]
     base = index[np.arange(len(times)), np.argmin(np.where(near, np.abs(t), np.inf), axis=1)]
     turned, at = attitude.value, np.array([1.0, 0.0, 0.0, 0.0])
@@ -218,7 +225,7 @@ def fit_attitude(
         place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)
     pose = rotate(multiply_attitudes(at, turned[base]), place)
     if gyro:
-        return pose, np.stack([fit_end(series, times, 0.01, causal) for series in gyro], axis=1)
+        return pose, np.stack([fit_end(series, times, 0.01, until) for series in gyro], axis=1)
     return pose, speed - 0.5 * np.cross(place, speed)
 
 
@@ -235,9 +242,9 @@ def carry_attitude(gyro: Sequence[Series], times: np.ndarray) -> np.ndarray:
     return rotate(track[last], rate[last] * (times - time[last])[:, None])
 
 
-def fit_end(series: Series, times: np.ndarray, span: float, causal: bool) -> np.ndarray:
+def fit_end(series: Series, times: np.ndarray, span: float, until: np.ndarray) -> np.ndarray:
     """Values of a series at `times` (K,), from lines through the samples within `span` [s], at least three; (K,)."""
-    index, near = select_samples(series.time, times, span, causal)
+    index, near = select_samples(series.time, times, span, until)
     weight = near / near.sum(axis=1, keepdims=True)
     t, value = series.time[index] - times[:, None], series.value[index]
     middle, mean = (weight * t).sum(axis=1), (weight * value).sum(axis=1)
