@@ -15,6 +15,10 @@ SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
 HORIZON = 0.15
 """Measurements used on either side of an instant [s]."""
+SMOOTH = 0.3
+"""The same along a track, ever less of them [s]: what rings magnifies every jolt."""
+LEAST = 0.01
+"""Of the weight there of the farthest, where there are hardly any."""
 SLOPE_STD = 0.3
 """Prior on a leftover acceleration [m/s²] once the accelerometer has been integrated."""
 DRIFT_STD = 0.1
@@ -36,11 +40,13 @@ def estimate_states(
         times: (K,) s.
         model: whose state it is; its gravity turns specific force into acceleration.
         causal: use nothing later than each instant.
-        until: use nothing later than this, (K,) s, in the place of `causal`.
+        until: along a track, (K,) s: nothing later than this is used, in the place of `causal`, and what was measured
+            farther away counts less, so that none comes in or goes out with a jolt.
 
     Returns:
         Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
+    track = until is not None
     until = known_until(times, causal) if until is None else until
     pose, velocity = np.zeros((len(times), model.nq)), np.zeros((len(times), model.nv))
     displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
@@ -50,7 +56,7 @@ def estimate_states(
             continue
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, until)
+        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, until, track)
     for first, attitude in measurements.attitudes.items():
         place, axes = find_place(model, first), range(first, first + 3)
         gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
@@ -145,7 +151,12 @@ def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.nd
 
 
 def fit_local(
-    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, until: np.ndarray
+    series: Series,
+    rate: Series | None,
+    moved: Displacement | None,
+    times: np.ndarray,
+    until: np.ndarray,
+    track: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity at instants `times` (K,) by regularised least squares over the samples around each.
 
@@ -155,14 +166,15 @@ def fit_local(
     Returns:
         Positions (K,) and velocities (K,).
     """
-    horizon = find_horizon(series) if moved is None else HORIZON
+    horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
     index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
     if moved is not None:
         at, speed = moved.read(times)
         value -= moved.read(series.time)[0][index] - at[:, None] - speed[:, None] * t
-    parts = [weigh_samples(t, near, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
+    weight = near * taper(t, horizon) if track else near
+    parts = [weigh_samples(t, weight, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
     if rate is not None:
         first, stop = (
             np.searchsorted(rate.time, ends, side="right")
@@ -170,7 +182,8 @@ def fit_local(
         )
         index, near = list_samples(first, stop, len(rate.time))
         t = rate.time[index] - times[:, None]
-        parts.append(weigh_samples(t, near, rate.std, (np.zeros_like(t), np.ones_like(t), t), rate.value[index]))
+        weight = near * taper(t, horizon) if track else near
+        parts.append(weigh_samples(t, weight, rate.std, (np.zeros_like(t), np.ones_like(t), t), rate.value[index]))
     return solve_local(parts, FREE if moved is None else moved.prior)
 
 
@@ -181,12 +194,17 @@ def find_horizon(series: Series) -> float:
     return min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
 
 
+def taper(t: np.ndarray, horizon: float) -> np.ndarray:
+    """Weight of samples at times `t` from an instant, falling to nothing at the horizon [s]; same shape."""
+    return np.maximum(1.0 - (t / horizon) ** 2, LEAST)
+
+
 def weigh_samples(
-    t: np.ndarray, near: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
+    t: np.ndarray, weight: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, 0 where they are not `near`."""
-    rows = np.stack(columns, axis=2)
-    return np.where(near[..., None], rows, 0.0) / std, np.where(near, value, 0.0) / std
+    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, times their weights (K, S)."""
+    scaled = weight / std
+    return scaled[..., None] * np.stack(columns, axis=2), scaled * value
 
 
 def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.initial import HORIZON, estimate_states, fit_end, known_until
+from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, known_until
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.manifold import find_place, integrate_pose
 from vpptwin.twin.recall import Past
@@ -180,7 +180,7 @@ def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows
     With `causal` nothing is used of what comes after a window's start: what leads up to it is estimated anew for each.
     """
     model, dt, number = spec.model, windows.dt, len(windows)
-    lead = round(HORIZON / dt) if causal else 0
+    lead = round(SMOOTH / dt) if causal else 0
     stops, parts = np.zeros(number, int), list[tuple[np.ndarray, ...]]()
     for i in np.unique(windows.flight):
         own = windows.flight == i
@@ -201,21 +201,15 @@ def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows
 
 
 def trace(
-    flight: Measurements, times: np.ndarray, spec: TwinSpec, until: np.ndarray | None = None
+    flight: Measurements, times: np.ndarray, spec: TwinSpec, until: np.ndarray | float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions as the engine has them, (T, nq), and velocities (T, nv) at `times` (T,), as `estimate_states`."""
-    pose, velocity = estimate_states(flight, times, spec.model, False, until)
+    pose, velocity = estimate_states(flight, times, spec.model, False, np.broadcast_to(until, times.shape))
     return integrate_pose(spec.model, pose, 0.5 * float(spec.model.opt.timestep) * velocity), velocity
 
 
-def recall_effects(twin: Twin, past: Past, windows: Windows, ids: np.ndarray) -> np.ndarray:
-    """What of the past is left in the effects of a twin's simulations `ids` (n,) where windows start, (n, K, S)."""
-    qpos = twin.pose_for_engine(windows.pose, windows.velocity)
-    return twin.rest_effects(qpos, windows.velocity) + twin.recall_effects(past, ids)
-
-
 def fly_windows(
-    twin: Twin, windows: Windows, disturbance: np.ndarray | None = None, effects: np.ndarray | None = None
+    twin: Twin, windows: Windows, disturbance: np.ndarray | None = None, past: np.ndarray | None = None
 ) -> Motion:
     """Drive a twin of len(windows) simulations through the windows.
 
@@ -226,7 +220,7 @@ def fly_windows(
         twin: one simulation a window.
         windows: the windows.
         disturbance: generalized force added, (K, segments, nv) N, N m; None for none.
-        effects: what evolves of the effects, at the start, (K, S); None for at rest.
+        past: what it left in the effects: how far their states are from rest at the start, (K, S); None for none.
     """
     qpos = twin.pose_for_engine(windows.pose, windows.velocity)
     start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
@@ -236,8 +230,8 @@ def fly_windows(
     if windows.spin is not None:
         layer["rotor_speed"] = windows.spin
     start = replace(start, actuators=twin.warm_up(layer, windows.warm))
-    if effects is not None:
-        start = replace(start, effects=effects)
+    if past is not None:
+        start = replace(start, effects=start.effects + past)
     _, qpos, qvel, rotor_speed = twin.replay_commands(
         start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
     )

@@ -241,10 +241,6 @@ class Twin:
         """Whether any effect that is switched on evolves with the motion of a joint or body."""
         return any(evolves(effect) for effect in self.effects.values())
 
-    def rest_effects(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """What evolves of the effects where nothing has happened yet, (n, S), at positions (n, nq) and velocities."""
-        return self._kernel.pipeline.start_effects(qpos, qvel)
-
     def recall_effects(self, past: Past, ids: np.ndarray) -> np.ndarray:
         """Run what evolves of the effects alone over how flights moved, for the parameters of simulations `ids` (n,).
 

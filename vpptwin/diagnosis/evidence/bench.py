@@ -16,7 +16,7 @@ from vpptwin.effects import Stage
 from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.windows import Motion, Windows, fly_windows, recall_effects, trace_past
+from vpptwin.estimation.windows import Motion, Windows, fly_windows, trace_past
 from vpptwin.twin.manifold import find_place
 from vpptwin.twin.recall import Past
 from vpptwin.twin.sensors import PERFECT, Constants
@@ -344,9 +344,9 @@ class Bench:
             moved = moved[0] + self.track.pose[window], moved[1] + self.track.velocity[window]
             disturbance = self.track.push[window] + (0.0 if disturbance is None else disturbance)
         shifted = taken.shift(self.spec.model, *moved)
-        effects = None
+        past = None
         if twin.remembers and self.flights:
             _, row, run = np.unique(which, return_index=True, return_inverse=True)
-            effects = recall_effects(twin, self.past_seen(sensors_of), windows, row)[run, window]
+            past = twin.recall_effects(self.past_seen(sensors_of), row)[run, window]
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
-            return fly_windows(twin, shifted, disturbance, effects)
+            return fly_windows(twin, shifted, disturbance, past)
