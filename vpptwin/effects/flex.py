@@ -83,7 +83,7 @@ def elastic(place: Place, look_alikes: tuple[str, ...] = (), needs: tuple[str, .
                 tolerance=0.005, source="assumption: some 5 % of what it carries",
             ),
             Parameter(
-                name="frequency", unit="Hz", off=8.0, low=2.0, high=40.0, prior=Prior("normal", 8.0, 2.0), size=2.0,
+                name="frequency", unit="Hz", off=8.0, low=2.0, high=40.0, prior=Prior("normal", 8.0, 2.0), size=0.5,
                 tolerance=40.0, source="assumption: a frame of profiles and boards, 4 to 12 Hz",
             ),
             Parameter(

@@ -22,6 +22,10 @@ SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
 HORIZON = 0.15
 """Measurements used on either side of an instant [s]."""
+SMOOTH = 0.3
+"""The same along a track, ever less of them [s]: what rings magnifies every jolt."""
+LEAST = 0.01
+"""Of the weight there of the farthest, where there are hardly any."""
 SLOPE_STD = 0.3
 """Prior on a leftover acceleration [m/s²] once the accelerometer has been integrated."""
 DRIFT_STD = 0.1
@@ -31,7 +35,7 @@ FREE = 1e6
 
 
 def estimate_states(
-    measurements: Measurements, times: np.ndarray, model: mujoco.MjModel, causal: bool
+    measurements: Measurements, times: np.ndarray, model: mujoco.MjModel, causal: bool, until: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate poses and velocities at `times`.
 
@@ -43,10 +47,14 @@ def estimate_states(
         times: (K,) s.
         model: whose state it is; its gravity turns specific force into acceleration.
         causal: use nothing later than each instant.
+        until: along a track, (K,) s: nothing later than this is used, in the place of `causal`, and what was measured
+            farther away counts less, so that none comes in or goes out with a jolt.
 
     Returns:
         Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
+    track = until is not None
+    until = known_until(times, causal) if until is None else until
     pose, velocity = follow_log(measurements, times, model)
     displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
     turning = [first + axis for first in measurements.attitudes for axis in range(3)]
@@ -55,14 +63,14 @@ def estimate_states(
             continue
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, causal)
+        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, until, track)
     for first, attitude in measurements.attitudes.items():
         place, axes = find_place(model, first), range(first, first + 3)
         gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
-        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, causal)
+        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, until)
         pose[:, place : place + 4], velocity[:, first : first + 3] = found
     if 2 in displacement:
-        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, causal)
+        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, until)
     return pose, velocity
 
 
@@ -84,6 +92,11 @@ def follow_log(measurements: Measurements, times: np.ndarray, model: mujoco.MjMo
         pose[..., place : place + 4] = at / size
         velocity[..., dof : dof + 3] = 2.0 * multiply_attitudes(conjugate(at), slope)[..., 1:] / size**2
     return pose, velocity
+
+
+def known_until(times: np.ndarray, causal: bool) -> np.ndarray:
+    """Until when measurements may be used for estimates at `times` (K,) [s]."""
+    return times if causal else np.full(len(times), np.inf)
 
 
 @dataclass(frozen=True)
@@ -135,27 +148,26 @@ def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, 
     return result
 
 
-def select_samples(time: np.ndarray, times: np.ndarray, span: float, causal: bool) -> tuple[np.ndarray, np.ndarray]:
+def select_samples(
+    time: np.ndarray, times: np.ndarray, span: float, until: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Samples within `span` [s] of each instant, or the three nearest if there are fewer.
 
     Args:
         time: of the samples, (n,) s.
         times: the instants, (K,) s.
         span: s.
-        causal: none after the instant.
+        until: none after this, (K,) s.
 
     Returns:
         Indices of samples and which of them count, (K, S) each.
     """
     first = np.searchsorted(time, times - span, side="right")
-    stop = np.searchsorted(time, times if causal else times + span, side="right")
+    stop = np.searchsorted(time, np.minimum(times + span, until), side="right")
     few = stop - first < 3
-    if causal:
-        nearest = stop - 3, np.maximum(stop, 1)
-    else:
-        middle = np.clip(np.searchsorted(time, times), 2, len(time) - 1)
-        nearest = middle - 2, middle + 1
-    return list_samples(np.where(few, nearest[0], first), np.where(few, nearest[1], stop), len(time))
+    last = np.maximum(np.searchsorted(time, until, side="right"), 1)
+    nearest = np.minimum(np.clip(np.searchsorted(time, times), 2, len(time) - 1) + 1, last)
+    return list_samples(np.where(few, nearest - 3, first), np.where(few, nearest, stop), len(time))
 
 
 def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -166,7 +178,12 @@ def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.nd
 
 
 def fit_local(
-    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, causal: bool
+    series: Series,
+    rate: Series | None,
+    moved: Displacement | None,
+    times: np.ndarray,
+    until: np.ndarray,
+    track: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity at instants `times` (K,) by regularised least squares over the samples around each.
 
@@ -176,21 +193,24 @@ def fit_local(
     Returns:
         Positions (K,) and velocities (K,).
     """
-    horizon = find_horizon(series) if moved is None else HORIZON
-    index, near = select_samples(series.time, times, horizon, causal)
+    horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
+    index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
     if moved is not None:
         at, speed = moved.read(times)
         value -= moved.read(series.time)[0][index] - at[:, None] - speed[:, None] * t
-    parts = [weigh_samples(t, near, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
+    weight = near * taper(t, horizon) if track else near
+    parts = [weigh_samples(t, weight, series.std, (np.ones_like(t), t, 0.5 * t * t), value)]
     if rate is not None:
         first, stop = (
-            np.searchsorted(rate.time, times + reach, side="right") for reach in (-horizon, 0.0 if causal else horizon)
+            np.searchsorted(rate.time, ends, side="right")
+            for ends in (times - horizon, np.minimum(times + horizon, until))
         )
         index, near = list_samples(first, stop, len(rate.time))
         t = rate.time[index] - times[:, None]
-        parts.append(weigh_samples(t, near, rate.std, (np.zeros_like(t), np.ones_like(t), t), rate.value[index]))
+        weight = near * taper(t, horizon) if track else near
+        parts.append(weigh_samples(t, weight, rate.std, (np.zeros_like(t), np.ones_like(t), t), rate.value[index]))
     return solve_local(parts, FREE if moved is None else moved.prior)
 
 
@@ -201,12 +221,17 @@ def find_horizon(series: Series) -> float:
     return min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
 
 
+def taper(t: np.ndarray, horizon: float) -> np.ndarray:
+    """Weight of samples at times `t` from an instant, falling to nothing at the horizon [s]; same shape."""
+    return np.maximum(1.0 - (t / horizon) ** 2, LEAST)
+
+
 def weigh_samples(
-    t: np.ndarray, near: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
+    t: np.ndarray, weight: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, 0 where they are not `near`."""
-    rows = np.stack(columns, axis=2)
-    return np.where(near[..., None], rows, 0.0) / std, np.where(near, value, 0.0) / std
+    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, times their weights (K, S)."""
+    scaled = weight / std
+    return scaled[..., None] * np.stack(columns, axis=2), scaled * value
 
 
 def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> tuple[np.ndarray, np.ndarray]:
@@ -220,7 +245,7 @@ def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float
 
 
 def fit_attitude(
-    attitude: Series, gyro: Sequence[Series], times: np.ndarray, causal: bool
+    attitude: Series, gyro: Sequence[Series], times: np.ndarray, until: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Attitude and rate about body axes at instants `times` (K,), from the samples around each.
 
@@ -230,7 +255,7 @@ def fit_attitude(
     Returns:
         Unit quaternions (K, 4) and rates (K, 3) rad/s.
     """
-    index, near = select_samples(attitude.time, times, find_horizon(attitude), causal)
+    index, near = select_samples(attitude.time, times, find_horizon(attitude), until)
     t = attitude.time[index] - times[:, None]
     base = index[np.arange(len(times)), np.argmin(np.where(near, np.abs(t), np.inf), axis=1)]
     turned, at = attitude.value, np.array([1.0, 0.0, 0.0, 0.0])
@@ -245,7 +270,7 @@ def fit_attitude(
         place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)
     pose = rotate(multiply_attitudes(at, turned[base]), place)
     if gyro:
-        return pose, np.stack([fit_end(series, times, 0.01, causal) for series in gyro], axis=1)
+        return pose, np.stack([fit_end(series, times, 0.01, until) for series in gyro], axis=1)
     return pose, speed - 0.5 * np.cross(place, speed)
 
 
@@ -262,9 +287,9 @@ def carry_attitude(gyro: Sequence[Series], times: np.ndarray) -> np.ndarray:
     return rotate(track[last], rate[last] * (times - time[last])[:, None])
 
 
-def fit_end(series: Series, times: np.ndarray, span: float, causal: bool) -> np.ndarray:
+def fit_end(series: Series, times: np.ndarray, span: float, until: np.ndarray) -> np.ndarray:
     """Values of a series at `times` (K,), from lines through the samples within `span` [s], at least three; (K,)."""
-    index, near = select_samples(series.time, times, span, causal)
+    index, near = select_samples(series.time, times, span, until)
     weight = near / near.sum(axis=1, keepdims=True)
     t, value = series.time[index] - times[:, None], series.value[index]
     middle, mean = (weight * t).sum(axis=1), (weight * value).sum(axis=1)

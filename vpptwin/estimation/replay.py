@@ -9,7 +9,7 @@ import numpy as np
 from vpptwin.errors import InputError
 from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.measurements import read_measurements
-from vpptwin.estimation.windows import cut_windows, fly_windows
+from vpptwin.estimation.windows import cut_windows, fly_windows, trace_past
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -62,7 +62,10 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
     starts = begin + length * np.arange(int(available / length + 1e-9))
     windows = cut_windows(spec, measurements, starts, length, causal=True)
     twin = Twin(spec, len(windows))
-    motion = fly_windows(twin, windows)
+    past = None
+    if twin.remembers:
+        past = twin.recall_effects(trace_past(spec, [measurements], windows, causal=True), np.arange(1))[0]
+    motion = fly_windows(twin, windows, past=past)
     every = max(round(1.0 / (rate * windows.dt)), 1)
     picked = slice(0, windows.steps, every)
     time = (starts[:, None] + windows.dt * np.arange(windows.steps))[:, picked]

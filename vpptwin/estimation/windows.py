@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.initial import estimate_states, fit_end, follow_log
+from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, follow_log, known_until
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.manifold import integrate_pose
+from vpptwin.twin.recall import Past
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Driven, Twin
 
@@ -129,7 +131,7 @@ def cut_windows(
 def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
     """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
     rotors = [replace(speed, value=speed.value[:, i]) for i in range(2)]
-    return np.stack([fit_end(rotor, times, SPIN_SPAN, causal) for rotor in rotors], axis=1)
+    return np.stack([fit_end(rotor, times, SPIN_SPAN, known_until(times, causal)) for rotor in rotors], axis=1)
 
 
 def join_windows(parts: list[Windows]) -> Windows:
@@ -159,7 +161,43 @@ class Motion(NamedTuple):
     rotor_speed: np.ndarray | None
 
 
-def fly_windows(twin: Twin, windows: Windows, disturbance: np.ndarray | None = None) -> Motion:
+def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows, causal: bool) -> Past:
+    """How flights moved up to the start of their windows, at every step.
+
+    With `causal` nothing is used of what comes after a window's start: what leads up to it is estimated anew for each.
+    """
+    model, dt, number = spec.model, windows.dt, len(windows)
+    lead = round(SMOOTH / dt) if causal else 0
+    stops, parts = np.zeros(number, int), list[tuple[np.ndarray, ...]]()
+    for i in np.unique(windows.flight):
+        own = windows.flight == i
+        ends = windows.start[own] - lead * dt
+        count = max(round((ends[0] - flights[i].start) / dt), 0)
+        time = ends[0] + dt * np.arange(-count, round((ends.max() - ends[0]) / dt) + 1)
+        stops[own] = sum(part[0].size for part in parts) + np.round((ends - time[0]) / dt).astype(int)
+        parts.append((time, *trace(flights[i], time, spec), np.arange(len(time)) == 0))
+    qpos, qvel = np.empty((number, lead + 1, model.nq)), np.empty((number, lead + 1, model.nv))
+    for i in np.unique(windows.flight):
+        own = windows.flight == i
+        times = windows.start[own][:, None] + dt * np.arange(-lead, 1)
+        until = np.repeat(windows.start[own] if causal else np.full(own.sum(), np.inf), lead + 1)
+        found = trace(flights[i], times.ravel(), spec, until)
+        qpos[own], qvel[own] = (part.reshape(own.sum(), lead + 1, -1) for part in found)
+    time, *track, first = [np.concatenate(each) for each in zip(*parts)]
+    return Past(time, track[0], track[1], first, stops, qpos, qvel)
+
+
+def trace(
+    flight: Measurements, times: np.ndarray, spec: TwinSpec, until: np.ndarray | float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions as the engine has them, (T, nq), and velocities (T, nv) at `times` (T,), as `estimate_states`."""
+    pose, velocity = estimate_states(flight, times, spec.model, False, np.broadcast_to(until, times.shape))
+    return integrate_pose(spec.model, pose, 0.5 * float(spec.model.opt.timestep) * velocity), velocity
+
+
+def fly_windows(
+    twin: Twin, windows: Windows, disturbance: np.ndarray | None = None, past: np.ndarray | None = None
+) -> Motion:
     """Drive a twin of len(windows) simulations through the windows.
 
     Thrust goes by the measured rotor speed. Where the throttle is known, the motors run beside, from the measured
@@ -169,6 +207,7 @@ def fly_windows(twin: Twin, windows: Windows, disturbance: np.ndarray | None = N
         twin: one simulation a window.
         windows: the windows.
         disturbance: generalized force added, (K, segments, nv) N, N m; None for none.
+        past: what it left in the effects: how far their states are from rest at the start, (K, S); None for none.
     """
     qpos = twin.pose_for_engine(windows.pose, windows.velocity)
     start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
@@ -178,6 +217,8 @@ def fly_windows(twin: Twin, windows: Windows, disturbance: np.ndarray | None = N
     if windows.spin is not None:
         layer["rotor_speed"] = windows.spin
     start = replace(start, actuators=twin.warm_up(layer, windows.warm))
+    if past is not None:
+        start = replace(start, effects=start.effects + past)
     _, qpos, qvel, rotor_speed = twin.replay_commands(
         start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
     )

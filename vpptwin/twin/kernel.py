@@ -29,7 +29,7 @@ from vpptwin.progress import tell_wait
 from vpptwin.twin.fused import write_fused
 from vpptwin.twin.layout import Layout
 from vpptwin.twin.pipeline import Function, Pipeline, fingerprint, write_pipeline
-from vpptwin.twin.step import Rig, Row, Tape
+from vpptwin.twin.step import Rig, Row, Seen, Tape
 
 CONTEXT = np.dtype(
     [(name, np.int64) for name in (
@@ -153,15 +153,8 @@ class Kernel:
         return self._compile(self.fused, "fly", FLY)
 
     def _compile(self, entry: str, name: str, kind: Any) -> Any:  # noqa: ANN401
-        source = self.pipeline.source + entry
         dtypes = {"LAYER": self.layer, "CONSTANTS": self.constants}
-        key = fingerprint(source, str(dtypes), functions=list(self.pipeline.functions.values()))
-        if key not in _KERNELS:
-            if kind is FUNCTION:
-                check_step()
-            function = compile_entry(source, name, key, self.pipeline, dtypes)
-            _KERNELS[key] = kind(int(function.address or 0)), function
-        return _KERNELS[key][0]
+        return compile_once(entry, name, self.pipeline, dtypes, kind)
 
     def scratch_shape(self, count: int, nv: int) -> tuple[int, int, int]:
         """Shape of the room that `count` simulations need."""
@@ -244,6 +237,18 @@ def write_view(model: mujoco.MjModel) -> str:
     return "\n".join(lines)
 
 
+def compile_once(entry: str, name: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype], kind: Any) -> Any:  # noqa: ANN401
+    """The C function of a name that a text defines, with the effects of a pipeline, compiled once per process."""
+    source = pipeline.source + entry if pipeline else entry
+    key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()) if pipeline else [])
+    if key not in _KERNELS:
+        if kind is FUNCTION:
+            check_step()
+        function = compile_entry(source, name, key, pipeline, dtypes)
+        _KERNELS[key] = kind(int(function.address or 0)), function
+    return _KERNELS[key][0]
+
+
 def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401
     """The C function of a name that a text defines, kept on disk under a key."""
     file = open_entry(key, source)
@@ -255,7 +260,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
         "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
-        **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape)},
+        **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape, Seen)},
         **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
         "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "SIZES": SIZES, "push_commands": push_commands,
         "move_actuator": move_actuator, **(pipeline.build(compiled) if pipeline else {}), **dtypes,
@@ -287,9 +292,4 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: 
 
 def compile_warm_up(layer: np.dtype, constants: np.dtype, nu: int) -> Any:  # noqa: ANN401
     """The C function that moves actuators alone: addresses of their state, constants, commands and `SIZES`."""
-    source, dtypes = WARM_UP.format(nu=nu), {"LAYER": layer, "CONSTANTS": constants}
-    key = fingerprint(source, str(dtypes))
-    if key not in _KERNELS:
-        function = compile_entry(source, "warm_up", key, None, dtypes)
-        _KERNELS[key] = FLY(int(function.address or 0)), function
-    return _KERNELS[key][0]
+    return compile_once(WARM_UP.format(nu=nu), "warm_up", None, {"LAYER": layer, "CONSTANTS": constants}, FLY)

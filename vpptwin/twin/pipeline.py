@@ -26,6 +26,8 @@ STEP_STAGES = (Stage.THRUST, Stage.FORCE, Stage.FRICTION, Stage.SLIP)
 
 CHAIN = ("shape_thrust", "push_craft", "push_joints", "muster_friction")
 """The functions of `vpptwin.twin.step` that stand for the effects of a catalogue."""
+STEPS = step.step_drone, step.step_rig, step.recall
+"""Those that call them."""
 Function = Callable[..., Any]
 Transform = Callable[..., Function]
 
@@ -57,7 +59,7 @@ class Pipeline:
         return states
 
     def build(self, transform: Transform, file: str = "<pipeline>") -> dict[str, Function]:
-        """The steps with this chain in them, `step_drone` and `step_rig`.
+        """The steps with this chain in them, `step_drone` and `step_rig`, and what recalls a past, `recall`.
 
         Args:
             transform: applied to every function, told whether to be inlined: numba's `njit`, or `keep_plain`.
@@ -67,7 +69,7 @@ class Pipeline:
         namespace |= {name: transform(function) for name, function in self.functions.items()}
         exec(compile(self.source, file, "exec"), namespace)
         chain = {name: transform(namespace[name], inline=True) for name in CHAIN}
-        return {f.__name__: transform(bind_names(f, chain), inline=True) for f in (step.step_drone, step.step_rig)}
+        return {f.__name__: transform(bind_names(f, chain), inline=True) for f in STEPS}
 
 
 def keep_plain(function: Function, inline: bool = False) -> Function:
@@ -84,8 +86,11 @@ def bind_names(function: Function, names: dict[str, Any]) -> Function:
     return bound
 
 
-def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeline:
-    """Write the pipeline of a catalogue, in its order, for a model's joints."""
+def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect], only: frozenset[str] | None = None) -> Pipeline:
+    """Write the pipeline of a catalogue, in its order, for a model's joints.
+
+    With `only` the text has these effects alone; columns, switches and states are those of the whole catalogue.
+    """
     effects = [e for e in catalogue if e.stage in STEP_STAGES]
     joints = {model.joint(i).name: i for i in range(model.njnt)}
     columns: dict[tuple[str, str], int] = {}
@@ -101,9 +106,10 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect]) -> Pipeli
         for state in effect.states:
             starts += copies * [find_start(model, joints.get(effect.target, -1), state.start)]
     places = {effect.id: i for i, effect in enumerate(effects)}
-    functions = {name_function(i, e): e.apply for i, e in enumerate(effects)}
+    written = [e for e in effects if only is None or e.id in only]
+    functions = {name_function(places[e.id], e): e.apply for e in written}
 
-    writer = ChainWriter(model, effects, columns, places, states)
+    writer = ChainWriter(model, written, columns, places, states)
     parts = writer.shape_thrust(), writer.push_craft(), writer.push_joints(joints), writer.muster_friction(joints)
     source = "\n".join(line for part in parts for line in (*part, ""))
     return Pipeline(source, functions, columns, places, tuple(starts))

@@ -87,6 +87,16 @@ class Rig(NamedTuple):
     carriage: int
 
 
+class Seen(NamedTuple):
+    """What is known of a past step: as in `View`."""
+
+    time: float
+    timestep: float
+    qpos: np.ndarray
+    qvel: np.ndarray
+    inertia: np.ndarray
+
+
 # The four functions that follow are a catalogue without effects; `vpptwin.twin.pipeline` puts others in their place.
 
 
@@ -108,7 +118,7 @@ def push_craft(
 
 @register_jitable(forceinline=True)
 def push_joints(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View, load: np.ndarray, lever: float,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | Seen, load: np.ndarray, lever: float,
     force: np.ndarray,
 ) -> None:  # fmt: skip
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
@@ -116,8 +126,8 @@ def push_joints(
 
 @register_jitable(forceinline=True)
 def muster_friction(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View, load: np.ndarray,
-    lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View | Seen,
+    load: np.ndarray, lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
 ) -> bool:  # fmt: skip
     """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs.
 
@@ -216,6 +226,17 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
         rig.active, row.parameters, row.effects, rig.dry, view, exerted, 0.0, row.scratch[1], row.scratch[2], force
     )
     resist(rubs, view, row, k)
+
+
+@register_jitable(forceinline=True)
+def recall(
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, seen: Seen, scratch: np.ndarray
+) -> None:
+    """Let what evolves of the effects on joints and bodies go on over a past step; `scratch` is room, (4, nv)."""
+    load, forward, backward, force = scratch[0], scratch[1], scratch[2], scratch[3]
+    force[:] = 0.0
+    push_joints(active, parameters, states, seen, load, 0.0, force)
+    muster_friction(active, parameters, states, dry, seen, load, 0.0, forward, backward, force)
 
 
 @register_jitable(forceinline=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Sequence
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ from vpptwin.twin.kernel import CONTEXT, delay_depth, warm_up, write_kernel
 from vpptwin.twin.layout import read_layout
 from vpptwin.twin.manifold import difference_poses, find_places, integrate_pose
 from vpptwin.twin.model import hold_joints
+from vpptwin.twin.recall import Past, Recollection, evolves, write_recollection
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
@@ -76,6 +78,7 @@ class Twin:
             model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive", layout
         )
         self._batch = Batch(model, num_sims, num_threads)
+        self._model, self._recollection = model, cast("Recollection | None", None)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)
         self._stepper: Stepper | None = None
         self._many = num_sims >= MANY
@@ -230,6 +233,21 @@ class Twin:
             raise ValueError(f"commands have shape {commands.shape}, the layer {layer.shape}; expected {expected}")
         self._constants.refresh()
         return warm_up(layer, self._constants.records, commands, self.dt)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether any effect that is switched on evolves with the motion of a joint or body."""
+        return any(evolves(effect) for effect in self.effects.values())
+
+    def recall_effects(self, past: Past, ids: np.ndarray) -> np.ndarray:
+        """Run what evolves of the effects alone over how flights moved, for the parameters of simulations `ids` (n,).
+
+        Returns:
+            How far it is, where each of K windows starts, from what a simulation starts with there, (n, K, S).
+        """
+        if self._recollection is None:
+            self._recollection = write_recollection(self._model, self._kernel.pipeline, self.spec.catalogue, self._dry)
+        return self._recollection.run(self._constants.parameters[ids], self._active, past)
 
     def replay_commands(
         self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,

@@ -16,8 +16,9 @@ from vpptwin.effects import Stage
 from vpptwin.estimation.correct import correct_measurements, is_perfect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.windows import Motion, Windows, fly_windows
+from vpptwin.estimation.windows import Motion, Windows, fly_windows, trace_past
 from vpptwin.twin.manifold import find_place
+from vpptwin.twin.recall import Past
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -113,6 +114,7 @@ class Bench:
         self._progress = progress
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._starts: dict[tuple[float, ...], Windows] = {}
+        self._pasts: dict[tuple[float, ...], Past] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
 
     @cached_property
@@ -235,7 +237,7 @@ class Bench:
         windows = self.windows_seen(sensors_of or {})
         for begin in range(0, count * number, ROWS):
             rows = np.arange(begin, min(begin + ROWS, count * number))
-            part = self._simulate_rows(variations, windows, rows // number, rows % number, active)
+            part = self._simulate_rows(variations, windows, rows // number, rows % number, active, sensors_of or {})
             pose[rows], velocity[rows] = part.pose, part.velocity
             if speed is not None:
                 speed[rows] = part.rotor_speed
@@ -265,6 +267,17 @@ class Bench:
                 pose[rows], velocity[rows] = estimate_states(right, start, self.spec.model, self.causal)
             self._starts[key] = replace(self.windows, pose=pose, velocity=velocity)
         return self._starts[key]
+
+    def past_seen(self, values: Mapping[Key, float]) -> Past:
+        """How the flights moved, through the sensors of a twin with `values`."""
+        sensors = self.sensors(values)
+        key = tuple(float(sensors[name][0]) for name in PERFECT)
+        if key not in self._pasts:
+            if len(self._pasts) > 4:
+                self._pasts.clear()
+            right = [correct_measurements(flight, sensors) for flight in self.flights]
+            self._pasts[key] = trace_past(self.spec, right, self.windows, self.causal)
+        return self._pasts[key]
 
     def _observe(self, variation: Variation, motion: Motion) -> np.ndarray:
         """All channels of one variation, (K, M)."""
@@ -303,7 +316,7 @@ class Bench:
 
     def _simulate_rows(
         self, variations: Sequence[Variation], windows: Windows, which: np.ndarray, window: np.ndarray,
-        active: frozenset[str],
+        active: frozenset[str], sensors_of: Mapping[Key, float],
     ) -> Motion:  # fmt: skip
         nv = self.spec.model.nv
         twin = self._twin(len(which), active)
@@ -331,5 +344,9 @@ class Bench:
             moved = moved[0] + self.track.pose[window], moved[1] + self.track.velocity[window]
             disturbance = self.track.push[window] + (0.0 if disturbance is None else disturbance)
         shifted = taken.shift(self.spec.model, *moved)
+        past = None
+        if twin.remembers and self.flights:
+            _, row, run = np.unique(which, return_index=True, return_inverse=True)
+            past = twin.recall_effects(self.past_seen(sensors_of), row)[run, window]
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
-            return fly_windows(twin, shifted, disturbance)
+            return fly_windows(twin, shifted, disturbance, past)

@@ -132,11 +132,15 @@ def grid_of_shape(shape: Unknown, alone: bool) -> np.ndarray:
     Args:
         shape: a place, a speed, a width.
         alone: it is the only one of its effect. Then speeds and widths are tried at either side of their typical size;
-            places always are, three of their typical sizes apart over the likely part of their prior.
+            places always are, three of their typical sizes apart over the likely part of their prior, and frequencies,
+            one apart over most of it: what rings is blind to all but its own.
     """
     parameter = shape.parameter
     grid: np.ndarray
-    if parameter.low > 0.0:
+    if parameter.unit == "Hz":
+        count = int(2.0 * parameter.prior.b / parameter.size)
+        grid = np.arange(-count, count + 1) * parameter.size + shape.nominal
+    elif parameter.low > 0.0:
         grid = np.array([0.6, 1.0, 1.6] if alone else [1.0]) * shape.nominal
     else:
         count = int(1.5 * parameter.prior.b / (3.0 * parameter.size))

@@ -1,0 +1,172 @@
+"""What evolves of effects on joints and bodies, run alone along a motion that was measured, without any force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from vpptwin.effects import Effect, Stage
+from vpptwin.twin.kernel import FLY, compile_once
+from vpptwin.twin.pipeline import Pipeline, write_pipeline
+
+ADDRESSES = (
+    "parameters", "rest", "qpos", "qvel", "time", "first", "stops", "lead_qpos", "lead_qvel", "lead_rest", "active",
+    "dry", "inertia", "left", "states",
+)  # fmt: skip
+TRACK = np.dtype(
+    [
+        *((name, np.int64) for name in ADDRESSES),
+        ("samples", np.int64),
+        ("marks", np.int64),
+        ("lead", np.int64),
+        ("dt", float),
+    ]
+)
+"""Addresses of the arrays of `Recollection.run`, and their sizes."""
+
+RECALL = """
+def recall_effects(address, begin, end, room):
+    track = carray(pointer_to(address), (1,), TRACK)[0]
+    rest = float64_table_at(track.rest, track.samples, {states})
+    qpos, qvel = float64_table_at(track.qpos, track.samples, {nq}), float64_table_at(track.qvel, track.samples, {nv})
+    time, first = float64_at(track.time, track.samples), bool_at(track.first, track.samples)
+    stops, active = int64_at(track.stops, track.marks), bool_at(track.active, {places})
+    dry, inertia = float64_at(track.dry, {nv}), float64_at(track.inertia, {nC})
+    lead_rest, scratch = float64_table_at(track.lead_rest, track.marks, {states}), float64_table_at(room, 4, {nv})
+    for i in range(begin, end):
+        parameters = float64_at(track.parameters + {parameters} * 8 * i, {parameters})
+        states = float64_at(track.states + {states} * 8 * i, {states})
+        left = float64_table_at(track.left + track.marks * {states} * 8 * i, track.marks, {states})
+        mark = 0
+        for k in range(track.samples):
+            if first[k]:
+                states[:] = rest[k]
+            while mark < track.marks and stops[mark] == k:
+                own = left[mark]
+                own[:] = states
+                at = track.lead_qpos + (track.lead + 1) * {nq} * 8 * mark
+                lead_qpos = float64_table_at(at, track.lead, {nq})
+                at = track.lead_qvel + (track.lead + 1) * {nv} * 8 * mark
+                lead_qvel = float64_table_at(at, track.lead, {nv})
+                for n in range(track.lead):
+                    seen = Seen(time[k] + n * track.dt, track.dt, lead_qpos[n], lead_qvel[n], inertia)
+                    recall(active, parameters, own, dry, seen, scratch)
+                for j in range({states}):
+                    own[j] -= lead_rest[mark, j]
+                mark += 1
+            seen = Seen(time[k], track.dt, qpos[k], qvel[k], inertia)
+            recall(active, parameters, states, dry, seen, scratch)
+"""
+
+
+class Past(NamedTuple):
+    """How flights moved, one after the other, sampled every step of the twin.
+
+    Attributes:
+        time: (T,) s on each flight's clock.
+        qpos: the engine's positions, (T, nq).
+        qvel: (T, nv).
+        first: where a flight begins, (T,) bool.
+        stops: the samples from which the leads of windows go on, (K,).
+        lead_qpos: positions from there to the start of each window, (K, L + 1, nq): what is known of them there.
+        lead_qvel: velocities, (K, L + 1, nv).
+    """
+
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    first: np.ndarray
+    stops: np.ndarray
+    lead_qpos: np.ndarray
+    lead_qvel: np.ndarray
+
+
+def evolves(effect: Effect) -> bool:
+    """Whether an effect has what goes on evolving along a motion that is known: on the craft and on rotors none has."""
+    return bool(effect.states) and effect.stage is not Stage.THRUST and effect.target != ""
+
+
+@dataclass(frozen=True)
+class Recollection:
+    """The effects of a model that evolve, ready to be run along what is known of the past.
+
+    Attributes:
+        pipeline: the whole step's, to whose columns, switches and states the text keeps.
+        source: text of the C function, and of the effects in it.
+        dry: friction that the joints have without any effect, (nv,).
+        inertia: joint-space inertia in the reference pose, (nC,): few effects ask for it, and roughly.
+        dt: step [s].
+    """
+
+    pipeline: Pipeline
+    source: str
+    dry: np.ndarray
+    inertia: np.ndarray
+    dt: float
+
+    def run(self, parameters: np.ndarray, active: np.ndarray, past: Past) -> np.ndarray:
+        """How far the effects' states are from those at rest with the joints where the windows start.
+
+        Every flight begins at rest. What the effects exert does not matter: the motion is known. What loads a joint is
+        not, and counts as nothing.
+
+        Args:
+            parameters: of N simulations, (N, P).
+            active: switches, (E,).
+            past: the flights.
+
+        Returns:
+            (N, K, S), in the order of the windows.
+        """
+        count = len(parameters)
+        order = np.argsort(past.stops, kind="stable")
+        rest = self.pipeline.start_effects(past.qpos, past.qvel)
+        lead_rest = self.pipeline.start_effects(past.lead_qpos[order, -1], past.lead_qvel[order, -1])
+        left = np.zeros((count, len(order), rest.shape[1]))
+        arrays = {
+            "parameters": parameters, "rest": rest, "qpos": past.qpos, "qvel": past.qvel, "time": past.time,
+            "first": past.first, "stops": past.stops[order].astype(np.int64), "lead_qpos": past.lead_qpos[order],
+            "lead_qvel": past.lead_qvel[order], "lead_rest": lead_rest, "active": active, "dry": self.dry,
+            "inertia": self.inertia, "left": left, "states": np.zeros((count, rest.shape[1])),
+        }  # fmt: skip
+        held = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        track, room = np.zeros((), TRACK), np.zeros((4, len(self.dry)))
+        for name, array in held.items():
+            track[name] = array.ctypes.data
+        track["samples"], track["marks"], track["dt"] = len(past.time), len(order), self.dt
+        track["lead"] = past.lead_qpos.shape[1] - 1
+        self._function()(track.ctypes.data, 0, count, room.ctypes.data)
+        result = np.empty_like(left)
+        result[:, order] = left
+        return result
+
+    def _function(self) -> Any:  # noqa: ANN401
+        return compile_once(self.source, "recall_effects", self.pipeline, {"TRACK": TRACK}, FLY)
+
+
+def write_recollection(
+    model: mujoco.MjModel, pipeline: Pipeline, catalogue: Sequence[Effect], dry: np.ndarray
+) -> Recollection:
+    """What runs the effects that evolve on a model's joints and bodies.
+
+    Args:
+        model: of the twin.
+        pipeline: of the whole catalogue.
+        catalogue: its effects.
+        dry: friction that the joints have without any effect, (nv,).
+    """
+    evolving = [e for e in catalogue if evolves(e)]
+    rubbing = {e.target for e in evolving if e.stage is Stage.SLIP}
+    wanted = [e.id for e in catalogue if evolves(e) or (e.stage is Stage.FRICTION and e.target in rubbing)]
+    part = write_pipeline(model, catalogue, frozenset(wanted))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    text = RECALL.format(
+        states=len(pipeline.starts), places=len(pipeline.places), parameters=len(pipeline.columns), nq=int(model.nq),
+        nv=int(model.nv), nC=int(model.nC),
+    )  # fmt: skip
+    return Recollection(part, text, dry, np.array(data.M), float(model.opt.timestep))
