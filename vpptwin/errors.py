@@ -19,8 +19,8 @@ EXTRAS = {
     "logs": ("pyarrow", "pyulog", "pymavlink", "rosbags"),
     "menagerie": ("mujoco_menagerie", "robot_descriptions"),
     "rerun": ("rerun",),
-    "gpu": ("warp",),
     "video": ("imageio_ffmpeg",),
+    "gpu": ("warp",),
 }
 """Modules that come with no plain `pip install vpptwin`, by the extra that brings them."""
 

@@ -13,7 +13,7 @@ import pytest
 from tests.effects.test_compile import COUNT, EVERY_STEP, call_one_by_one, draw_inputs, draw_parameters
 from tests.twin.running_error import SMALLEST, Tracked, pick_tracked
 from vpptwin.effects import CATALOGUE, Effect, Stage
-from vpptwin.effects.base import Craft, Rotor
+from vpptwin.effects.base import Craft, Motion, Rotor
 from vpptwin.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
 from vpptwin.twin.pipeline import Pipeline, function_name, write_pipeline
@@ -148,7 +148,7 @@ def test_chain_on_warp_equals_plain(pipeline: Pipeline) -> None:
         np.testing.assert_allclose(results.numpy(), expected, rtol=CLOSE, atol=CLOSE)
 
 
-def add_up(motion: Any, /, force: float) -> float:  # noqa: ANN401
+def add_up(motion: Motion, /, force: float) -> float:
     """What numba takes and Warp does not."""
     total = 0.0
     for value in [motion.velocity, force]:
@@ -156,7 +156,7 @@ def add_up(motion: Any, /, force: float) -> float:  # noqa: ANN401
     return total
 
 
-def take_root(motion: Any, /, force: float) -> float:  # noqa: ANN401
+def take_root(motion: Motion, /, force: float) -> float:
     """A function that Warp has no word for."""
     return np.cbrt(force)
 
@@ -177,3 +177,38 @@ def test_warp_that_is_missing_is_told(pipeline: Pipeline, monkeypatch: pytest.Mo
     monkeypatch.setitem(__import__("sys").modules, "warp", None)
     with pytest.raises(InputError, match=r"needs warp.*pip install 'vpptwin\[gpu\]'"):
         run_text(write_warp(pipeline), False)
+
+
+BEND = 0.25
+
+
+def soften(speed: float, most: float) -> float:
+    """Called by the effect below."""
+    if speed > most:
+        return most
+    return max(speed, -most, -2 * BEND)
+
+
+def hold_softly(motion: Motion, /, force: float) -> float:
+    """A function of its own, a constant, a branch, a choice, a whole power."""
+    pull = soften(motion.velocity, BEND) ** 2
+    if motion.position > 0 and motion.velocity < 1:
+        pull = -pull
+    return force * (pull if motion.load > 0.0 else 2.0 * pull)
+
+
+def test_own_effect_brings_what_it_calls(spec: TwinSpec) -> None:
+    """Functions and constants of the user's file come along; branches and choices stay."""
+    wp = pytest.importorskip("warp")
+    effect = replace(next(e for e in DRONE if e.id == "rail_x.bias"), id="rail_x.own", apply=hold_softly)
+    kernel = ["", "@wp.kernel", "def call(x: wp.array2d(dtype=Real), y: wp.array(dtype=Real)):", "    k = wp.tid()"]
+    kernel += ["    motion = Motion(x[k, 0], x[k, 1], x[k, 2], x[k, 3], x[k, 4], x[k, 5])"]
+    kernel += ["    y[k] = effect_rail_x_own(motion, x[k, 6])", ""]
+    names = run_text(write_warp(write_pipeline(spec.model, [effect])) + "\n".join(kernel), False)
+    (motion,) = draw_inputs(effect, np.random.default_rng(6))
+    force = np.ones(COUNT)
+    results = wp.zeros(COUNT, dtype=wp.float64, device="cpu")
+    given = wp.array(np.transpose([*motion, force]), dtype=wp.float64, device="cpu")
+    wp.launch(names["call"], dim=COUNT, inputs=[given, results], device="cpu")
+    expected = call_one_by_one(hold_softly, (motion,), [force])
+    np.testing.assert_allclose(results.numpy(), expected, rtol=CLOSE, atol=CLOSE)

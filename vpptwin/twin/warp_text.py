@@ -149,7 +149,10 @@ class Writer(ast.NodeTransformer):
         used = inspect.getclosurevars(plain)
         self.values = {**used.builtins, **used.globals, **used.nonlocals}
         given = [*tree.args.posonlyargs, *tree.args.args]
-        kinds = {a.arg: ast.unparse(a.annotation) if a.annotation else "float" for a in given}
+        kinds = {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in given}
+        for a in given:
+            if kinds[a.arg] != "float" and kinds[a.arg] not in SEEN:
+                raise self.refuse(f"leaves open whether {a.arg} is float or one of {', '.join(SEEN)}", a)
         text = self.define(tree, {a: kind if kind in SEEN else "Real" for a, kind in kinds.items()})
         return [*self.helpers, text]
 
