@@ -44,6 +44,7 @@ from vpptwin.twin.state import TwinState
 from vpptwin.twin.step import Rig, Row, Tape
 from vpptwin.twin.twin import Twin
 
+EVERY = slice(None)
 NEED = "a twin on Warp"
 WAY_OUT = "write it so, or fly it on the processor, which compiles it with numba"
 UNDERSTOOD = "numbers, arithmetic, if, loops over what is known, and numpy's functions of numbers"
@@ -121,6 +122,18 @@ class Rows:
         return Cells.of(cells.reshape(shape))
 
 
+def load_warp() -> Any:  # noqa: ANN401
+    """Warp, which says nothing but errors.
+
+    Raises:
+        InputError: if it is not installed.
+    """
+    wp = load_extra("warp", NEED)
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+    return wp
+
+
 class WarpStep:
     """The step of a twin as a Warp kernel, for as many simulations as its tables have columns.
 
@@ -161,9 +174,13 @@ class WarpStep:
                 listed[f"{effect}.{name}"] = self.twin.parameters[:, column]
         return listed
 
-    def pack_numbers(self) -> np.ndarray:
-        """The twin's parameters and constants of now as a table, (rows, N)."""
-        return self.numbers.pack(self._list_numbers())
+    def pack_numbers(self, ids: slice = EVERY) -> np.ndarray:
+        """The twin's parameters and constants of now as a table, (rows, N), or those of some simulations.
+
+        With nothing that differs it has one row, which nothing reads.
+        """
+        listed = {name: array[ids] for name, array in self._list_numbers().items()}
+        return self.numbers.pack(listed) if listed else np.zeros((1, len(range(self.twin.num_sims)[ids])))
 
     def pack_state(self, state: TwinState) -> np.ndarray:
         """A state as a table, (rows, N)."""
@@ -293,8 +310,7 @@ class WarpStep:
         Raises:
             InputError: if Warp is not installed.
         """
-        wp = load_extra("warp", NEED)
-        wp.config.quiet = True
+        wp = load_warp()
         namespace: dict[str, Any] = {"wp": wp, "Real": wp.float32 if self.single else wp.float64}
         digest = hashlib.sha256(f"{self.source} {self.single}".encode()).hexdigest()[:16]
         file = f"<warp {digest}>"
