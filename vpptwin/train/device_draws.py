@@ -75,7 +75,7 @@ class ParameterBank:
 
     def __init__(self, stepper: WarpStep, priors: Priors, rng: np.random.Generator, device: torch.device) -> None:
         self._stepper, self._priors, self._rng = stepper, priors, rng
-        self._device, self._next = device, 0
+        self._device = device
         self.numbers = torch.tensor(stepper.pack_numbers(), dtype=torch.float32, device=device)
         self.drawn = torch.zeros(self.sets, len(priors.keys), device=device)
 
@@ -103,11 +103,10 @@ class ParameterBank:
         tensor = torch.as_tensor(numbers, dtype=torch.float32)
         return tensor.pin_memory().to(self._device, non_blocking=True) if self._device.type == "cuda" else tensor
 
-    def follow(self, draw_levels: Callable[[int], np.ndarray]) -> None:
-        """Once a policy step: draw a share of the sets afresh."""
-        size = -(-self.sets // TURNS)
-        self.refresh(draw_levels, self._next * size, (self._next + 1) * size)
-        self._next = (self._next + 1) % TURNS
+    def follow(self, step: int, draw_levels: Callable[[int], np.ndarray]) -> None:
+        """Draw a share of the sets afresh, that of a policy step."""
+        size, turn = -(-self.sets // TURNS), step % TURNS
+        self.refresh(draw_levels, turn * size, (turn + 1) * size)
 
 
 class StartRing:

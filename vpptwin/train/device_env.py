@@ -234,7 +234,7 @@ class DeviceEnv(VppEnv):
         episodes.elapsed += self._period
         episodes.age += self._period
         self.flown += 1
-        self.bank.follow(self._draw_levels)
+        self.bank.follow(self.flown, self._draw_levels)
         delta = episodes.target - pose
         episodes.true_integral[:] = accumulate_error(episodes.true_integral, delta[:, :2])
         torch.minimum(episodes.closest, wrap_angle(delta[:, 2]).abs(), out=episodes.closest)
