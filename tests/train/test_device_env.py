@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -209,11 +210,31 @@ def test_missing_parts_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
         make_task_env("hover", engine="warp")
 
 
+def test_no_step_asks_the_device() -> None:
+    """On a device that only knows shapes: nothing reads a number back, or mixes in what is elsewhere."""
+    env = device_env("task=flip", "noise=1", "critic=lstm", lesson=plain_lesson(100_000))
+    env.reset()
+    for part in (env, env.episodes, env.sensors, env.failed_starts, env.bank):
+        tensors = {name: value.to("meta") for name, value in vars(part).items() if isinstance(value, torch.Tensor)}
+        for name, tensor in tensors.items():
+            object.__setattr__(part, name, tensor)
+    env._shown = {name: tensor.to("meta") for name, tensor in env._shown.items()}
+    env._device = env.bank._device = env.draws.device = torch.device("meta")
+    env._launch, env._find_stream = SimpleNamespace(launch=lambda stream: None), lambda: None
+    env.draws.generator = None
+    env.show_rows()
+    shown = env._step(TensorDict({"action": torch.zeros(16, 2, device="meta")}, [16], device="meta"))
+    after = env.maybe_reset(TensorDict({"done": shown["done"]}, [16], device="meta"))
+    assert after["observation"].device.type == after["critic_observation"].device.type == "meta"
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a card")
 @pytest.mark.parametrize("task", ["hover", "flip"])
 def test_no_step_waits_for_the_card(task: str) -> None:
     """Neither a step nor a new episode synchronises, and a card flies as Warp's processor device does."""
-    card = make_device_env(replace(tiny_config(*FLOWN, "noise=0", f"task={task}"), device="cuda"), torch.device("cuda", 0))
+    card = make_device_env(
+        replace(tiny_config(*FLOWN, "noise=0", f"task={task}"), device="cuda"), torch.device("cuda", 0)
+    )
     env = device_env("noise=0", f"task={task}")
     card.reset()
     env.reset()

@@ -16,22 +16,32 @@ from vpptwin.effects.base import Motion
 from vpptwin.errors import InputError
 from vpptwin.twin import Twin, TwinState, load_twin
 from vpptwin.twin.twin import MANY
-from vpptwin.twin.warp_step import WarpStep
+from vpptwin.twin.warp_step import WarpStep, load_warp
 
 CLOSE = 1e-12
 SPAN = 64
 """Rows that are followed in float32."""
 
 
-def launch(step: WarpStep, state: TwinState, command: np.ndarray) -> tuple[TwinState, np.ndarray]:
-    """A state after a control step on Warp's processor device, and which rows have touched something."""
+def list_devices() -> list[str]:
+    """Warp's processor device, and a card where there is one."""
+    try:
+        return ["cpu", "cuda:0"] if load_warp().is_cuda_available() else ["cpu"]
+    except InputError:
+        return ["cpu"]
+
+
+def launch(
+    step: WarpStep, state: TwinState, command: np.ndarray, device: str = "cpu"
+) -> tuple[TwinState, np.ndarray]:  # fmt: skip
+    """A state after a control step on a device, and which rows have touched something."""
     wp = pytest.importorskip("warp")
     kind = wp.float32 if step.single else wp.float64
     tables = [
-        wp.array(t, dtype=kind, device="cpu") for t in (step.pack_state(state), step.pack_numbers(), command.T.copy())
+        wp.array(t, dtype=kind, device=device) for t in (step.pack_state(state), step.pack_numbers(), command.T.copy())
     ]
-    touched = wp.zeros(len(command), dtype=wp.int32, device="cpu")
-    wp.launch(step.kernel, dim=len(command), inputs=[*tables, touched], device="cpu")
+    touched = wp.zeros(len(command), dtype=wp.int32, device=device)
+    wp.launch(step.kernel, dim=len(command), inputs=[*tables, touched], device=device)
     return step.unpack_state(tables[0].numpy()), touched.numpy()
 
 
@@ -61,10 +71,11 @@ def flight(twin: Twin) -> tuple[TwinState, np.ndarray]:
     return TwinState.from_arrays(arrays), commands[1]
 
 
-def test_every_effect_equals_numba(twin: Twin, flight: tuple[TwinState, np.ndarray]) -> None:
+@pytest.mark.parametrize("device", list_devices())
+def test_every_effect_equals_numba(twin: Twin, flight: tuple[TwinState, np.ndarray], device: str) -> None:
     """To 1e-12 of everything that evolves, over a control step of ten inner ones."""
     state, command = flight
-    found, touched = launch(WarpStep(twin), state, command)
+    found, touched = launch(WarpStep(twin), state, command, device)
     expected = twin.step_policy(state, command)
     assert not touched.any()
     for name, values in expected.arrays().items():
@@ -86,11 +97,25 @@ def test_contact_is_told(twin: Twin, flight: tuple[TwinState, np.ndarray]) -> No
 
 
 @pytest.mark.slow
-def test_float32_is_within_its_bound(twin: Twin, flight: tuple[TwinState, np.ndarray]) -> None:
+def test_it_compiles_for_a_card(tmp_path: Path) -> None:
+    """Without one: Warp's compiler makes code for an H100 of it, in float32 alone but for sine and cosine."""
+    wp = pytest.importorskip("warp")
+    spec = load_twin("nominal")
+    step = WarpStep(Twin(spec, 1, active=[e.id for e in spec.catalogue], num_threads=1), single=True)
+    wp.compile_aot_module(step.kernel.module, arch=90, module_dir=tmp_path, use_ptx=True)
+    (made,) = tmp_path.glob("*.ptx")
+    code = made.read_text(errors="replace")
+    assert "_kernel_forward" in code
+    assert code.count("mul.f64") < 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("device", list_devices())
+def test_float32_is_within_its_bound(twin: Twin, flight: tuple[TwinState, np.ndarray], device: str) -> None:
     """The kernel's own text, run on numbers that know their error, bounds what float32 makes of it in an inner step."""
     state, command = flight
     step = WarpStep(twin, steps=1, single=True)  # over ten, worst cases that never meet leave a bound that says little
-    found, _ = launch(step, state, command)
+    found, _ = launch(step, state, command, device)
     table = step.pack_state(found)
     names: dict[str, Any] = {"wp": running_error.warp, "Real": Tracked, "sign": running_error.sign,
                              "expm1": running_error.grow}  # fmt: skip

@@ -67,7 +67,6 @@ class DeviceEnv(VppEnv):
         self.stepper = WarpStep(twin, steps=round(self._period / twin.dt), single=True)
         self.draws: Any = DeviceDraws(device, seed)  # which numpy's generator is declared for
         self.bank = ParameterBank(self.stepper, self._priors, self.rng, device)
-        rows = self.stepper.state
         start = self.stepper.pack_state(twin.initial_state(ids=np.zeros(1, int)))
         self._start = torch.tensor(start, dtype=torch.float32, device=device)
         self.table = self._start.repeat(1, count)
@@ -75,10 +74,7 @@ class DeviceEnv(VppEnv):
         self._command = torch.zeros(2, count, device=device)
         self._touched = torch.zeros(count, dtype=torch.int32, device=device)
         self._limit, self._noise = (self._to(array) for array in (self._scale, self._noise_std))
-        self.state: Any = SimpleNamespace(
-            qpos=self.table[rows["qpos"]].T, qvel=self.table[rows["qvel"]].T, time=self.table[rows["time"]][0],
-            blade_pitch=self.table[rows["actuators.output"]].T, rotor_speed=self.table[rows["actuators.rotor_speed"]].T,
-        )  # fmt: skip
+        self.show_rows()
         self._shown: Any = self._name_constants()
         tensors: dict[str, Any] = {name: self._to(array) for name, array in vars(self.episodes).items()}
         self.episodes: Any = Episodes(**tensors)
@@ -93,6 +89,14 @@ class DeviceEnv(VppEnv):
             self.stepper.kernel, dim=count, inputs=arrays, device=arrays[0].device, record_cmd=True
         )  # fmt: skip
         self._everyone = torch.ones(count, dtype=torch.bool, device=device)
+
+    def show_rows(self) -> None:
+        """Let `state` be what `TwinState` shows of the table, (N, ...)."""
+        rows, table = self.stepper.state, self.table
+        self.state: Any = SimpleNamespace(
+            qpos=table[rows["qpos"]].T, qvel=table[rows["qvel"]].T, time=table[rows["time"]][0],
+            blade_pitch=table[rows["actuators.output"]].T, rotor_speed=table[rows["actuators.rotor_speed"]].T,
+        )  # fmt: skip
 
     @property
     def faults(self) -> int:
