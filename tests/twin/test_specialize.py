@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from vpptwin.effects.base import Motion
-from vpptwin.twin.specialize import Repeat, Term, Unwritable, Writer, drop_unused
+from vpptwin.twin.paths import drop_unused
+from vpptwin.twin.specialize import Writer
+from vpptwin.twin.terms import Repeat, Term, Unwritable
 
 WARP = SimpleNamespace(
     min=min, max=max, abs=abs, where=lambda test, a, b: a if test else b, int32=int, inf=math.inf, exp=math.exp,

@@ -25,28 +25,17 @@ from vpptwin.errors import InputError, load_extra
 from vpptwin.twin.fused import FIELDS, FLIGHT, list_room, list_statics
 from vpptwin.twin.kernel import CALLS, scratch_rows
 from vpptwin.twin.layout import PER_SIMULATION, make_pose, read_matrices
+from vpptwin.twin.paths import drop_unused
 from vpptwin.twin.pipeline import keep_plain
-from vpptwin.twin.specialize import (
-    REAL,
-    WHOLE,
-    Cells,
-    Frame,
-    Record,
-    Repeat,
-    Ring,
-    Term,
-    Unwritable,
-    Writer,
-    drop_unused,
-    keep_source,
-)
+from vpptwin.twin.specialize import Writer, keep_source
 from vpptwin.twin.state import TwinState
 from vpptwin.twin.step import Rig, Row, Tape
+from vpptwin.twin.terms import REAL, WHOLE, Cells, Frame, Record, Repeat, Ring, Term, Unwritable
 from vpptwin.twin.twin import Twin
 
 EVERY = slice(None)
 NEED = "a twin on Warp"
-WAY_OUT = "write it so, or fly it on the processor, which compiles it with numba"
+WAY_OUT = "write it so, or fly it on the processor (engine=numba), which compiles it with numba"
 UNDERSTOOD = "numbers, arithmetic, if, loops over what is known, and numpy's functions of numbers"
 SETTLED = 1e-6
 """Stands for `vpptwin.twin.friction.SETTLED` in float32, which holds seven digits."""
