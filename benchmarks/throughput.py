@@ -1,5 +1,8 @@
 """How fast the twin flies, against the engine alone: `python benchmarks/throughput.py [--quick] [--json out.json]`.
 
+With `--device cuda` on a card too, beside mujoco_warp where it is installed; with `--device cpu` by Warp on the
+processor.
+
 Everything runs in one process, in interleaved rounds, from like starts with the same pilot; ratios are medians over
 rounds of a round's time against that of the engine in the same round. On a machine that does other work too, the ratios
 of processor time are steadier; they leave out how well threads share the work.
@@ -9,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -21,20 +25,34 @@ from throughput_rigs import CONTENDERS, FRICTION, PERIOD, SUBSTEPS, Rigs, Spent
 
 REFERENCE = "raw"
 MEMORY_OF = ("twin, all effects", "environment")
+MOST = 8192
+"""Rigs up to which the processor flies beside a device."""
 LIVE = ("twin, all effects", "environment")
 """What is flown alone, for live viewing."""
 
 
 def measure_rounds(envs: int, args: argparse.Namespace) -> list[dict]:
     """Time every contender in interleaved rounds; one row of results each."""
-    rigs = {name: make(envs, args.threads, args.seed) for name, (_, make) in CONTENDERS.items()}
+    far = list_far(args.device)
+    beside = {name: CONTENDERS[name] for name in ((REFERENCE, *LIVE) if args.device else CONTENDERS)}
+    chosen = (beside if envs <= MOST or not args.device else {}) | far
+    rigs = {name: make(envs, args.threads, args.seed) for name, (_, make) in chosen.items()}
     steps = {name: choose_steps(flown, args.seconds) for name, flown in rigs.items()}
     rounds: dict[str, list[Spent]] = {name: [] for name in rigs}
     names = list(rigs)
     for k in range(args.rounds):
         for name in names[k % len(names) :] + names[: k % len(names)]:
             rounds[name].append(rigs[name].fly(steps[name]))
-    return [summarize(name, envs, rounds) for name in names]
+    return [summarize(name, chosen[name][0], envs, rounds) for name in names]
+
+
+def list_far(device: str | None) -> dict:
+    """What flies on a device; nothing without one."""
+    if device is None:
+        return {}
+    from throughput_device import list_contenders  # which needs Warp
+
+    return list_contenders(device)
 
 
 def choose_steps(rigs: Rigs, seconds: float) -> int:
@@ -44,14 +62,15 @@ def choose_steps(rigs: Rigs, seconds: float) -> int:
     return max(2, round(3 * seconds / spent.wall))
 
 
-def summarize(name: str, envs: int, rounds: dict[str, list[Spent]]) -> dict:
-    """Medians over the rounds of one contender, and its ratios to the reference, round by round."""
-    own, reference = rounds[name], rounds[REFERENCE]
+def summarize(name: str, title: str, envs: int, rounds: dict[str, list[Spent]]) -> dict:
+    """Medians over the rounds of one contender, and its ratios to the reference, round by round, if that flew."""
+    own = rounds[name]
+    reference = rounds.get(REFERENCE, [Spent(math.nan, math.nan, 1)] * len(own))
     wall = [s.steps / s.wall for s in own]
     processor = [s.processor / s.steps for s in own]
     ended = sum(s.ended for s in own)
     return {
-        "name": name, "title": CONTENDERS[name][0], "environments": envs,
+        "name": name, "title": title, "environments": envs,
         "control_steps_per_s": statistics.median(wall),
         "processor_us_per_physics_step": 1e6 * statistics.median(processor) / SUBSTEPS,
         "ratio": statistics.median(a / (r.steps / r.wall) for a, r in zip(wall, reference, strict=True)),
@@ -89,6 +108,14 @@ def read_peak() -> float:
     """Peak resident memory of this process so far [MiB]."""
     (line,) = [line for line in read_text("/proc/self/status").splitlines() if line.startswith("VmHWM")]
     return int(line.split()[1]) / 1024.0
+
+
+def describe_device(device: str) -> str:
+    """Warp's words for it, with its driver."""
+    from vpptwin.twin.warp_step import load_warp
+
+    wp = load_warp()
+    return f"{wp.get_device(device).name}, driver CUDA {wp.get_cuda_driver_version()}, Warp {wp.__version__}"
 
 
 def format_results(result: dict) -> str:
@@ -130,12 +157,14 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, help="interleaved rounds; 7 by default")
     parser.add_argument("--seconds", type=float, help="length of a round, about; 0.7 by default")
     parser.add_argument("--threads", type=int, default=2, help="of the engine; 2 by default")
+    parser.add_argument("--device", choices=("cpu", "cuda"), help="fly on Warp's device too")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help="a few rigs, two short rounds")
     parser.add_argument("--json", type=Path, help="write the results here")
     parser.add_argument("--memory-of", choices=CONTENDERS, help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
-    args.envs = args.envs or ([16] if args.quick else [1024, 4096, 8192])
+    full = [1024, 8192, 65536] if args.device == "cuda" else [1024, 4096, 8192]
+    args.envs = args.envs or ([16] if args.quick else full)
     args.rounds = args.rounds or (2 if args.quick else 7)
     args.seconds = args.seconds or (0.05 if args.quick else 0.7)
     return args
@@ -155,8 +184,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seed": args.seed, "threads": args.threads, "rounds": args.rounds, "seconds": args.seconds,
         "friction_n": FRICTION, "rows": rows,
-        "alone": [measure_alone(name, args.seed, args.seconds) for name in LIVE],
-        "memory": [measure_memory(name, max(args.envs), args) for name in MEMORY_OF],
+        "device": args.device and describe_device(args.device),
+        "alone": [] if args.device else [measure_alone(name, args.seed, args.seconds) for name in LIVE],
+        "memory": [] if args.device else [measure_memory(name, max(args.envs), args) for name in MEMORY_OF],
     }  # fmt: skip
     print(format_results(result))
     if args.json:

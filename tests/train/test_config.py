@@ -10,10 +10,10 @@ import pytest
 
 from vpptwin.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config, to_plain
+from vpptwin.train.devices import find_device
 from vpptwin.train.env import make_env
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config
-from vpptwin.train.ppo import find_device
 from vpptwin.train.ramp import Ramp
 from vpptwin.train.tasks import HOVER, TASKS, Start
 
@@ -157,7 +157,7 @@ def test_a_device_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
     monkeypatch.setattr("torch.cuda.device_count", lambda: 2)
-    found = [str(find_device(replace(TrainConfig(), device=device))) for device in ("cpu", "cuda", "cuda:1")]
+    found = [str(find_device(device)) for device in ("cpu", "cuda", "cuda:1")]
     assert found == ["cpu", "cuda:0", "cuda:1"]
 
 

@@ -332,9 +332,9 @@ class Reach(NamedTuple):
 @register_jitable(forceinline=True)
 def is_clear(reach: Reach, qpos: np.ndarray, at: Pose) -> bool:
     """Whether no joint is at an end stop and no ball touches what it could touch; false, too, where numbers are not."""
+    clear = True
     for i in range(len(qpos)):
-        if not reach.ranges[i, 0] < qpos[i] < reach.ranges[i, 1]:
-            return False
+        clear = clear and reach.ranges[i, 0] < qpos[i] < reach.ranges[i, 1]
     for i in range(len(reach.body)):
         ball, stands, b = reach.ball[i], reach.stands[i], reach.body[i]
         x, y, z = rotate(at.turn[b], ball[0], ball[1], ball[2])
@@ -342,23 +342,19 @@ def is_clear(reach: Reach, qpos: np.ndarray, at: Pose) -> bool:
         o, turn = reach.other[i], stands[3:12]
         p_x, p_y, p_z = rotate(at.turn[o], stands[0], stands[1], stands[2])
         x, y, z = x - at.place[o, 0] - p_x, y - at.place[o, 1] - p_y, z - at.place[o, 2] - p_z
-        if reach.flat[i] == 2:
-            if not x * x + y * y + z * z > (ball[3] + stands[12]) ** 2:
-                return False
-            continue
         # In the axes of what stands still.
         l_x = turn[0] * x + turn[3] * y + turn[6] * z
         l_y = turn[1] * x + turn[4] * y + turn[7] * z
         l_z = turn[2] * x + turn[5] * y + turn[8] * z
-        if reach.flat[i] == 0:
-            if not l_z > ball[3]:
-                return False
-            continue
-        d_x, d_y = max(abs(l_x) - stands[12], 0.0), max(abs(l_y) - stands[13], 0.0)
-        d_z = max(abs(l_z) - stands[14], 0.0)
-        if not d_x * d_x + d_y * d_y + d_z * d_z > ball[3] * ball[3]:
-            return False
-    return True
+        if reach.flat[i] == 2:
+            clear = clear and x * x + y * y + z * z > (ball[3] + stands[12]) ** 2
+        elif reach.flat[i] == 0:
+            clear = clear and l_z > ball[3]
+        else:
+            d_x, d_y = max(abs(l_x) - stands[12], 0.0), max(abs(l_y) - stands[13], 0.0)
+            d_z = max(abs(l_z) - stands[14], 0.0)
+            clear = clear and d_x * d_x + d_y * d_y + d_z * d_z > ball[3] * ball[3]
+    return clear
 
 
 FUNCTIONS = (place_bodies, is_clear, weigh_bodies, gear_actuators, solve_inertia)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import BaseCollector, Collector
 
@@ -31,13 +32,14 @@ class Collection:
     env: VppEnv | None
 
 
-def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None) -> VppEnv:
+def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> VppEnv:
     """The environment of this process: all simulations, as they were saved, or a single one to look at with Ray.
 
     Args:
         config: of the run.
         fault_folder: where simulations that diverged are written.
         saved: content of the checkpoint to continue from.
+        device: of the networks.
 
     Raises:
         InputError: as `make_env`, and if workers are wanted and Ray is not installed.
@@ -46,7 +48,12 @@ def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | No
         import ray  # noqa: F401  # refused here, before anything is made
 
         return make_env(replace(config, num_envs=1, sim_threads=1))
-    env = make_env(config, fault_folder, config.lesson())
+    if config.on_device:
+        from vpptwin.train.device_env import make_device_env  # which needs Warp
+
+        env = make_device_env(config, device, config.lesson())
+    else:
+        env = make_env(config, fault_folder, config.lesson())
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
         restore_snapshot(env, saved["training"]["env"])
@@ -73,5 +80,8 @@ def make_collector(
         workers = start_workers(config, actor, fault_folder, begun)
         return Collection(workers, workers, None)
     batch, device = config.num_envs * config.rollout, next(actor.parameters()).device
-    places = {} if device.type == "cpu" else {"env_device": "cpu", "policy_device": device, "storing_device": device}
+    apart = {"env_device": "cpu", "policy_device": device, "storing_device": device}
+    places: dict[str, Any] = {} if env.device == device else apart
+    if config.on_device:
+        places["track_traj_ids"] = False  # which would ask the device at every step whether an episode has ended
     return Collection(Collector(env, actor, frames_per_batch=batch, total_frames=-1, **places, **OPTIONS), env, env)

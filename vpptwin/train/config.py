@@ -20,6 +20,8 @@ from vpptwin.train.tasks import HOVER, Task, check_task
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""
+ENGINES = ("numba", "warp")
+"""What can step the simulations of training."""
 LOGGERS = ("csv", "tensorboard")
 HELP = "`vpptwin train --help` lists every option"
 
@@ -86,7 +88,7 @@ class TrainConfig:
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
         out: folder of the run; null for runs/<task>-<date>-<time>.
         init_from: policy to start from, a checkpoint, a run's folder or a shipped one; null for random weights.
-        resume: folder of a run to continue; besides, only total_steps, workers, threads, device, progress.
+        resume: folder of a run to continue; besides, only total_steps, workers, threads, device, engine, progress.
         seed: the same seed gives the same run.
         total_steps: policy steps (0.01 s each) to collect, over all simulations.
         num_envs: simulations flown side by side.
@@ -126,7 +128,8 @@ class TrainConfig:
         workers: Ray workers, which share the simulations.
         sim_threads: cores for the simulation.
         torch_threads: cores for the networks; small ones are fastest on one.
-        device: of the networks in training, cpu or cuda; simulations, exams and files stay on the CPU.
+        device: of the networks in training, cpu or cuda; with engine=warp of the simulations too.
+        engine: what steps simulations in training, numba on the CPU or warp on the device; null for warp on a card.
         progress: show a progress bar.
     """
 
@@ -178,7 +181,13 @@ class TrainConfig:
     sim_threads: int = 2
     torch_threads: int = 1
     device: str = "cpu"
+    engine: str | None = None
     progress: bool = True
+
+    @property
+    def on_device(self) -> bool:
+        """Whether the simulations of training are stepped by Warp, where the networks are."""
+        return (self.engine or ("numba" if self.device == "cpu" else "warp")) == "warp"
 
     @property
     def sight(self) -> Sight:
@@ -226,7 +235,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 """What each preset changes."""
-RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads", "device", "progress")
+RESUMABLE = ("resume", "total_steps", "workers", "sim_threads", "torch_threads", "device", "engine", "progress")
 """What may be given besides `resume`; the rest comes from the run that is continued."""
 
 
@@ -337,6 +346,12 @@ def check_values(config: TrainConfig) -> None:
     check(("device",), lambda value: bool(re.fullmatch(r"cpu|cuda(:\d+)?", value)), "cpu, cuda or cuda:N")
     if config.collector == "ray" and config.device != "cpu":
         raise InputError(f"device={config.device} with collector=ray", "device=cpu", "leave one of them out")
+    check(("engine",), lambda value: value in (None, *ENGINES), f"{' or '.join(ENGINES)}, or null")
+    if config.on_device:
+        for name, only in (("estimator", "sensors"), ("collector", "local")):
+            if getattr(config, name) != only:
+                found = f"{name}={getattr(config, name)} with simulations on {config.device} by Warp"
+                raise InputError(found, f"{name}={only}", "add engine=numba, which simulates on the processor")
     if config.collector == "ray" and config.num_envs % config.workers:
         found = f"num_envs={config.num_envs} for workers={config.workers}"
         raise InputError(found, "as many simulations for each worker", f"make num_envs a multiple of {config.workers}")

@@ -24,11 +24,11 @@ from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.rotors import load_trained_twin, strengthen
 from vpptwin.train.starts import SOON, FailedStarts
 from vpptwin.train.tasks import TASKS, Task, check_task_name
-from vpptwin.twin import Twin
+from vpptwin.twin import Twin, TwinState
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
 from vpptwin.twin.sensors import read_sensors, sensor_noise
-from vpptwin.twin.spec import check_effects
+from vpptwin.twin.spec import TwinSpec, check_effects
 
 if TYPE_CHECKING:
     from vpptwin.train.watch import Watcher
@@ -66,8 +66,11 @@ class VppEnv(EnvBase):
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
         estimator: `kalman` for a policy that is shown what the Kalman filter on board estimates, not sensor readings.
         narrowed: parameters that the twin has intervals of are drawn within those.
+        count: N, where the twin's simulations are others (`vpptwin.train.device_env`).
+        device: of what it takes and gives, likewise.
 
     Attributes:
+        count: N.
         state: of the twin.
         sensors: of the motion capture, which may show the past.
         episodes: what evolves besides.
@@ -85,8 +88,10 @@ class VppEnv(EnvBase):
         self, twin: Twin, task: Task, seed: int = 0, noise: float = 0.0, randomized: Sequence[str] = (),
         sight: Sight | None = None, desynchronize: bool = False, lesson: Lesson | None = None, memory: int = 0,
         privileged: bool = True, fault_folder: Path | None = None, estimator: str = "sensors", narrowed: bool = False,
+        count: int | None = None, device: torch.device | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([twin.num_sims]))
+        self.count = twin.num_sims if count is None else count
+        super().__init__(device=device or torch.device("cpu"), batch_size=torch.Size([self.count]))
         self.twin, self.task, self.faults, self.restored, self.flown = twin, task, 0, False, 0
         self.noise, self.randomized, self.sight = noise, tuple(randomized), sight or Sight()
         self.desynchronize, self.lesson, self.fault_folder = desynchronize, lesson, fault_folder
@@ -98,7 +103,7 @@ class VppEnv(EnvBase):
         drawn = [twin.effects[effect] for effect in self.randomized]
         self._priors = Priors.of(drawn, twin.spec.effects, twin.spec.intervals if narrowed else None)
         self.rng = np.random.default_rng(seed)
-        n, parameters = twin.num_sims, len(self._priors.keys)
+        n, parameters = self.count, len(self._priors.keys)
         self.state = twin.initial_state()
         self._before = self.state.copy()
         self.duration = task.episode if lesson is None else task.training_episode or task.episode
@@ -114,7 +119,7 @@ class VppEnv(EnvBase):
     @property
     def difficulty(self) -> float:
         """Level of the curriculum, 0 to 1."""
-        return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.twin.num_sims)
+        return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.count)
 
     def _make_specs(self, n: int) -> None:
         number = Unbounded(shape=(n, 1), dtype=torch.float32)
@@ -149,18 +154,23 @@ class VppEnv(EnvBase):
             from vpptwin.train.watch import Watcher  # which brings the drawing
 
             self._watcher = Watcher(self.twin)
-        return self._watcher.draw(self.state, self.episodes.target[0], float(self.episodes.elapsed[0]))
+        target = np.asarray(self.episodes.target[0].tolist())
+        return self._watcher.draw(self._show_first(), target, float(self.episodes.elapsed[0]))
+
+    def _show_first(self) -> TwinState:
+        """A state whose first row is the first simulation's."""
+        return self.state
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = np.random.default_rng(seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
-        false = np.zeros(self.twin.num_sims, dtype=bool)
+        false = np.zeros(self.count, dtype=bool)
         mask = tensordict.get("_reset", None) if tensordict is not None else None
         if self.restored and mask is None:
             self.restored = False
             return self._pack(false, false)
-        ids = np.arange(self.twin.num_sims) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
+        ids = np.arange(self.count) if mask is None else np.flatnonzero(mask.numpy().reshape(-1))
         self._begin(ids)
         if self.desynchronize and mask is None:
             self.episodes.elapsed[ids] = self.rng.uniform(0.0, self.duration, len(ids))
@@ -175,7 +185,7 @@ class VppEnv(EnvBase):
         pose, velocity = task.start.draw(rng, target)
         criterion = self._draw_criteria(count)
         if self.lesson is not None:
-            self.failed_starts.replace(self.lesson.again(self.flown * self.twin.num_sims), rng, target, pose, velocity)
+            self.failed_starts.replace(self.lesson.again(self.flown * self.count), rng, target, pose, velocity)
         episodes.started[ids] = np.column_stack([target, pose, velocity])
         near = criterion == POSITION
         pose[near, 2] = target[near, 2] + rng.uniform(-NEAR, NEAR, int(near.sum()))
@@ -203,7 +213,7 @@ class VppEnv(EnvBase):
 
     def _draw_criteria(self, count: int) -> np.ndarray:
         """What new episodes are judged by, (count,): below the lesson's level one criterion each."""
-        if self.lesson is None or not self.lesson.single(self.flown * self.twin.num_sims):
+        if self.lesson is None or not self.lesson.single(self.flown * self.count):
             return np.full(count, BOTH)
         return self.rng.choice([POSITION, ANGLE], count)
 
@@ -360,11 +370,7 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
-    spec = load_trained_twin(config)
-    _ = spec.vehicle  # refuses other rigs
-    randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
-    check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
-    spec = strengthen(spec, config.task.thrust_to_weight, config.task.commanded)
+    spec, randomized = load_randomized(config)
     twin = Twin(spec, config.num_envs, active=randomized, num_threads=config.sim_threads)
     return VppEnv(
         twin, config.task, config.seed, config.noise, randomized, config.sight, config.desynchronize, lesson,
@@ -372,9 +378,22 @@ def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Less
     )  # fmt: skip
 
 
+def load_randomized(config: TrainConfig) -> tuple[TwinSpec, list[str]]:
+    """The twin of a run, and the effects of it that are drawn.
+
+    Raises:
+        InputError: as `make_env`.
+    """
+    spec = load_trained_twin(config)
+    _ = spec.vehicle  # refuses other rigs
+    randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
+    check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
+    return strengthen(spec, config.task.thrust_to_weight, config.task.commanded), randomized
+
+
 def make_task_env(
     task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
-    randomize: Sequence[str] = (),
+    randomize: Sequence[str] = (), device: str = "cpu", engine: str | None = None,
 ) -> VppEnv:  # fmt: skip
     """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
 
@@ -385,14 +404,21 @@ def make_task_env(
         seed: of everything random.
         noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
         randomize: effects drawn from their priors at every reset; `paper` and `all` stand for groups.
+        device: of what it takes and gives, `cpu` or `cuda`.
+        engine: `numba`, or `warp` for simulations on the device; None for `warp` on a card.
 
     Raises:
-        InputError: if there is no such task, twin or effect.
+        InputError: if there is no such task, twin or effect, or the device is missing.
     """
     check_task_name(task)
     config = TrainConfig(
         copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
-        desynchronize=False,
+        desynchronize=False, device=device, engine=engine,
     )  # fmt: skip
     check_values(config)
+    if config.on_device:
+        from vpptwin.train.device_env import make_device_env  # which is one of these
+        from vpptwin.train.devices import find_device
+
+        return make_device_env(config, find_device(device))
     return make_env(config)

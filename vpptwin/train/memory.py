@@ -30,7 +30,7 @@ def check_run(config: TrainConfig) -> None:
     """
     simulations, step = size_simulation(config), size_step(config)
     batch = config.num_envs * config.rollout
-    needed = batch * step
+    needed = 0 if config.on_device and config.device != "cpu" else batch * step  # a card tells of its own memory
     if config.exam_every:
         needed += config.exam_tracks * simulations
     if config.collector == "local" or os.environ.get("RAY_ADDRESS", "") in ("", "local"):
@@ -127,5 +127,5 @@ def explain_exhaustion(config: TrainConfig) -> Iterator[None]:
         raise InputError(found, "a run that fits into memory", ADVICE) from error
 
 
-TORCH_SIGNS = ("can't allocate memory", "bad_alloc")
+TORCH_SIGNS = ("can't allocate memory", "bad_alloc", "CUDA out of memory")
 """What tells torch's RuntimeError of memory that ran out from others."""

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from vpptwin.arrays import Array, library
+
 OBSERVATION = (
     "delta_x", "delta_z", "velocity_x", "velocity_z", "sin_delta_theta", "cos_delta_theta", "rate",
     "integral_x", "integral_z", "sin_target_theta", "cos_target_theta",
@@ -44,7 +46,7 @@ class Sight:
         return tuple(shown)
 
 
-def accumulate_error(integral: np.ndarray, error: np.ndarray) -> np.ndarray:
+def accumulate_error(integral: Array, error: Array) -> Array:
     """Position integral Γ_t = 0.9 Γ_{t-1} + Δp_t.
 
     Args:
@@ -57,15 +59,13 @@ def accumulate_error(integral: np.ndarray, error: np.ndarray) -> np.ndarray:
     return INTEGRAL_DECAY * integral + error
 
 
-def wrap_angle(angle: np.ndarray) -> np.ndarray:
+def wrap_angle(angle: Array) -> Array:
     """The same angle within [-π, π), rad; any shape."""
-    wrapped: np.ndarray = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return wrapped
 
 
-def observe(
-    pose: np.ndarray, velocity: np.ndarray, target: np.ndarray, integral: np.ndarray, sight: Sight | None = None
-) -> np.ndarray:
+def observe(pose: Array, velocity: Array, target: Array, integral: Array, sight: Sight | None = None) -> Array:
     """What the policy sees, in the order of `sight.names`.
 
     Args:
@@ -76,21 +76,20 @@ def observe(
         sight: what it is shown; by default `OBSERVATION`.
 
     Returns:
-        (N, len(sight.names)) float32.
+        (N, len(sight.names)) float32; of tensors, their own type.
     """
+    xp = library(pose)
     delta = target - pose
     angle, target_angle = delta[:, 2], target[:, 2]
     ways = {
         "delta_x": lambda: delta[:, 0], "delta_z": lambda: delta[:, 1],
         "velocity_x": lambda: velocity[:, 0], "velocity_z": lambda: velocity[:, 1],
-        "sin_delta_theta": lambda: np.sin(angle), "cos_delta_theta": lambda: np.cos(angle),
+        "sin_delta_theta": lambda: xp.sin(angle), "cos_delta_theta": lambda: xp.cos(angle),
         "delta_theta": lambda: wrap_angle(angle), "rate": lambda: velocity[:, 2],
         "integral_x": lambda: integral[:, 0], "integral_z": lambda: integral[:, 1],
-        "sin_target_theta": lambda: np.sin(target_angle), "cos_target_theta": lambda: np.cos(target_angle),
+        "sin_target_theta": lambda: xp.sin(target_angle), "cos_target_theta": lambda: xp.cos(target_angle),
         "target_theta": lambda: wrap_angle(target_angle),
     }  # fmt: skip
     names = OBSERVATION if sight is None else sight.names
-    seen = np.empty((len(pose), len(names)), np.float32)
-    for column, name in enumerate(names):
-        seen[:, column] = ways[name]()
-    return seen
+    seen: Array = xp.stack([ways[name]() for name in names], -1)
+    return seen.astype(np.float32) if xp is np else seen

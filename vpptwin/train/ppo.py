@@ -16,6 +16,7 @@ from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import SaveCheckpoint, build_policy, make_policy, read_checkpoint
 from vpptwin.train.collect import make_collector, open_env
 from vpptwin.train.config import TrainConfig
+from vpptwin.train.devices import find_device
 from vpptwin.train.exam import Exam
 from vpptwin.train.loggers import make_logger
 from vpptwin.train.networks import Exploration, Policy, make_actor, make_critic
@@ -63,22 +64,6 @@ def start_from(policy: Policy, config: TrainConfig) -> None:
     policy.load_state_dict(other.state_dict())
 
 
-def find_device(config: TrainConfig) -> torch.device:
-    """Where the networks are trained.
-
-    Raises:
-        InputError: if torch finds no such device.
-    """
-    device, count = torch.device(config.device), torch.cuda.device_count()
-    if device.type == "cpu":
-        return device
-    device = torch.device("cuda", device.index or 0)
-    if device.index >= count:
-        found = f"device={config.device}, and torch {torch.__version__} finds {count} CUDA devices"
-        raise InputError(found, "one that it finds", "say device=cpu, or install a torch for your GPU's driver")
-    return device
-
-
 def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | None = None) -> Training:
     """Put a run together.
 
@@ -92,8 +77,8 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     """
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
-    env = open_env(config, folder / FAULTS, saved)
-    device = find_device(config)
+    device = find_device(config.device)
+    env = open_env(config, folder / FAULTS, saved, device)
     policy = make_policy(config).to(device)
     if saved is None and config.init_from is not None:
         start_from(policy, config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vpptwin.arrays import library
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import OBSERVATION, observe
 from vpptwin.train.reward import ANGLE, POSITION
@@ -36,8 +37,9 @@ def see_everything(
 
     `unmet`, (N,) bool, says whose angle is still to be met.
     """
-    criterion, soon = episodes.criterion[rows], np.where(unmet, episodes.due, episodes.switch)[rows]
-    return np.column_stack([
+    xp = library(unmet)
+    criterion, soon = episodes.criterion[rows], xp.where(unmet, episodes.due, episodes.switch)[rows]
+    return xp.column_stack([
         observe(state.qpos[rows], state.qvel[rows], episodes.target[rows], episodes.integral[rows]),
         episodes.action[rows],
         state.blade_pitch[rows] / vehicle.rotor.pitch_max,
@@ -45,6 +47,6 @@ def see_everything(
         criterion == POSITION,
         criterion == ANGLE,
         episodes.turn[rows] / (2.0 * np.pi),
-        np.exp((episodes.elapsed[rows] - soon) / FORESIGHT),
+        xp.exp((episodes.elapsed[rows] - soon) / FORESIGHT),
         episodes.drawn[rows],
     ])  # fmt: skip

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpptwin.arrays import Array, library
+
 
 @dataclass
 class RewardWeights:
@@ -40,9 +42,9 @@ BOTH, POSITION, ANGLE = 0, 1, 2
 
 
 def compute_reward(
-    weights: RewardWeights, delta: np.ndarray, velocity: np.ndarray, integral: np.ndarray,
-    criterion: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+    weights: RewardWeights, delta: Array, velocity: Array, integral: Array,
+    criterion: Array | None = None,
+) -> Array:  # fmt: skip
     """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i + w_n r_n, r_n = r_o / (1 + d² / width²).
 
     The last term is ours. As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.
@@ -60,19 +62,20 @@ def compute_reward(
     Returns:
         (N,), between 0 and `weights.best`.
     """
+    xp = library(delta)
     distance2 = delta[:, 0] ** 2 + delta[:, 1] ** 2
     r_p = 1.0 / (1.0 + 10.0 * distance2)
-    r_o = 0.5 * (1.0 + np.cos(delta[:, 2]))
+    r_o = 0.5 * (1.0 + xp.cos(delta[:, 2]))
     calm = 1.0 / (1.0 + velocity[:, 2] ** 2)
     r_v = r_p / (1.0 + velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
     r_w = r_p * calm
     r_i = 1.0 / (1.0 + integral[:, 0] ** 2 + integral[:, 1] ** 2)
     place = weights.position * r_p + weights.integral * r_i + r_p * (weights.velocity * r_v + weights.rate * r_w)
     near = weights.near / (1.0 + distance2 / weights.width**2)
-    reward: np.ndarray = place + (r_p * weights.orientation + near) * r_o
-    if criterion is not None and criterion.any():
+    reward: Array = place + (r_p * weights.orientation + near) * r_o
+    if criterion is not None and (xp is not np or criterion.any()):  # a card is not asked
         best, angle = weights.best, weights.orientation * r_o + weights.rate * calm
         place_best, angle_best = best - weights.orientation, weights.orientation + weights.rate
-        reward = np.where(criterion == POSITION, (place + near) * (best / max(place_best, 1e-9)), reward)
-        reward = np.where(criterion == ANGLE, angle * (best / max(angle_best, 1e-9)), reward)
+        reward = xp.where(criterion == POSITION, (place + near) * (best / max(place_best, 1e-9)), reward)
+        reward = xp.where(criterion == ANGLE, angle * (best / max(angle_best, 1e-9)), reward)
     return reward

@@ -16,8 +16,9 @@ from vpptwin.errors import InputError
 from vpptwin.files import replace_files, write_whole
 from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
+from vpptwin.train.devices import find_device
 from vpptwin.train.memory import check_run, explain_exhaustion
-from vpptwin.train.ppo import FAULTS, build_training, find_device
+from vpptwin.train.ppo import FAULTS, build_training
 from vpptwin.train.stored import FILE_NAME
 
 NEXT = """next: vpptwin evaluate {0}
@@ -44,7 +45,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     saved = None
     if config.resume is not None:
         config, saved = read_run(config, given)
-    find_device(config)
+    find_device(config.device)
     check_run(config)
     folder = open_folder(config)
     with explain_exhaustion(config):

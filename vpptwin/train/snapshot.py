@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from vpptwin.twin import TwinState
 from vpptwin.twin.past import SensorState
 
 
+@singledispatch
 def take_snapshot(env: VppEnv) -> dict[str, Any]:
     """Everything that evolves in an environment, as tensors and plain data."""
     twin = env.twin
@@ -33,14 +35,15 @@ def take_snapshot(env: VppEnv) -> dict[str, Any]:
     }  # fmt: skip
 
 
+@singledispatch
 def restore_snapshot(env: VppEnv, snapshot: Mapping[str, Any]) -> None:
     """Put an environment where a snapshot was taken; its next full reset hands out the observation of that moment.
 
     Raises:
         InputError: if a version took it that kept less of a simulation.
     """
-    missing = env.state.arrays().keys() - snapshot["state"].keys()
-    missing |= vars(env.episodes).keys() - snapshot["episodes"].keys()
+    missing = env.state.arrays().keys() - snapshot.get("state", {}).keys()
+    missing |= vars(env.episodes).keys() - snapshot.get("episodes", {}).keys()
     if missing:
         found = f"a checkpoint whose simulations lack {', '.join(sorted(missing))}"
         raise InputError(found, "one of this version", "train on with init_from=RUN, which takes the policy alone")

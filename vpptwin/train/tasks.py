@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from vpptwin.arrays import Array, beside, library
 from vpptwin.errors import InputError, suggest
 from vpptwin.train.observe import wrap_angle
 from vpptwin.train.reward import RewardWeights
@@ -39,7 +40,7 @@ class Start:
     velocity_z: Range = (-0.5, 0.5)
     rate: Range = (-2.0, 2.0)
 
-    def draw(self, rng: np.random.Generator, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, rng: np.random.Generator, target: Array) -> tuple[Array, Array]:
         """Poses and velocities for targets (n, 3): (n, 3) [m, m, rad] and (n, 3) [m/s, m/s, rad/s]."""
         low, high = np.array([self.x, self.z, self.theta]).T
         pose = rng.uniform(low, high, (len(target), 3))
@@ -78,38 +79,41 @@ class Target:
     quiet: float = 2.0
     expected: bool = False
 
-    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Targets x, z, θ, (count, 3) m, m, rad."""
         low, high = np.array([self.x, self.z]).T
         place = rng.uniform(low, high, (count, 2))
-        angle = np.full(count, self.angles[0]) if self.in_order else rng.choice(self.angles, count)
-        return np.column_stack([place, angle])
+        angle = 0.0 * place[:, 0] + self.angles[0] if self.in_order else rng.choice(self.angles, count)
+        return library(place).column_stack([place, angle])
 
-    def span_dwell(self, stage: np.ndarray) -> np.ndarray:
+    def span_dwell(self, stage: Array) -> Array:
         """Shortest and longest time until the next trigger after so many (n,), (2, n) s; infinite without one."""
+        xp = library(stage)
+        whole = xp.stack([stage, stage]) * 0.0
         if self.dwell is None:
-            return np.full((2, len(stage)), math.inf)
-        first, later = (np.array(span)[:, None] for span in (self.dwell, self.hold or self.dwell))
-        span = np.where(stage > 0, later, first) if self.in_order else np.repeat(first, len(stage), 1)
-        return np.where(stage < len(self.angles) - 1, span, math.inf) if self.in_order else span
+            return whole + math.inf
+        first, later = (beside(whole, span)[:, None] for span in (self.dwell, self.hold or self.dwell))
+        span = xp.where(stage > 0, later, first) if self.in_order else first + whole
+        return xp.where(stage < len(self.angles) - 1, span, math.inf) if self.in_order else span
 
-    def draw_dwell(self, rng: np.random.Generator, stage: np.ndarray) -> np.ndarray:
+    def draw_dwell(self, rng: np.random.Generator, stage: Array) -> Array:
         """Times until the next trigger after so many (n,), (n,) s; infinite when there is none."""
         span = self.span_dwell(stage)
-        return np.where(np.isinf(span[0]), math.inf, rng.uniform(*np.nan_to_num(span, posinf=0.0)))
+        xp = library(span)
+        return xp.where(xp.isinf(span[0]), math.inf, rng.uniform(*xp.nan_to_num(span, posinf=0.0)))
 
-    def draw_other_angle(self, rng: np.random.Generator, angle: np.ndarray, stage: np.ndarray) -> np.ndarray:
+    def draw_other_angle(self, rng: np.random.Generator, angle: Array, stage: Array) -> Array:
         """The angles that follow on `angle` at trigger number `stage`, each (n,): the next in order, or any other."""
-        choices = np.asarray(self.angles)
+        choices = beside(angle, self.angles)
         if self.in_order:
-            return choices[stage]
-        now = np.argmin(np.abs(wrap_angle(choices[None, :] - angle[:, None])), axis=1)
+            return choices[stage.clip(0, len(choices) - 1)]
+        now = abs(wrap_angle(choices[None, :] - angle[:, None])).argmin(1)
         return choices[(now + rng.integers(1, len(choices), len(angle))) % len(choices)]
 
-    def draw_turn(self, rng: np.random.Generator, count: int) -> np.ndarray:
+    def draw_turn(self, rng: np.random.Generator, count: int) -> Array:
         """Angles that triggers ask to turn through before anything else: 2π, -2π or 0, (count,) rad."""
         turning = rng.uniform(size=count) < self.turns
-        return np.where(turning, rng.choice([-2.0 * np.pi, 2.0 * np.pi], count), 0.0)
+        return library(turning).where(turning, rng.choice([-2.0 * np.pi, 2.0 * np.pi], count), 0.0)
 
 
 @dataclass
@@ -128,13 +132,13 @@ class Limits:
     floor: float = 0.05
     ends: bool = True
 
-    def exceeded(self, vehicle: Vehicle, pose: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def exceeded(self, vehicle: Vehicle, pose: Array, velocity: Array) -> Array:
         """Which rows of pose and velocity, both (N, 3), have failed, (N,) bool."""
-        travel = np.array([vehicle.rig.travel_x, vehicle.rig.travel_z])
-        over = (pose[:, :2] <= travel[:, 0]) | (pose[:, :2] >= travel[:, 1])
-        at_stop = over.any(axis=1) if self.ends else over[:, 1]
-        tip = pose[:, 1] - vehicle.airframe.half_length * np.abs(np.sin(pose[:, 2]))
-        too_fast = (np.hypot(velocity[:, 0], velocity[:, 1]) > self.speed) | (np.abs(velocity[:, 2]) > self.rate)
+        xp, spans = library(pose), (vehicle.rig.travel_x, vehicle.rig.travel_z)
+        over_x, over_z = ((pose[:, i] <= low) | (pose[:, i] >= high) for i, (low, high) in enumerate(spans))
+        at_stop = over_x | over_z if self.ends else over_z
+        tip = pose[:, 1] - vehicle.airframe.half_length * abs(xp.sin(pose[:, 2]))
+        too_fast = (xp.hypot(velocity[:, 0], velocity[:, 1]) > self.speed) | (abs(velocity[:, 2]) > self.rate)
         return at_stop | (tip < self.floor) | too_fast
 
 

@@ -106,7 +106,7 @@ class Minibatches(Hook):
     def shuffle(self, batch: TensorDictBase) -> TensorDictBase:
         """Flatten the batch (N, T) in a new order."""
         flat = batch.reshape(-1)
-        mixed = flat[torch.randperm(len(flat))]
+        mixed = flat[torch.randperm(len(flat), device=flat.device)]
         self._parts = [part for part in mixed.split(self.size) if 2 * len(part) >= min(self.size, len(flat))]
         return mixed
 

@@ -115,4 +115,4 @@ def rub(
             change = max(change, abs(held - friction[i]))
             friction[i] = held
         if change <= SETTLED * largest:
-            return
+            break

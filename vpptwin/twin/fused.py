@@ -7,21 +7,72 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
+from textwrap import indent
 from threading import Lock
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from vpptwin.effects.link import to_matrix
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree
-from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose
+from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose, read_matrices
 
 FIELDS = (*Shape._fields, "gravity", "gain", "bias", "force_range")
 """Numbers that may differ by simulation, in the order of the table of their addresses."""
 
 FEW = 16
 """Simulations for which another thread does not pay."""
+
+FLIGHT = """
+damped, touches = False, False
+for j in range({nv}):
+    damped = damped or shape.dof_damping[j] > 0.0
+    row.memory[2 + j] = 0.0
+for k in range(steps):
+    place_bodies(tree, shape, qpos, qvel, gravity, at)
+    if not is_clear(reach, qpos, at):
+        touches = True
+        break
+    weigh_bodies(tree, shape, at, mass, qfrc_bias)
+    gear_actuators(tree, shape, at, moment)
+    for j in range({nv}):
+        passive[j] = -shape.dof_damping[j] * qvel[j] - shape.jnt_stiffness[j] * (qpos[j] - shape.qpos_spring[j])
+        for n in range(row_length[j]):
+            inertia[row_start[j] + n] = mass[j, column[row_start[j] + n]]
+    for a in range({nu}):
+        length[a] = shape.gear[a] * qpos[tree.drives[a]] if tree.seat[a] < 0 else 0.0
+        velocity[a] = 0.0
+        for j in range({nv}):
+            velocity[a] += moment[a, j] * qvel[j]
+    view = View(
+        clock[0], dt, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
+        inertia, row_length, row_start, column, shape.dof_damping, shape.dof_armature, shape.body_mass, gravity,
+        moment_flat, moment_length, moment_start, moment_column, length, velocity, gain, bias, gain_type,
+        bias_type, ctrl_limited, force_limited, ctrl_range, force_range, joint, joint_limited, joint_range,
+        joint_lifted, nothing,
+    )
+    if context.qpos:
+        kept_qpos = float64_at(context.qpos + (steps * i + k) * {nv} * 8, {nv})
+        kept_qvel = float64_at(context.qvel + (steps * i + k) * {nv} * 8, {nv})
+        for j in range({nv}):
+            kept_qpos[j], kept_qvel[j] = qpos[j], qvel[j]
+    {step}
+    if context.rotor_speed:
+        kept_speed = float64_at(context.rotor_speed + (steps * i + k) * {nu} * 8, {nu})
+        for a in range({nu}):
+            kept_speed[a] = row.layer.rotor_speed[a]
+    foresee_actuators(view, exerted)
+    for j in range({nv}):
+        exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
+    solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
+    if damped:
+        solve_inertia(mass, shape.dof_damping, dt, dense, exerted, faster)
+    for j in range({nv}):
+        qvel[j] += dt * (faster[j] if damped else warmstart[j])
+        qpos[j] += dt * qvel[j]
+    clock[0] += dt
+"""
+"""Lines that step one simulation, of which numba and Warp (`vpptwin.twin.warp_step`) get the same."""
 
 ENTRY = """
 def fly(address, begin, end, room):
@@ -42,56 +93,9 @@ def fly(address, begin, end, room):
         qvel = float64_at(context.state_qvel + {nv} * 8 * i, {nv})
         warmstart = float64_at(context.warmstart + {nv} * 8 * i, {nv})
         clock = float64_at(context.time + 8 * i, 1)
-        damped = False
-        for j in range({nv}):
-            damped = damped or shape.dof_damping[j] > 0.0
 {row}
-        for j in range({nv}):
-            row.memory[2 + j] = 0.0
-        for k in range(steps):
-            place_bodies(tree, shape, qpos, qvel, gravity, at)
-            if not is_clear(reach, qpos, at):
-                break
-            weigh_bodies(tree, shape, at, mass, qfrc_bias)
-            gear_actuators(tree, shape, at, moment)
-            for j in range({nv}):
-                passive[j] = -shape.dof_damping[j] * qvel[j] - shape.jnt_stiffness[j] * (qpos[j] - shape.qpos_spring[j])
-                for n in range(row_length[j]):
-                    inertia[row_start[j] + n] = mass[j, column[row_start[j] + n]]
-            for a in range({nu}):
-                length[a] = shape.gear[a] * qpos[tree.drives[a]] if tree.seat[a] < 0 else 0.0
-                velocity[a] = 0.0
-                for j in range({nv}):
-                    velocity[a] += moment[a, j] * qvel[j]
-            view = View(
-                clock[0], dt, qpos, qvel, ctrl, applied, passive, qfrc_bias, nothing, warmstart, 0, False,
-                inertia, row_length, row_start, column, shape.dof_damping, shape.dof_armature, shape.body_mass, gravity,
-                moment_flat, moment_length, moment_start, moment_column, length, velocity, gain, bias, gain_type,
-                bias_type, ctrl_limited, force_limited, ctrl_range, force_range, joint, joint_limited, joint_range,
-                joint_lifted, nothing,
-            )
-            if context.qpos:
-                kept_qpos = float64_at(context.qpos + (steps * i + k) * {nv} * 8, {nv})
-                kept_qvel = float64_at(context.qvel + (steps * i + k) * {nv} * 8, {nv})
-                for j in range({nv}):
-                    kept_qpos[j], kept_qvel[j] = qpos[j], qvel[j]
-            {step}
-            if context.rotor_speed:
-                kept_speed = float64_at(context.rotor_speed + (steps * i + k) * {nu} * 8, {nu})
-                for a in range({nu}):
-                    kept_speed[a] = row.layer.rotor_speed[a]
-            foresee_actuators(view, exerted)
-            for j in range({nv}):
-                exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
-            solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
-            if damped:
-                solve_inertia(mass, shape.dof_damping, dt, dense, exerted, faster)
-            for j in range({nv}):
-                qvel[j] += dt * (faster[j] if damped else warmstart[j])
-                qpos[j] += dt * qvel[j]
-            clock[0] += dt
-        else:
-            int64_at(context.stuck, i + 1)[i] = 0
+{flight}
+        int64_at(context.stuck, i + 1)[i] = int(touches)
 """
 
 
@@ -169,7 +173,7 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
         room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
         gain=order["gain"], bias=order["bias"], force_range=order["force_range"],
         ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
-        step=step,
+        flight=indent(FLIGHT.format(nv=nv, nu=nu, step=step), 8 * " "),
     )  # fmt: skip
 
 
@@ -220,7 +224,7 @@ class Stepper:
         jobs = [(context.ctypes.data, *share, room.ctypes.data) for share, room in zip(self._shares, self._rooms)]
         with self._lock:  # the room that threads work in is the twin's
             if self._turns is not None and self._matrices is not None:
-                self._matrices[:] = to_matrix(self._turns.reshape(-1, 4)).reshape(self._matrices.shape)
+                self._matrices[:] = read_matrices(self._turns)
             others = [threads().submit(function, *job) for job in jobs[1:]]
             function(*jobs[0])
             for job in others:

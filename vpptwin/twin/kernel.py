@@ -41,7 +41,7 @@ CONTEXT = np.dtype(
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
 COMPILING = "compiling the step of this rig, once, some 20 s"
 CALLS = {
-    "step_drone": "step_drone(carray(pointer_to(context.vehicle), (1,), VEHICLE)[0], rig, view, row, tape, k)",
+    "step_drone": "step_drone(vehicle, rig, view, row, tape, k)",
     "step_rig": "step_rig(rig, view, row, tape, k)",
 }
 """Inner steps of `vpptwin.twin.step` by name, as the callback calls them."""
@@ -50,6 +50,7 @@ FLY = CFUNCTYPE(None, c_int64, c_int64, c_int64, c_int64)
 READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
 
 ROW = """\
+vehicle = carray(pointer_to(context.vehicle), (1,), VEHICLE)[0]
 row = Row(
     carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
     carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],

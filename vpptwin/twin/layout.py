@@ -61,6 +61,11 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
     return layout if layout is not None and agrees(layout, model) else None
 
 
+def read_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4), as effects write them, as rows of rotations (..., 9)."""
+    return to_matrix(quaternions.reshape(-1, 4)).reshape(*quaternions.shape[:-1], 9)
+
+
 def is_of_model(model: mujoco.MjModel, name: str) -> bool:
     """Whether a constant is a field of the model, not of sensors or actuators of ours."""
     return name.startswith("opt.") or hasattr(model, name)

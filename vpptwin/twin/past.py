@@ -8,7 +8,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 
+from vpptwin.actuators.numbers import Number
+from vpptwin.arrays import Array, beside, library
 from vpptwin.effects import Effect
 from vpptwin.engine.compile import can_keep
 
@@ -68,7 +71,7 @@ def history_depth(effects: Iterable[Effect], period: float, horizon: float) -> i
     return math.ceil(longest / period - 1e-9) + 1 if longest > 0.0 else 0
 
 
-def start_sensors(pose: np.ndarray, velocity: np.ndarray, depth: int, period: float) -> SensorState:
+def start_sensors(pose: Array, velocity: Array, depth: int, period: float) -> SensorState:
     """A state as if the craft had come here in a straight line at constant speed.
 
     Args:
@@ -77,14 +80,20 @@ def start_sensors(pose: np.ndarray, velocity: np.ndarray, depth: int, period: fl
         depth: entries of the ring.
         period: between them [s].
     """
-    back = period * np.arange(depth)[::-1]
+    xp, back = library(pose), beside(pose, period * np.arange(depth)[::-1])
     track = pose[:, None] - back[:, None] * velocity[:, None]
-    return SensorState(track, np.repeat(velocity[:, None], depth, axis=1), np.full(len(pose), max(depth - 1, 0)))
+    newest = xp.zeros_like(pose[:, 0], dtype=xp.int64) + max(depth - 1, 0)
+    return SensorState(track, xp.zeros_like(track) + velocity[:, None], newest)
 
 
 def record_poses(state: SensorState, pose: np.ndarray, velocity: np.ndarray) -> None:
     """Take down the present pose and velocity, (N, 3) each, in place of the oldest."""
-    if state.depth:
+    if library(pose) is not np:
+        state.newest[:] = (state.newest + 1) % max(state.depth, 1)
+        rows = library(pose).arange(len(pose), device=pose.device)
+        if state.depth:
+            state.pose[rows, state.newest], state.velocity[rows, state.newest] = pose, velocity
+    elif state.depth:
         _record_poses(state.pose, state.velocity, state.newest, pose, velocity)
 
 
@@ -99,7 +108,7 @@ def _record_poses(
             velocities[i, newest[i], j] = velocity[i, j]
 
 
-def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
+def look_back(state: SensorState, age: Array, period: float) -> tuple[Array, Array]:
     """Pose and velocity as they were some time ago: the cubic through neighbouring entries and their velocities.
 
     In smooth flight poses are off by at most h⁴/384, velocities by h³/125 of the pose's fourth time derivative, with h
@@ -114,6 +123,8 @@ def look_back(state: SensorState, age: np.ndarray, period: float) -> tuple[np.nd
     Returns:
         Pose (N, 3) m, m, rad and velocity (N, 3) m/s, m/s, rad/s.
     """
+    if library(age) is not np:
+        return _look_back_at_once(state, age, period)
     pose, velocity = np.empty((len(age), 3)), np.empty((len(age), 3))
     _look_back(state.pose, state.velocity, state.newest, age, period, pose, velocity)
     return pose, velocity
@@ -130,7 +141,6 @@ def _look_back(
         whole = min(int(steps), max(depth - 2, 0))
         newer, older = (newest[i] - whole) % depth, (newest[i] - min(whole + 1, depth - 1)) % depth
         u = steps - whole
-        rest = 1.0 - u
         for j in range(3):
             p_0, p_1, v_0, v_1 = (
                 poses[i, newer, j],
@@ -138,7 +148,23 @@ def _look_back(
                 velocities[i, newer, j],
                 velocities[i, older, j],
             )
-            pose[i, j] = (1.0 + 2.0 * u) * rest * rest * p_0 + u * u * (3.0 - 2.0 * u) * p_1
-            pose[i, j] += period * u * rest * (u * v_1 - rest * v_0)
-            velocity[i, j] = rest * (1.0 - 3.0 * u) * v_0 + u * (3.0 * u - 2.0) * v_1
-            velocity[i, j] += 6.0 * u * rest * (p_0 - p_1) / period
+            pose[i, j], velocity[i, j] = _interpolate(p_0, p_1, v_0, v_1, u, period)
+
+
+@register_jitable
+def _interpolate(p_0: Number, p_1: Number, v_0: Number, v_1: Number, u: Number, period: float) -> tuple[Number, Number]:
+    """The cubic through a newer and an older pose with their velocities, a share `u` of the way back."""
+    rest = 1.0 - u
+    pose = (1.0 + 2.0 * u) * rest * rest * p_0 + u * u * (3.0 - 2.0 * u) * p_1
+    velocity = rest * (1.0 - 3.0 * u) * v_0 + u * (3.0 * u - 2.0) * v_1
+    return pose + period * u * rest * (u * v_1 - rest * v_0), velocity + 6.0 * u * rest * (p_0 - p_1) / period
+
+
+def _look_back_at_once(state: SensorState, age: Number, period: float) -> tuple[Number, Number]:
+    """`look_back` in tensors."""
+    depth, rows = state.depth, library(age).arange(len(age), device=age.device)
+    steps = (age / period).clip(0.0, depth - 1.0)
+    whole = steps.long().clip(max=max(depth - 2, 0))
+    newer, older = (state.newest - whole) % depth, (state.newest - (whole + 1).clip(max=depth - 1)) % depth
+    (p_0, v_0), (p_1, v_1) = ((state.pose[rows, at], state.velocity[rows, at]) for at in (newer, older))
+    return _interpolate(p_0, p_1, v_0, v_1, (steps - whole)[:, None], period)

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from vpptwin.arrays import library
 from vpptwin.twin.past import SensorState, look_back
 from vpptwin.vehicle import Vehicle
 
@@ -60,7 +61,7 @@ def measure_coordinate(constants: Constants, dof: int, value: np.ndarray) -> np.
 
 def measure_pose(constants: Constants, pose: np.ndarray) -> np.ndarray:
     """A pose x, z, θ as motion capture gives it, noise and age apart, (N, 3) m, m, rad."""
-    return np.stack([measure_coordinate(constants, axis, pose[:, axis]) for axis in (X, Z, PITCH)], axis=1)
+    return library(pose).stack([measure_coordinate(constants, axis, pose[:, axis]) for axis in (X, Z, PITCH)], 1)
 
 
 def measure_velocity(constants: Constants, velocity: np.ndarray) -> np.ndarray:
@@ -117,4 +118,4 @@ def read_sensors(
     rate = measure_rate(constants, velocity[:, PITCH])
     if past.depth:
         pose, velocity = look_back(past, age_of_pose(constants, stamp), period)
-    return measure_pose(constants, pose), np.column_stack([measure_velocity(constants, velocity), rate])
+    return measure_pose(constants, pose), library(pose).column_stack([measure_velocity(constants, velocity), rate])

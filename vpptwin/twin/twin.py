@@ -20,6 +20,7 @@ from vpptwin.twin.kernel import CONTEXT, delay_depth, warm_up, write_kernel
 from vpptwin.twin.layout import read_layout
 from vpptwin.twin.manifold import difference_poses, find_places, integrate_pose
 from vpptwin.twin.model import hold_joints
+from vpptwin.twin.pipeline import Pipeline
 from vpptwin.twin.recall import Past, Recollection, evolves, write_recollection
 from vpptwin.twin.replay import Driven, Replay
 from vpptwin.twin.spec import TwinSpec
@@ -55,6 +56,10 @@ class Twin:
     Attributes:
         effects: the effects that are switched on, by id.
         dt: inner step [s].
+        model: that is stepped.
+        layout: of it, where it can be stepped without MuJoCo.
+        switches: which effects of the pipeline are on, (E,).
+        dry: friction that joints have without any effect, (nv,) N, N m.
     """
 
     def __init__(self, spec: TwinSpec, num_sims: int, active: Iterable[str] = (), num_threads: int = 0) -> None:
@@ -68,11 +73,12 @@ class Twin:
         self.dt = float(spec.model.opt.timestep)
         robot, driven = spec.robot, spec.robot.driven
         model = hold_joints(spec.stepped, driven) if driven.size else copy.copy(spec.stepped)
-        self._dry = np.array(model.dof_frictionloss)
+        self.dry = np.array(model.dof_frictionloss)
         model.dof_frictionloss[:] = 0.0  # the compiled step holds joints itself
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
-        layout = read_layout(model, {name for e in self.effects.values() for name in e.writes})
+        self.model = model
+        self.layout = layout = read_layout(model, {name for e in self.effects.values() for name in e.writes})
         depth = delay_depth(spec.catalogue, self.dt)
         self._kernel = write_kernel(
             model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive", layout
@@ -88,7 +94,7 @@ class Twin:
         names = ("time", "qpos", "qvel", "qacc_warmstart", "qfrc_constraint")
         self._live = {name: self._batch.bind(name) for name in names}
         places = self._kernel.pipeline.places
-        self._active = np.array([name in self.effects for name in places], dtype=np.bool_)
+        self.switches = np.array([name in self.effects for name in places], dtype=np.bool_)
         self._led = np.zeros(model.nv)
         self._led[driven] = model.dof_armature[driven]
         self._numbers = robot.numbers
@@ -150,6 +156,22 @@ class Twin:
         view = self._constants.records.view()
         view.flags.writeable = False
         return view
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """The effects that act every step."""
+        return self._kernel.pipeline
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Those of the effects that act every step, (N, P) in the order of the pipeline, to read only."""
+        return self._constants.parameters
+
+    @property
+    def table(self) -> dict[str, np.ndarray]:
+        """All constants after the effects, name → (N, ...), to read only."""
+        self._constants.refresh()
+        return self._constants.table
 
     def initial_state(
         self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0,
@@ -246,8 +268,8 @@ class Twin:
             How far it is, where each of K windows starts, from what a simulation starts with there, (n, K, S).
         """
         if self._recollection is None:
-            self._recollection = write_recollection(self._model, self._kernel.pipeline, self.spec.catalogue, self._dry)
-        return self._recollection.run(self._constants.parameters[ids], self._active, past)
+            self._recollection = write_recollection(self._model, self._kernel.pipeline, self.spec.catalogue, self.dry)
+        return self._recollection.run(self._constants.parameters[ids], self.switches, past)
 
     def replay_commands(
         self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,
@@ -300,7 +322,7 @@ class Twin:
         rows = {
             "vehicle": self._numbers, "layer": state.actuators, "constants": self._constants.records,
             "parameters": self._constants.parameters, "memory": state.memory, "effects": state.effects,
-            "scratch": self._scratch, "active": self._active, "dry": self._dry, "driven": self._led,
+            "scratch": self._scratch, "active": self.switches, "dry": self.dry, "driven": self._led,
             "counter": np.zeros(self.num_sims, np.int64), "stuck": stuck, "time": state.time, "state_qpos": state.qpos,
             "state_qvel": state.qvel, "warmstart": state.warmstart,
         }  # fmt: skip
