@@ -255,7 +255,7 @@ class Bench:
         sensors = self.sensors(values)
         if is_perfect(sensors) or not self.flights:
             return self.windows
-        key = tuple(float(value) for name in PERFECT for value in sensors[name][0])
+        key = self._key(sensors)
         if key not in self._starts:
             if len(self._starts) > 16:
                 self._starts.clear()
@@ -268,10 +268,14 @@ class Bench:
             self._starts[key] = replace(self.windows, pose=pose, velocity=velocity)
         return self._starts[key]
 
+    @staticmethod
+    def _key(sensors: Constants) -> tuple[float, ...]:
+        return tuple(float(value) for name in PERFECT for value in sensors[name][0])
+
     def past_seen(self, values: Mapping[Key, float]) -> Past:
         """How the flights moved, through the sensors of a twin with `values`."""
         sensors = self.sensors(values)
-        key = tuple(float(sensors[name][0]) for name in PERFECT)
+        key = self._key(sensors)
         if key not in self._pasts:
             if len(self._pasts) > 4:
                 self._pasts.clear()
