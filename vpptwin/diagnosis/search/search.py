@@ -62,7 +62,9 @@ class Search(Fitter):
     def rank(self, fit: Fit, barred: frozenset[str] = frozenset()) -> list[Start]:
         """Where to start refitting every other effect beside those of a fit, by linearisation, most promising first."""
         base = solve_hypothesis(fit.about, self.unknowns, fit.effects)
-        starts = rank_effects(fit.about, self.unknowns, base, fit.effects, barred)
+        placed = {t.effect for t in self.trials} & {u.effect.id for u in self.unknowns if u.effect.placed}
+        placed = placed if self.bench.guessed else set()
+        starts = rank_effects(fit.about, self.unknowns, base, fit.effects, barred | placed)  # no slope leads to a place
         starts += rank_trials(fit.about, self.unknowns, self.trials, base, fit.effects | barred)
         known = {key: value for key, value in fit.values.items() if key[0] in fit.effects}
         starts = [replace(start, values={**known, **start.values}) for start in starts]
