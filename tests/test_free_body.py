@@ -12,6 +12,7 @@ import yaml
 
 from tests.crafts import write_log
 from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
+from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.twin_file import name_twin
@@ -125,6 +126,27 @@ def test_effects_on_a_free_body_push_as_they_say(spec: TwinSpec, effect: dict, a
     gained = (after.qvel[0, -1, :3] - velocity[0, :3]) / twin.dt + [0.0, 0.0, GRAVITY]
     mass = MASS + effect.get("quad.mass", {}).get("mass", 0.0)
     np.testing.assert_allclose(gained, acceleration(mass), atol=1e-9)  # type: ignore[operator]
+
+
+MISREAD = [
+    ("quad.delay", {"delay": 0.012}), ("quad.drift", {"drift": 2e-3}), ("quad.misalignment", {"x": 0.03, "z": -0.05}),
+    ("quad.scale", {"scale": 1.04}), ("imu.bias", {"y": 0.08}), ("imu.scale", {"scale": 0.9}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("effect", "values"), MISREAD)
+def test_what_signals_get_wrong_is_predicted(spec: TwinSpec, effect: str, values: dict[str, float]) -> None:
+    """With the error of an independent log's sensors in the twin a window is missed no more than without any error."""
+
+    def miss(hidden: dict, told: dict) -> float:
+        measured = [read_measurements(spec, fly(hidden, 6.0, 4, gusts=0.0))]
+        bench = build_bench(spec, measured, [np.arange(0.5, 5.0, 0.3)], 0.3, causal=False)
+        missed = bench.residual({(effect, name): value for name, value in told.items()}) / bench.std
+        return float((missed[bench.valid] ** 2).mean())
+
+    clean, wrong, right = miss({}, {}), miss({effect: values}, {}), miss({effect: values}, values)
+    assert right < 1.1 * clean
+    assert wrong > 1.5 * clean
 
 
 def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) -> None:

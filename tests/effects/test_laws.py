@@ -59,6 +59,9 @@ JOINT_LAWS = [
     ("rail_x.spring", FORWARD, (2.0, -0.1), -0.8),  # -2 · (0.3 + 0.1)
     ("rail_x.spring", AT_REST, (2.0, 0.5), 0.4),  # -2 · (0.3 - 0.5)
     ("slide.spring", FORWARD, (2.0, 0.0), -0.6),
+    ("slide.fade", FORWARD, (2.0,), 0.0),  # -2 N brakes it
+    ("slide.fade", Motion(0.0, -0.1, 0.0, -2.0, 0.0, 0.5), (2.0,), 0.4),  # a fifth less of the 2 N that drive it
+    ("slide.fade", Motion(0.0, 0.7, 0.0, 2.0, 0.0, 0.5), (2.0,), -2.0),  # too fast for any
     ("slide.cogging", FORWARD, (2.0, 5.0, 0.0), 0.0),  # one and a half periods on
     ("swing.cogging", FORWARD, (2.0, 2.5, -np.pi / 2.0), 0.0),
     ("swing.cogging", AT_REST, (2.0, 0.0, np.pi / 6.0), 1.0),

@@ -67,7 +67,7 @@ MORE_EFFECTS: dict[str, dict[str, str]] = {
 }
 """What the catalogue has besides SPEC 5."""
 SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
-                    "rate_bias", "rate_scale", "cogging", "tight_spot"}  # fmt: skip
+                    "rate_bias", "rate_scale", "cogging", "tight_spot", "fade"}  # fmt: skip
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
 BODY_KINDS = {"mass", "payload", "tilt"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
@@ -100,6 +100,7 @@ def test_any_rig_has_the_generic_effects() -> None:
     wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in SPEC_JOINT_KINDS} - {
         "slide.offset",
         "swing.load",
+        "swing.fade",
     }
     wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.payload", "mount.tilt"}
     assert {effect.id for effect in CART_EFFECTS} == wanted

@@ -85,7 +85,8 @@ DRIVE_KINDS = {
     "rate_limit": (0.03, 0.5), "saturation": (0.03, 0.5),
 }  # fmt: skip
 """Actuator effects → span: logarithm of the gain, seconds, play over the rms input, share of time at the limit."""
-LATER_KINDS = {"cogging": (0.05, 0.5), "tight_spot": (0.1, 0.8), "rate_bias": (0.02, 0.2), "rate_scale": (0.03, 0.2)}
+LATER_KINDS = {"cogging": (0.05, 0.5), "tight_spot": (0.1, 0.8), "rate_bias": (0.02, 0.2), "rate_scale": (0.03, 0.2),
+               "fade": (0.05, 0.5)}  # fmt: skip
 """Kinds that came into the catalogue after the sessions of every seed were fixed → span, as a share of what is usual.
 They are hidden where somebody asks for them; what was drawn as a `ripple` from outside the catalogue is cogging now."""
 OUTSIDE = ("ripple", "drag", "place_friction", "hysteresis", "memory", "periodic", "sudden", "cable")
@@ -112,7 +113,7 @@ def draw_hidden(rng: np.random.Generator, rig: Rig, outside: bool = False, turn:
     """An effect that this rig can have: the kind whose turn it is, or else any, all equally likely; then a joint."""
     known = list_kinds(rig, outside)
     if turn in LATER_KINDS:
-        known = [(turn, j) for j in range(len(rig.links))]
+        known = [(turn, j) for j in range(len(rig.links)) if turn != "fade" or rig.driven[j]]
     kinds = sorted({kind for kind, _ in known})
     kind = turn if turn in kinds else str(rng.choice(kinds))
     joint = int(rng.choice([j for k, j in known if k == kind]))
@@ -170,6 +171,7 @@ def size_effect(hidden: Hidden, rig: Rig, scale: Scale) -> Values:
         "cogging": lambda: {"force": 1.4 * size, "waves": wave / (2.0 * np.pi), "phase": phase},
         "tight_spot": lambda: {"force": size, "place": scale.middle[j] + far * rng.uniform(-1.0, 1.0),
                                "width": far * rng.uniform(0.15, 0.4)},
+        "fade": lambda: {"slope": share / speed},
         "rate_bias": lambda: {"bias": hidden.sign * share * speed},
         "rate_scale": lambda: {"scale": 1.0 + hidden.sign * share},
         "drag": lambda: {"drag": size / speed**2},
@@ -204,7 +206,14 @@ def change_suddenly(rng: np.random.Generator, size: float, signed: float, speed:
     return laws[rng.integers(len(laws))]
 
 
-LAWS = {"force": "coulomb", "torque": "coulomb", "damping": "viscous", "rest": "rest", "inertia": "inertia"}
+LAWS = {
+    "loss": "fade",
+    "force": "coulomb",
+    "torque": "coulomb",
+    "damping": "viscous",
+    "rest": "rest",
+    "inertia": "inertia",
+}
 """Names of parameters → laws, where those differ."""
 PLACED = {"cogging": ("ripple", "ripple_rate", "ripple_phase"), "tight_spot": ("spot", "spot_at", "spot_width")}
 """Kinds → laws."""

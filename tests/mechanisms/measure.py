@@ -201,6 +201,7 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
             return column
     if kind == "offset":
         return trace_offset(rig, log, joint, scale)
+    drive = sum((d.gear * log.inputs[:, i] for i, d in enumerate(rig.drives) if d.joint == joint), 0.0 * v)
     column[:, joint] = {
         "coulomb": lambda: -sense,
         "stiction": lambda: -sense * np.exp(-((v / values["velocity"]) ** 2)),
@@ -208,6 +209,7 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
         "bias": lambda: np.ones_like(v),
         "spring": lambda: -(q - values["rest"]),
         "inertia": lambda: -np.diff(v, append=v[-1:]) / scale.period,
+        "fade": lambda: -np.abs(v) * drive * (drive * v > 0.0),
         "cogging": lambda: np.sin(2.0 * np.pi * values["waves"] * q + values["phase"]),
         "tight_spot": lambda: -sense * np.exp(-(((q - values["place"]) / values["width"]) ** 2)),
         **dict.fromkeys(("rate_bias", "rate_scale"), lambda: np.zeros_like(v)),

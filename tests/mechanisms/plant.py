@@ -24,7 +24,7 @@ LAW = np.dtype(
             "coulomb", "stiction", "stribeck", "viscous", "bias", "stiffness", "rest", "inertia",  # of the catalogue
             "ripple", "ripple_rate", "ripple_phase", "drag", "place", "place_rate", "hysteresis", "reach",
             "memory", "memory_time", "load", "cable", "slack", "hum", "hum_rate",  # outside it but for the ripple
-            "spot", "spot_at", "spot_width",
+            "spot", "spot_at", "spot_width", "fade",
             "known_viscous", "known_dry",  # of the MJCF
         )
     ]
@@ -187,6 +187,9 @@ def advance(
     q, v, memory, bent, friction = state[0], state[1], state[3], state[4], state[5]
     driving = np.zeros(n)
     move_drives(drives, inputs, lagged, played, dt, driving)
+    for j in range(n):
+        if driving[j] * v[j] > 0.0:
+            driving[j] *= max(1.0 - laws[j].fade * abs(v[j]), 0.0)
     force = driving + cross @ driving
     push_joints(laws, middle[0], middle[1], memory, bent, time, force)
     level, held, rubbing = np.zeros(n), np.zeros(n, np.bool_), np.zeros(n)

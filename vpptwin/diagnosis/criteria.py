@@ -65,7 +65,7 @@ class Criteria:
     half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
     shortlist: int = by_hand(5, "", "suspects refitted at every step", "4 at 85fc87b, 5 since e1272d1")
     starts: int = by_hand(2, "", "places of a shape or a limit from which a refit starts", "e1272d1")
-    few: int = assumed(16, "", "suspects up to which every one is refitted at every step, promising or not", "issue 20")
+    few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not", "issue 20")
     generous: int = assumed(10, "", "suspects refitted at every step of a rig of which little is known", "issue 20")
     neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "issue 20")
     worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a suspect is refitted",

@@ -84,20 +84,21 @@ CATALOGUE: tuple[Effect, ...] = (
 GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
     (friction.coulomb, ("viscous", "stiction", "load", "tight_spot")),
     (friction.stiction, ("coulomb",)),
-    (joint.viscous, ("coulomb",)),
+    (joint.viscous, ("coulomb", "fade")),
     (joint.bias, ("spring", "offset")),
     (joint.spring, ("bias", "inertia", "offset", "cogging")),
     (joint.cogging, ("spring",)),
     (joint.inertia, ("spring",)),
     (joint.offset, ("bias", "spring")),
-    (friction.load, ("coulomb",)),
+    (friction.load, ("coulomb", "fade")),
+    (joint.fade, ("viscous", "load")),
     (friction.tight_spot, ("coulomb",)),
     (flex.lugre, ()),
     (sensing.velocity_bias, ()),
     (sensing.velocity_scale, ()),
 )
 """Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
-HINGES_ONLY, DRIVEN_ONLY = "offset", "load"
+HINGES_ONLY, DRIVEN_ONLY = ("offset",), ("load", "fade")
 """Where the zero of a slide lies moves nothing; what nothing drives has no gears."""
 
 GENERIC_TOLERANCE = 0.0005
@@ -150,7 +151,7 @@ def effects_for_rig(
     """
     effects, groups = [], list(groups)
     for place in joints:
-        barred = (*(() if place.rotary else (HINGES_ONLY,)), *(() if place.driven else (DRIVEN_ONLY,)))
+        barred = (*(() if place.rotary else HINGES_ONLY), *(() if place.driven else DRIVEN_ONLY))
         for make, alike in GENERIC_JOINT:
             if make.__name__ not in barred:
                 effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))

@@ -89,6 +89,12 @@ def apply_cogging(motion: Motion, /, force: float, waves: float, phase: float) -
     return force * np.sin(2.0 * np.pi * waves * motion.position + phase)
 
 
+def apply_fade(motion: Motion, /, slope: float) -> float:
+    """What the force of the actuators lacks at speed, as far as it drives the joint: of a motor at full voltage."""
+    share = np.minimum(slope * np.abs(motion.velocity), 1.0)
+    return -share * motion.load * (0.5 + 0.5 * np.sign(motion.load * motion.velocity))
+
+
 def apply_inertia(constants: Constants, site: Site, /, inertia: np.ndarray) -> None:
     """Inertia of the joint added to what it carries [kg, kg m^2]."""
     constants["dof_armature"][:, site.dof] += inertia
@@ -152,6 +158,21 @@ def cogging(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
         f"{place.joint}.cogging", f"cogging {place.where}", "+force sin(2π waves q + phase)",
         (place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1)), waves, phase), Stage.FORCE,
         apply_cogging, JOINT_SHOWS, look_alikes, (), place.joint, follows="position", placed=True,
+    )  # fmt: skip
+
+
+def fade(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Force of what drives a joint that falls with its speed, to none at 1/slope."""
+    unit, speed = "s/rad" if place.rotary else "s/m", place.speed
+    slope = Parameter(
+        name="slope", unit=unit, off=0.0, low=0.0, high=2.0 / speed * place.room, size=0.05 / speed,
+        tolerance=0.005 / speed, prior=Prior("halfnormal", 0.0, 0.1 / speed),
+        source="assumption: a tenth at its usual speed",
+    )  # fmt: skip
+    return Effect(
+        f"{place.joint}.fade", f"a drive {place.where} whose force falls with speed",
+        "-slope |v| of the force that drives it", (slope,), Stage.FORCE, apply_fade, JOINT_SHOWS, look_alikes,
+        (), place.joint, follows="command",
     )  # fmt: skip
 
 

@@ -62,7 +62,9 @@ class Search(Fitter):
     def rank(self, fit: Fit, barred: frozenset[str] = frozenset()) -> list[Start]:
         """Where to start refitting every other effect beside those of a fit, by linearisation, most promising first."""
         base = solve_hypothesis(fit.about, self.unknowns, fit.effects)
-        starts = rank_effects(fit.about, self.unknowns, base, fit.effects, barred)
+        placed = {t.effect for t in self.trials} & {u.effect.id for u in self.unknowns if u.effect.placed}
+        placed = placed if self.bench.guessed else set()
+        starts = rank_effects(fit.about, self.unknowns, base, fit.effects, barred | placed)  # no slope leads to a place
         starts += rank_trials(fit.about, self.unknowns, self.trials, base, fit.effects | barred)
         known = {key: value for key, value in fit.values.items() if key[0] in fit.effects}
         starts = [replace(start, values={**known, **start.values}) for start in starts]
@@ -128,18 +130,23 @@ class Search(Fitter):
         """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
 
         Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it, nor is any
-        law of dry friction of a joint that has one. Those that stand instead of a cause must promise something.
+        law of dry friction of a joint that has one. Those that stand instead of a cause must promise something, and so
+        must errors of signals, which are nearly linear, and what is tried where logs show it, at the size they show.
         """
         criteria = self.criteria
         promising = [name for name in starts if starts[name][0].drop > least]
         if not self.bench.guessed:
             return promising[: criteria.shortlist]
-        if not against and len(starts) <= criteria.few:
-            return list(starts)
-        chosen = promising[: criteria.shortlist if against else criteria.generous]
         effects = {u.effect.id: u.effect for u in self.unknowns}
+        sure = {name for name in starts if effects[name].placed or name in self.bench.of_sensors}
+        told = sure - set(promising)
+        if not against and len(starts) - len(sure) <= criteria.few:
+            return [name for name in starts if name not in told]
+        chosen = promising[: criteria.shortlist if against else criteria.generous]
         rubbing = {effects[name].target for name in {*fit.effects, against} - {""} if effects[name].dissipative}
-        laws = [n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].target in rubbing]
+        laws = [
+            n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].target in rubbing and n not in told
+        ]
         return list(dict.fromkeys(chosen + laws))
 
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
