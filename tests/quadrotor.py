@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from tests.crafts import Hidden, draw_one, save_twin
+from tests.crafts import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 MASS, ARM, TORQUE = 0.030, 0.0325, 0.006  # kg, m, m (torque over thrust)
@@ -193,3 +193,7 @@ def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise:
         "/imu": Stream(time, {"rate": rate}),
     }
     return Flight(Path(f"flight_{seed}.mcap"), 0, {}, {"/motors": motors}, spatial=spatial)
+
+
+if __name__ == "__main__":
+    record(MJCF, fly, 12.0)

@@ -243,7 +243,11 @@ def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str
             "{bodies: {base: /pose}, driven: {base: /pose, elbow: /joint_states}}",
             "body 'base' under bodies and driven; expected it under one",
         ),
-        (ARM_ON_BASE, "{driven: {base: /pose, elbow: /joint_states}}", "signals without joints"),
+        (
+            ARM_ON_BASE,
+            "{driven: {base: /pose, elbow: /joint_states}}",
+            "every joint follows its log; expected something to simulate",
+        ),
         (
             ARM_ON_BASE.replace('name="elbow" type="hinge"', 'name="hip" type="ball"'),
             "{bodies: {base: /pose}}",
