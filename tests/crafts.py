@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import argparse
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,25 @@ def save_twin(folder: Path, name: str, mjcf: str, twin: str) -> Path:
     (folder / f"{name}.xml").write_text(mjcf)
     (folder / "twin.yaml").write_text(twin)
     return folder / "twin.yaml"
+
+
+def record(mjcf: str, make: Callable[[Hidden, float, int], Flight], duration: float) -> None:
+    """Command line of a proving ground: the MJCF, named as in it, and logs, into the current folder."""
+    parser = argparse.ArgumentParser(description=record.__doc__)
+    parser.add_argument(
+        "--effect", action="append", default=[], metavar="ID:NAME=VALUE", help="hidden; as in a verdict"
+    )
+    parser.add_argument("--logs", type=int, default=3, help="how many")
+    parser.add_argument("--duration", type=float, default=duration, help="of each, s")
+    parser.add_argument("--seed", type=int, default=1, help="of motions, gusts and noise")
+    options = parser.parse_args()
+    hidden: dict[str, dict[str, float]] = {}
+    for effect, name, value in (re.split("[:=]", given) for given in options.effect):
+        hidden.setdefault(effect, {})[name] = float(value)
+    (name,) = re.findall(r'<mujoco model="(\w+)"', mjcf)
+    Path(f"{name}.xml").write_text(mjcf)
+    for i in range(options.logs):
+        write_log(make(hidden, options.duration, 100 * options.seed + i), Path(f"log_{i}.mcap"))
 
 
 def draw_one(seed: Sequence[int], spans: Spans) -> Hidden:

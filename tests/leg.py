@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tests.crafts import Hidden, draw_one, save_twin
+from tests.crafts import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 PARTS = {
@@ -193,3 +193,7 @@ def move(hidden: Hidden, duration: float, seed: int, noise: float = 1.0) -> Flig
         "/ankle": Stream(slow, {"attitude": look(poses[::seen, 9:13])}),
     }
     return Flight(Path(f"motion_{seed}.mcap"), 0, {}, joints, spatial=spatial)
+
+
+if __name__ == "__main__":
+    record(MJCF, move, 16.0)

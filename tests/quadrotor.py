@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from tests.crafts import Hidden, draw_one, save_twin
+from tests.crafts import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 MASS, ARM, TORQUE = 0.030, 0.0325, 0.006  # kg, m, m (torque over thrust)
@@ -209,3 +209,7 @@ def misread_poses(log: np.ndarray, hidden: Hidden) -> np.ndarray:
     for pose, rate, ahead in zip(seen, log[row.astype(int), 10:13], STEP * steps):
         pose[3:] = _turn(_turn(pose[3:], ahead * rate), markers)
     return seen
+
+
+if __name__ == "__main__":
+    record(MJCF, fly, 12.0)

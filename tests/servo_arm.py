@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from tests.crafts import Hidden, draw_one, save_twin
+from tests.crafts import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 LENGTH, CENTRE, MASS, INERTIA = (0.15, 0.0), (0.08, 0.07), (0.12, 0.10), (2.5e-4, 2.0e-4)  # m, m, kg, kg m²
@@ -138,3 +138,7 @@ def move(hidden: Hidden, duration: float, seed: int) -> Flight:
     joints = {name: Stream(time, {"position": seen[:, j]}) for j, name in enumerate(JOINTS)}
     inputs = {f"{name}_servo": Stream(time, {"effort": targets[:, j]}) for j, name in enumerate(JOINTS)}
     return Flight(Path(f"motion_{seed}.mcap"), 0, {}, {"/joint_states": joints, "/targets": inputs})
+
+
+if __name__ == "__main__":
+    record(MJCF, move, 16.0)

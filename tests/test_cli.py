@@ -16,6 +16,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from tests import leg
 from tests.quadrotor import write_twin
 from vpptwin import __version__, demo
 from vpptwin.cli import main
@@ -104,8 +105,11 @@ def find_blocks(language: str) -> list[str]:
 
 def test_the_documented_twins_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The drone of docs/twin.md loads, its quadrotor too; its cart gets the generic effects, with units."""
-    drone, cart, quadrotor = find_blocks("yaml")
+    drone, cart, quadrotor, legged = find_blocks("yaml")
     assert load_twin(write_twin(tmp_path)).robot.signals == Signals(**yaml.safe_load(quadrotor)["signals"])
+    leg.write_twin(tmp_path)
+    (tmp_path / "leg.yaml").write_text(legged)
+    assert load_twin(tmp_path / "leg.yaml").robot.driven.tolist() == list(range(6))
     (tmp_path / "drone.yaml").write_text(drone)
     (tmp_path / "cart.yaml").write_text(cart)
     (tmp_path / "cart.xml").write_text(*find_blocks("xml"))

@@ -18,6 +18,7 @@ from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.twin_file import name_twin
 from vpptwin.errors import InputError
 from vpptwin.estimation.initial import estimate_states
+from vpptwin.estimation.inspect import inspect_logs
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.replay import replay
 from vpptwin.estimation.windows import cut_windows, fly_windows
@@ -168,6 +169,14 @@ def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) ->
     assert 0.2 < np.abs(turns).max() < 3.0
 
 
+def test_inspect_knows_messages_of_poses_and_of_an_imu(tmp_path: Path) -> None:
+    """Their topics alone, without a doubt; an orientation that never changes is none."""
+    known, log = load_twin(write_twin(tmp_path)), write_log(fly({}, 6.0, 5), tmp_path / "flight.mcap")
+    guesses = inspect_logs([log], str(tmp_path / "quadrotor.xml"), tmp_path / "found.yaml")
+    assert all(guess.sure for guess in guesses)
+    assert load_twin(tmp_path / "found.yaml").robot.signals == known.robot.signals
+
+
 TABLE = """model: quadrotor.xml
 signals:
   bodies: {quad: {topic: flight, position: {path: [px, py, pz], unit: mm}, attitude: [qw, qx, qy, qz]}}
@@ -265,7 +274,11 @@ def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str
             "{bodies: {base: /pose}, driven: {base: /pose, elbow: /joint_states}}",
             "body 'base' under bodies and driven; expected it under one",
         ),
-        (ARM_ON_BASE, "{driven: {base: /pose, elbow: /joint_states}}", "signals without joints"),
+        (
+            ARM_ON_BASE,
+            "{driven: {base: /pose, elbow: /joint_states}}",
+            "every joint follows its log; expected something to simulate",
+        ),
         (
             ARM_ON_BASE.replace('name="elbow" type="hinge"', 'name="hip" type="ball"'),
             "{bodies: {base: /pose}}",

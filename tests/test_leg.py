@@ -123,7 +123,7 @@ def test_a_pendulum_is_read_from_the_pose_of_its_body(tmp_path: Path) -> None:
     ],
 )
 def test_effects_on_a_ball_joint_act_as_they_say(tmp_path: Path, effect: dict, torque: object) -> None:
-    """One step: what MuJoCo alone does not gain is the torque, at the end of the step, by the inertia."""
+    """One step: what is gained besides what MuJoCo alone gains is the torque at its end by the inertia."""
     spec, velocity = hang(tmp_path), np.array([[1.0, -2.0, 0.5]])
     gained = []
     for given in ({}, effect):

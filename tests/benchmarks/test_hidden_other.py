@@ -151,8 +151,10 @@ def test_sessions_are_chosen_by_kind_number_and_shard() -> None:
     assert {s.kind for s in choose(5, 4, ["alien"], None, "1/1")} == {"alien"}
 
 
-@pytest.mark.parametrize("rigs", ["quadrotor", "servo"])
-def test_quadrotors_and_servos_are_sessions_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rigs: str) -> None:
+@pytest.mark.parametrize("rigs", ["quadrotor", "servo", "leg"])
+def test_quadrotors_servos_and_legs_are_sessions_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rigs: str
+) -> None:
     """Drawn from a seed, always the same, most of them with an effect that the twin can have; counted as any other."""
     other = load("other")
     drawn = other.choose_sessions(rigs, 5, 60, [], None, "1/1")

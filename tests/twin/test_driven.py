@@ -11,10 +11,15 @@ from tests.effects.rigs import CART_PENDULUM
 from tests.twin.hover import share_kernel
 from vpptwin.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
+from vpptwin.twin.manifold import difference_poses
 from vpptwin.twin.twin import Driven
 
 JOINTS = ("slide", "swing")
 ROWS, STEPS = 5, 800
+THROWN = """<mujoco><option timestep="0.001"/><worldbody><body name="base"><freejoint/>
+<geom type="box" size="0.1 0.05 0.03" mass="1"/><body pos="0.1 0 0"><joint name="elbow" axis="0 1 0.3"/>
+<geom type="capsule" fromto="0 0 0 0.3 0.1 0" size="0.02" mass="0.4"/></body></body></worldbody>
+<actuator><motor name="m" joint="elbow"/></actuator></mujoco>"""
 
 
 def load_cart(folder: Path, joints: str, driven: str = "") -> TwinSpec:
@@ -81,3 +86,27 @@ def test_joint_under_both_is_refused(tmp_path: Path) -> None:
     """A joint is simulated or driven, not both."""
     with pytest.raises(InputError, match="'slide' under joints and driven"):
         load_cart(tmp_path, "slide", "slide")
+
+
+@pytest.mark.slow
+def test_a_base_that_flies_feels_a_driven_joint(tmp_path: Path) -> None:
+    """Thrown, its arm swung by a torque: led along that swing instead, the base moves as it did, all six ways."""
+    (tmp_path / "thrown.xml").write_text(THROWN)
+    specs = []
+    for joints in ("joints", "driven"):
+        path = tmp_path / "twin.yaml"
+        signals = f"bodies: {{base: /pose}}, {joints}: {{elbow: /joint_states}}, actuators: {{m: /commands}}"
+        path.write_text(f"model: thrown.xml\nsignals: {{{signals}}}\n")
+        specs.append(load_twin(path))
+    rng, steps = np.random.default_rng(3), 400
+    commands = np.repeat(0.3 * rng.standard_normal((1, steps // 40, 1)), 40, axis=1)
+    velocity = rng.standard_normal((1, 7))
+    whole, half = (Twin(spec, 1, num_threads=1) for spec in specs)
+    _, qpos, qvel, _ = whole.replay_commands(whole.initial_state(qvel=velocity), commands)
+    pose, zero = whole.pose_at_time(qpos, qvel), whole.pose_at_time(specs[0].model.qpos0[None], velocity)
+    track = [np.concatenate([first[:, None], rest], axis=1)[:, :-1] for first, rest in ((zero, pose), (velocity, qvel))]
+    led = Driven(specs[1].robot.driven, *track)
+    after = half.replay_commands(half.initial_state(qvel=velocity), 0.0 * commands, driven=led)
+    assert np.ptp(pose[..., 7]) > 0.3
+    off = difference_poses(specs[0].model, pose, half.pose_at_time(after.qpos, after.qvel))[:, :-1]
+    assert np.abs(off).max() < 2e-5

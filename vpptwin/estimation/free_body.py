@@ -21,6 +21,7 @@ from vpptwin.estimation.guess import (
     split_words,
 )
 from vpptwin.fields import UNITS
+from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.survey import Signal
 from vpptwin.twin.manifold import BALL
 from vpptwin.twin.model import find_floating
@@ -28,6 +29,8 @@ from vpptwin.twin.model import find_floating
 AXES = ("x", "y", "z")
 REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
+ROS_POSITIONS = [f"{columns['position']}." for columns in SPATIAL.values() if "position" in columns]
+"""What vectors of positions are called in messages of poses."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
 ANGLES = (("rad", 1.0), ("deg", UNITS["deg"][1]))
 GRAVITIES = (("m/s^2", 1.0), ("g", UNITS["g"][1]), ("mg", UNITS["mg"][1]))
@@ -51,7 +54,7 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess
     """
     guesses = []
     for body_name, joint in find_floating(model).items():
-        index, wanted = int(model.jnt_bodyid[joint]), ("position", "attitude")[model.jnt_type[joint] == BALL :]
+        index, wanted = int(model.jnt_bodyid[joint]), ("position", "attitude")[int(model.jnt_type[joint] == BALL) :]
         told = list(tell_body(signals))
         sites = [model.site(i).name for i in range(model.nsite) if model.site_bodyid[i] == index]
         imus = [name for name in sites if "imu" in split_words(name)] or sites[: len(sites) == 1]
@@ -99,7 +102,7 @@ def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
     for stem, group in find_groups([s for s in signals if not is_commanded(s)], (*AXES, "w")).items():
         norms = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
         off = float(np.nanmax(np.abs(norms - 1.0)))
-        if off < 0.02:
+        if off < 0.02 and not all(signal.is_constant for signal in group):
             attitudes[stem] = group
             text = f"attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)"
             yield Told("attitude", text, True, (group[3], *group[:3]))
@@ -110,7 +113,7 @@ def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
             yield tell_angles(stem, group, next(iter(attitudes.values())))
     for stem, group in triples.items():
         words = set(split_words(stem.split(" ", 1)[1]))
-        if words & {"gyro", "gyr"} and attitudes:
+        if (words & {"gyro", "gyr"} or words == {"angular", "velocity"}) and attitudes:
             yield tell_gyro(stem, group, next(iter(attitudes.values())))
         elif words & {"acc", "accel", "acceleration"} and words & {"imu", "accel", "accelerometer"}:
             yield tell_gravity(stem, group)
@@ -120,6 +123,8 @@ def tell_positions(triples: Mapping[str, list[Signal]]) -> Iterator[Told]:
     """Positions, each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
+        if name in ROS_POSITIONS:
+            yield Told("position", f"position: {stem}x, y, z, of a message of poses", True, tuple(group))
         if (
             name.rstrip("._")
             and not re.fullmatch(r"(.*[._])?p", name)

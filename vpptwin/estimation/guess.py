@@ -11,6 +11,7 @@ import numpy as np
 
 from vpptwin.fields import UNITS
 from vpptwin.logs.survey import Signal
+from vpptwin.twin.actuation import INTEGRATES
 
 WORDS = {
     "acceleration": "acc accel acceleration ax ay az",
@@ -127,9 +128,8 @@ def is_control(signal: Signal, servo: bool) -> bool:
 
 def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator's control input is a position."""
-    return bool(
-        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE and model.actuator_biasprm[actuator, 1]
-    )
+    affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+    return bool(affine and model.actuator_biasprm[actuator, 1] and not model.actuator_dynprm[actuator, INTEGRATES])
 
 
 def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:

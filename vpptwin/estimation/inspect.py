@@ -17,6 +17,7 @@ from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import Guess, guess_signals
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
+from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.recording import find_files, list_flights
 from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.topic_map import slash
@@ -25,6 +26,9 @@ from vpptwin.twin.model import compile_model
 
 WHAT = {"joints": "joint", "bodies": "body", "sites": "site", "actuators": "actuator"}
 WANTED = {"joints": "position", "bodies": "position: , attitude", "sites": "rate", "actuators": "effort"}
+
+ROS_VECTORS = {f"{path}.{c}" for columns in SPATIAL.values() for path in columns.values() for c in "xyzw"}
+"""Components that are read without being named, in messages of poses, of odometry and of an IMU."""
 
 
 def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> list[Guess]:
@@ -131,9 +135,8 @@ def compose_line(guess: Guess) -> str:
         return f"    # {name}: {{topic: , {WANTED[guess.group]}: }}  # {one_line(said)}"
     signals = [*guess.fields.values(), *(signal for vector in guess.vectors.values() for signal in vector)]
     (topic,) = {signal.topic for signal in signals}
-    if not guess.vectors and all(
-        s.name == guess.target and s.field == quantity for quantity, s in guess.fields.items()
-    ):
+    named = not guess.vectors and all(s.name == guess.target and s.field == q for q, s in guess.fields.items())
+    if named or (guess.vectors and not guess.units and all(signal.field in ROS_VECTORS for signal in signals)):
         return f"    {name}: {yaml.safe_dump(topic).splitlines()[0]}  # {one_line(said)}"
     if any(signal.name for signal in signals):
         return f"    # {name}: {topic}  # called {signals[0].name} in the log; rename it in the MJCF; {one_line(said)}"

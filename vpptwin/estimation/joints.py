@@ -13,6 +13,7 @@ from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.series import Measurements, Series, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.twin.actuation import INTEGRATES, integrate_input
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
 from vpptwin.twin.signals import Tracked, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
@@ -43,7 +44,7 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
             read_joint(spec, flight, each, found)
         if each.led:
             found.lead([int(dof) for dof in np.flatnonzero(spec.model.dof_jntid == each.joint)])
-    command = read_efforts(spec, flight, signals.actuators)
+    command = read_efforts(spec, flight, signals.actuators, found)
     spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     start, end, told = find_flown(spec.model, found.positions, start, end)
@@ -205,8 +206,11 @@ def find_spatial(flight: Flight, topic: str, *columns: str) -> Stream:
     return stream
 
 
-def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> Series:
-    """Control inputs of all actuators, (n, nu), held between samples; unlogged ones stay at zero, nu may be 0."""
+def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], found: Found) -> Series:
+    """Control inputs of all actuators, (n, nu), held between samples; unlogged ones stay at zero, nu may be 0.
+
+    Those of an integrator are integrated from where its joint is `found` first.
+    """
     streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
     if not streams:
         return Series("control", "", np.array([0.0, flight.duration]), np.zeros((2, spec.model.nu)), 0.0)
@@ -219,8 +223,13 @@ def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str]) -> S
                 f"{flight.path}: no effort of actuator {name!r} on {actuators[name]}",
                 "`effort` = control input in the JointState", "record it or correct `signals`",
             )  # fmt: skip
-        held = np.searchsorted(stream.time, time, side="right") - 1
-        value[:, spec.model.actuator(name).id] = stream["effort"][held]
+        held, index = np.searchsorted(stream.time, time, side="right") - 1, spec.model.actuator(name).id
+        value[:, index] = stream["effort"][held]
+        if (noted := spec.model.actuator_dynprm[index])[INTEGRATES]:
+            dof = int(spec.model.jnt_dofadr[spec.model.actuator_trnid[index, 0]])
+            track = (found.positions | found.driven)[dof]
+            start = float(spec.model.actuator_gear[index, 0] * np.interp(time[0], track.time, track.value))
+            value[:, index] = integrate_input(noted, time, value[:, index], start)
     return Series("control", "", time, value, 0.0)
 
 

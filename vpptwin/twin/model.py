@@ -13,6 +13,7 @@ from vpptwin.effects import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, left_alone
 from vpptwin.errors import InputError
+from vpptwin.twin.actuation import BIASES, GAINS, simplify_actuators
 from vpptwin.twin.bounds import bound_memory, check_claims, check_size
 from vpptwin.twin.manifold import BALL, FREE
 
@@ -25,10 +26,6 @@ INTEGRATORS = {
     int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
 }  # fmt: skip
 """Integrators that evaluate the forces once a step."""
-GAINS = {int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)}
-BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
-"""Actuators whose force the compiled step foresees, as friction answers to it."""
-
 
 Adapt = Callable[[mujoco.MjSpec, Path], None]
 """Writes a rig's own numbers into the specification that was read from a file."""
@@ -76,6 +73,7 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
     """
     spec = mujoco.MjSpec.from_file(str(path))
     adapt(spec, path)
+    simplify_actuators(spec)
     for joint in spec.joints:
         if joint.type in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             joint.parent.simple = 0  # whose centre of mass effects may move
@@ -105,8 +103,8 @@ def check_engine(model: mujoco.MjModel, path: Path) -> None:
         found = f"actuator {model.actuator(delayed[0]).name or delayed[0]}" if delayed else "a plugin or sensor"
         raise InputError(
             f"{path}: {found} with a state of its own",
-            "actuators that act at once, such as motor and position",
-            "leave out dyntype, delay or plugin; the effects lag and delay do what they did",
+            "actuators that act at once, through a lag (dyntype filter, filterexact), late (delay), or intvelocity",
+            "leave out dyntype, actlimited or plugin",
         )
     unforeseen = {
         "flag actuation": model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION),
@@ -131,11 +129,13 @@ def check_engine(model: mujoco.MjModel, path: Path) -> None:
             'set integrator="Euler"',
         )
     for i, kinds in enumerate(zip(model.actuator_gaintype, model.actuator_biastype)):
-        if int(kinds[0]) not in GAINS or int(kinds[1]) not in BIASES:
+        plugged = model.actuator_plugin[i] >= 0
+        if plugged or int(kinds[0]) not in GAINS or int(kinds[1]) not in BIASES:
             gain = mujoco.mjtGain(kinds[0]).name.removeprefix("mjGAIN_").lower()
             bias = mujoco.mjtBias(kinds[1]).name.removeprefix("mjBIAS_").lower()
             raise InputError(
-                f"{path}: actuator {model.actuator(i).name or i} with gain {gain} and bias {bias}",
+                f"{path}: actuator {model.actuator(i).name or i} with "
+                + ("a plugin" if plugged else f"gain {gain} and bias {bias}"),
                 "gain fixed or affine and bias none or affine, such as motor, position and velocity",
                 "replace it: dry friction has to know its force beforehand",
             )

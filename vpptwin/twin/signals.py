@@ -120,10 +120,13 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
 
     A joint that no signal names would be simulated from wherever the MJCF puts it: nobody knows where it was.
     """
-    floating = find_floating(model)
+    floating, bodies = find_floating(model), {model.body(i).name for i in range(1, model.nbody)}
     free = [body for body, i in floating.items() if model.jnt_type[i] == FREE]
     joints = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] != FREE]
     actuators = [model.actuator(i).name for i in range(model.nu)]
+    if signals is not None and signals.driven and not (signals.joints or signals.bodies):
+        found, action = f"{name}: every joint follows its log", "list what is in question under joints or bodies"
+        raise InputError(found, "something to simulate", action)
     if signals is None or not (signals.joints or signals.bodies):
         example = f"bodies: {{{free[0]}: /pose}}" if free else f"joints: {{{joints[0] if joints else 'joint'}: "
         raise InputError(
@@ -141,9 +144,19 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
              ("actuator", signals.actuators, actuators))  # fmt: skip
     for kind, given, known in kinds:
         for key in given:
+            if key in bodies and key not in known and kind != "actuator":
+                raise InputError(
+                    f"{name}: signals name body {key!r}, whose pose is not its joint's",
+                    "bodies on a <freejoint/>, or alone on a ball joint below what stands",
+                    "name its joints instead; what is moved by hand, mocap too, gets a <freejoint/> and is driven",
+                )
             if key not in known:
                 listed = ", ".join(filter(None, known))
-                named = f"one of {listed}" if listed else f"a {kind} that the MJCF names, which names none"
+                named = (
+                    f"one of {listed}"
+                    if listed
+                    else f"{'an' if kind == 'actuator' else 'a'} {kind} that the MJCF names, which names none"
+                )
                 raise InputError(f"{name}: signals name {kind} {key!r}", named, "rename it")
     told: dict[int, Tracked] = {}
     for each in list_tracked(model, signals):

@@ -17,13 +17,16 @@ from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.actuators.strength import strengthen
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.errors import InputError, suggest
+from vpptwin.fields import SignalEntry
 from vpptwin.installed import locate_effects
 from vpptwin.plain import read_yaml
 from vpptwin.resources import find_model_file, models_dir
 from vpptwin.trust import check_trusted
+from vpptwin.twin.actuation import list_noted
 from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
 from vpptwin.twin.losses import read_losses
 from vpptwin.twin.robot import Robot, Signals
+from vpptwin.twin.signals import SIGNAL_TOPICS
 from vpptwin.twin.stepped import strip_model
 from vpptwin.vehicle import Vehicle, load_vehicle
 
@@ -228,8 +231,13 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
 def describe_mistake(error: ValidationError) -> tuple[str, str]:
     """What the first mistake in a twin YAML is, the key first, and what was expected there."""
     first = error.errors()[0]
-    key = ".".join(map(str, first["loc"])) or "the file"
+    place = [str(part) for part in first["loc"]]
     keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses, thrust_to_weight"
+    if place[:1] == ["signals"]:
+        keys = ", ".join(SIGNAL_TOPICS)
+    if place[:2] == ["signals", "entries"]:  # by the topic that they are read as
+        place, keys = ["signals", *place[3:]], ", ".join(SignalEntry.model_fields)
+    key = ".".join(place) or "the file"
     if first["type"] == "missing":
         return f"no key {key}", keys
     if first["type"] == "extra_forbidden":
@@ -278,6 +286,8 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
             )
         given = read_losses(model_file, CRAFT_JOINTS, "craft") | given
     catalogue = robot.list_effects()
+    if vehicle is None:
+        given = list_noted(robot.model) | given
     if effect_files:
         from vpptwin.twin.effect_file import extend_catalogue  # which brings the compiler
 

@@ -295,7 +295,8 @@ class Bench:
             return predict_motor(channel, self.windows, motion.rotor_speed, constants, self.spec.vehicle.motor)
         pose, velocity, start = motion.pose, motion.velocity, self.windows.start
         place = find_place(self.spec.model, channel.axis)
-        return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants, place)
+        with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
+            return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants, place)
 
     def sensors(self, values: Mapping[Key, float]) -> Constants:
         """Constants of the sensors and the battery of a twin with parameters set, (1,)."""
