@@ -135,3 +135,5 @@ def test_an_environment_by_the_name_of_its_task() -> None:
     assert env.rollout(4).batch_size == (3, 4)
     with pytest.raises(vpptwin.InputError, match="unknown task 'hovr'"):
         vpptwin.make_env("hovr")
+    with pytest.raises(vpptwin.InputError, match="a dict for a task; expected a name"):
+        vpptwin.make_env({})

@@ -18,6 +18,7 @@ from tests.sessions import (
     draw_names,
     find_faults,
     judge_rig,
+    list_suspects,
     mark_undrawn,
     read_seed,
 )
@@ -62,6 +63,31 @@ def test_a_rail_that_sticks_is_named_with_its_size(tmp_path: Path) -> None:
     force = verdict.causes[0].parameters["force"]
     assert abs(force.value - 0.19385) < STDS * force.std < 0.06
     assert not verdict.unexplained.significant
+
+
+ELASTIC = [
+    ((0.118, 9.833, 0.037), 1011594766, Wind("ou", 0.31525, 0.78487, (1.1075, 0.85893, 0.81754))),
+    ((0.240, 7.157, 0.041), 1269760234, Wind("waves", 0.48178, 0.837, (1.6686, 0.82833, 1.927))),
+    ((0.170, 8.600, 0.012), 78, Wind("bursts", 0.5, 0.3, (1.2, 1.0, 1.0))),
+]
+"""Share, frequency [Hz] and damping ratio of a mode, rig, gusts."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mode", "rig", "wind"), ELASTIC)
+def test_an_elastic_rail_is_no_heavier_carriage(mode: tuple[float, ...], rig: int, wind: Wind, tmp_path: Path) -> None:
+    """A mode that rings for longer than a window, which weighs as much as a heavier carriage, is named, or beside it.
+
+    Begun at rest in every window it was missed, and the carriage's mass named with 99.9 %.
+    """
+    hidden = {"rail_x.elastic": dict(zip(("share", "frequency", "zeta"), mode))}
+    causes = judge_rig(hidden, rig, wind, tmp_path).causes
+    assert "rail_x.elastic" in list_suspects(causes[0])
+    assert all("rail_x.elastic" in list_suspects(c) for c in causes if c.confidence > CONFIDENT)
+    if causes[0].effect == "rail_x.elastic":
+        found = causes[0].parameters
+        assert abs(found["share"].value - mode[0]) < max(STDS * found["share"].std, 0.15 * mode[0])
+        assert abs(found["frequency"].value - mode[1]) < STDS * found["frequency"].std
 
 
 @pytest.mark.slow

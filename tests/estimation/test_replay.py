@@ -11,7 +11,7 @@ from tests.estimation.synthetic import OwnFlight, draw_commands, fly_own
 from vpptwin.errors import InputError
 from vpptwin.estimation.replay import replay
 from vpptwin.logs.flight import Flight
-from vpptwin.twin import load_twin
+from vpptwin.twin import Twin, load_twin
 
 SPEC = load_twin()
 COMMANDS = draw_commands(1750, seed=2, quiet=200)
@@ -107,3 +107,15 @@ def test_missing_topic_is_refused(own: OwnFlight, topic: str) -> None:
     streams = {name: stream for name, stream in own.flight.streams.items() if name != topic}
     with pytest.raises(InputError, match=topic):
         replay(SPEC, replace(own.flight, streams=streams))
+
+
+def test_a_mode_rings_on_over_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What rang before a restart goes on: begun at rest the twin would miss its own flight five times as far."""
+    elastic = SPEC.with_effects({"rail_x.elastic": {"share": 0.3, "frequency": 5.0, "zeta": 0.02}})
+    own = fly_own(elastic, COMMANDS)
+    missed = []
+    for remembers in (True, False):
+        monkeypatch.setattr(Twin, "remembers", remembers)
+        prediction = replay(elastic, own.flight, restart=0.5)
+        missed.append(np.abs(prediction.qpos[:, 0] - own.state_at(prediction.time)[0][:, 0])[50:].max())
+    assert missed[0] < 0.2 * missed[1], missed

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.estimation.synthetic import OwnFlight, draw_commands, fly_own
+from tests.estimation.synthetic import OwnFlight, Sensors, draw_commands, fly_own
+from vpptwin.estimation.initial import SMOOTH, estimate_states
 from vpptwin.estimation.measurements import Series, read_measurements
 from vpptwin.estimation.windows import (
     Windows,
@@ -19,6 +20,7 @@ from vpptwin.estimation.windows import (
     estimate_spin,
     fly_windows,
     join_windows,
+    trace_past,
 )
 from vpptwin.twin import Twin, load_twin
 
@@ -219,3 +221,30 @@ def test_throttle_needs_measured_speeds() -> None:
     own = fly_own(SPEC, draw_commands(1000, seed=1), rotors=False)
     cut = cut_windows(SPEC, read_measurements(SPEC, own.flight), np.array([0.4]), 0.1, causal=True)
     assert (cut.throttle, cut.spin, cut.rotor_speed) == (None, None, None)
+
+
+def test_a_past_does_not_look_ahead(own: OwnFlight, windows: Windows) -> None:
+    """What leads up to a window of a twin that judges is the same whatever the sensors say after its start."""
+    measured, last = read_measurements(SPEC, own.flight), windows.take(np.array([7]))
+    poses = {
+        dof: replace(s, value=np.where(s.time > last.start[0], s.value + 0.1, s.value))
+        for dof, s in measured.positions.items()
+    }
+    past, other = (trace_past(SPEC, [m], last, True) for m in (measured, replace(measured, positions=poses)))
+    np.testing.assert_array_equal(past.lead_qpos, other.lead_qpos)
+    np.testing.assert_array_equal(past.qpos[: past.stops[0] + 1], other.qpos[: other.stops[0] + 1])
+    assert past.lead_qpos.shape[1] == round(SMOOTH / SPEC.model.opt.timestep) + 1
+    truth = own.state_at(last.start)
+    np.testing.assert_allclose(past.lead_qvel[:, -1], truth[1], atol=5e-3)
+    seeing = trace_past(SPEC, [replace(measured, positions=poses)], last, False)
+    assert np.abs(seeing.lead_qpos[:, -1] - past.lead_qpos[:, -1]).max() > 1e-3
+
+
+def test_a_track_has_no_jolts() -> None:
+    """From millisecond to millisecond noise moves a track a tenth of what it moves estimates that stand alone."""
+    measured, times = Sensors().measure(3.0), np.arange(1.0, 2.0, 0.001)
+    alone, track = (
+        estimate_states(measured, times, SPEC.model, False, until)[0] for until in (None, np.full(1000, np.inf))
+    )
+    jolts = [np.diff(pose[:, :2], n=2, axis=0).std(axis=0) for pose in (alone, track)]
+    assert (jolts[1] < 0.1 * jolts[0]).all(), jolts

@@ -172,8 +172,8 @@ def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows
     for i in np.unique(windows.flight):
         own = windows.flight == i
         ends = windows.start[own] - lead * dt
-        count = max(round((ends[0] - flights[i].start) / dt), 0)
-        time = ends[0] + dt * np.arange(-count, round((ends.max() - ends[0]) / dt) + 1)
+        count = max(round((ends.min() - flights[i].start) / dt), 0)
+        time = ends.min() + dt * np.arange(-count, round(float(np.ptp(ends)) / dt) + 1)
         stops[own] = sum(part[0].size for part in parts) + np.round((ends - time[0]) / dt).astype(int)
         parts.append((time, *trace(flights[i], time, spec), np.arange(len(time)) == 0))
     qpos, qvel = np.empty((number, lead + 1, model.nq)), np.empty((number, lead + 1, model.nv))

@@ -273,5 +273,8 @@ def check_task_name(task: str | None) -> None:
     Raises:
         InputError: naming those that there are.
     """
+    if task is not None and not isinstance(task, str):
+        found, expected = f"a {type(task).__name__} for a task", f"a name, one of {', '.join(TASKS)}"
+        raise InputError(found, expected, "give a whole configuration to vpptwin.train.env.make_env")
     if task is not None and task not in TASKS:
         raise InputError(f"unknown task {task!r}", f"one of {', '.join(TASKS)}", suggest(task, TASKS))

@@ -18,7 +18,7 @@ from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, fly_windows, trace_past
 from vpptwin.twin.manifold import find_place
-from vpptwin.twin.recall import Past
+from vpptwin.twin.recall import Past, evolves
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
@@ -192,6 +192,13 @@ class Bench:
         return frozenset(e.id for e in self.spec.catalogue if e.follows == "command change")
 
     @cached_property
+    def _evolving(self) -> frozenset[str]:
+        """Ids of the effects that begin a window as its past says; bristles do not where sensors are guessed."""
+        return frozenset(
+            e.id for e in self.spec.catalogue if evolves(e) and not (self.guessed and e.stage is Stage.SLIP)
+        )
+
+    @cached_property
     def without_dry_friction(self) -> dict[Key, float]:
         """Values that take dry friction out of the twin, where it has any: (effect id, parameter) → off value."""
         rubbing = [e for e in self.spec.catalogue if e.stage is Stage.FRICTION and e.id in self.spec.effects]
@@ -350,7 +357,7 @@ class Bench:
             disturbance = self.track.push[window] + (0.0 if disturbance is None else disturbance)
         shifted = taken.shift(self.spec.model, *moved)
         past = None
-        if twin.remembers and self.flights:
+        if self.flights and not self._evolving.isdisjoint(twin.effects):
             _, row, run = np.unique(which, return_index=True, return_inverse=True)
             past = twin.recall_effects(self.past_seen(sensors_of), row)[run, window]
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
