@@ -16,7 +16,7 @@ from torchrl.envs.utils import check_env_specs
 from tests.train.conftest import plain_lesson, reset_rows, tiny_config
 from vpptwin import make_env as make_task_env
 from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.devices import check_warp
 from vpptwin.train.env import VppEnv, make_env
 from vpptwin.train.evaluate import Conditions, evaluate
@@ -177,6 +177,25 @@ def test_training_on_warp(tmp_path: Path) -> None:
     assert evaluate(part, Conditions(tracks=4))["fail_rate"] <= 1.0
     resumed = run_train([f"resume={part}", "total_steps=4096"])
     assert read_checkpoint(resumed, flying=False)["steps"] == 4096
+
+
+@pytest.mark.slow
+def test_a_policy_flies_alike() -> None:
+    """The flip that ships, 200 flights by either engine: 2 failed of each, 6.9 and 6.6 mm off, medians."""
+    policy, _ = build_policy(read_checkpoint("flip"), "flip")
+    medians = []
+    for engine in ("warp", "numba"):
+        env = make_task_env("flip", num_envs=200, noise=1.0, randomize=["paper"], engine=engine, seed=3)
+        shown, failed, errors = env.reset(), torch.zeros(200, dtype=torch.bool), []
+        for _ in range(env.max_steps):
+            with torch.no_grad():
+                shown["action"] = policy(shown["observation"])
+            shown = env.step(shown)["next"]
+            failed |= shown["terminated"][:, 0]
+            errors.append(shown["position_error"][:, 0].clone())
+        assert failed.sum() <= 6
+        medians.append(float(torch.stack(errors[-100:]).mean(0)[~failed].median()))
+    assert medians[0] == pytest.approx(medians[1], abs=2e-3)
 
 
 @pytest.mark.parametrize(
