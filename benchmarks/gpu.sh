@@ -17,7 +17,7 @@ if [ -z "${INSTALLED:-}" ]; then
   say "installing"
   python3 -m venv "$folder/venv" && . "$folder/venv/bin/activate"
   add() { python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$@"; }
-  add --editable '.[train,gpu]' pytest hypothesis || exit 1
+  add --editable '.[gpu]' pytest hypothesis || exit 1
   add mujoco-warp || say "mujoco_warp is left out"
   [ -z "${WITH_MJX:-}" ] || add 'jax[cuda12]' mujoco-mjx gymnasium || say "MJX is left out"
 fi

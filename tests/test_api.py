@@ -62,7 +62,7 @@ def test_a_wrong_name_is_told() -> None:
 def test_what_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a line, as the commands do."""
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "vpptwin.train.env", raising=False)
+    monkeypatch.delitem(sys.modules, "vpptwin.train.environments", raising=False)
     monkeypatch.delitem(vars(vpptwin), "make_env", raising=False)
     with pytest.raises(vpptwin.InputError, match=r"pip install 'vpptwin\[train\]'"):
         _ = vpptwin.make_env

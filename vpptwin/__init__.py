@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vpptwin.identification.history import history as history
     from vpptwin.logs import Flight as Flight
     from vpptwin.logs import read_flight as read_log
-    from vpptwin.train.env import make_task_env as make_env
+    from vpptwin.train.environments import make_task_env as make_env
     from vpptwin.twin import Twin as Twin
     from vpptwin.twin import TwinSpec as TwinSpec
     from vpptwin.twin import load_twin as load_twin
@@ -41,7 +41,7 @@ _PLACES = {
     "diagnose": "vpptwin.diagnosis.report.result:diagnose",
     "history": "vpptwin.identification.history:history",
     "load_twin": "vpptwin.twin:load_twin",
-    "make_env": "vpptwin.train.env:make_task_env",
+    "make_env": "vpptwin.train.environments:make_task_env",
     "read_log": "vpptwin.logs:read_flight",
 }
 

@@ -13,7 +13,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from tensordict import TensorDict, TensorDictBase
 
-from vpptwin.train.env import VppEnv, make_task_env
+from vpptwin.train.env import VppEnv
+from vpptwin.train.environments import make_task_env
 from vpptwin.train.tasks import TASKS
 
 Told = dict[str, Any]

@@ -81,3 +81,15 @@ def test_pilot_by_hand(rigs: ModuleType) -> None:
     assert rate == 0.0
     ((_, rate),) = rigs.steer(vehicle, target - np.array([0.5, 0.0, 0.0]), np.zeros((1, 3)), target)
     assert rate < 0.0
+
+
+@pytest.mark.slow
+def test_a_device_flies_beside(tmp_path: Path) -> None:
+    """On Warp's processor device: the kernel, and the environment around it, next to the processor's own."""
+    pytest.importorskip("warp")
+    out = tmp_path / "device.json"
+    command = [sys.executable, str(BENCHMARKS / "throughput.py"), "--quick", "--device", "cpu", "--json", str(out)]
+    subprocess.run(command, capture_output=True, text=True, check=True)
+    rows = {row["name"]: row for row in json.loads(out.read_text())["rows"]}
+    assert {"raw", "twin, all effects", "environment", "twin on cpu", "environment on cpu"} <= rows.keys()
+    assert all(row["control_steps_per_s"] > 0.0 for row in rows.values())

@@ -87,6 +87,18 @@ def test_every_effect_equals_numba(twin: Twin, flight: tuple[TwinState, np.ndarr
     assert len(late) < len(twin.effects) / 3, late  # sensors, ends of ranges, what takes longer to show
 
 
+@pytest.mark.slow
+def test_adaptive_controller_equals_numba(flight: tuple[TwinState, np.ndarray]) -> None:
+    """What it learns too: a filter for each rotor, with branches, and parts of its memory that are copied."""
+    twin = Twin(load_twin("nominal").with_controller("adaptive"), MANY, active=["servo.trim"], num_threads=1)
+    twin.set_parameters([("servo.trim", p.name) for p in twin.effects["servo.trim"].parameters], 0.01)
+    command = flight[1]
+    state = twin.step_policy(twin.initial_state(), command)
+    found, _ = launch(WarpStep(twin), state, command)
+    for name, values in twin.step_policy(state, command).arrays().items():
+        np.testing.assert_allclose(found.arrays()[name], values, rtol=CLOSE, atol=CLOSE, err_msg=name)
+
+
 def test_contact_is_told(twin: Twin, flight: tuple[TwinState, np.ndarray]) -> None:
     """At the end of the rail a row stops where it is, and says so."""
     state, command = flight

@@ -12,6 +12,7 @@ from torchrl.collectors import BaseCollector, Collector
 
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env import VppEnv, make_env
+from vpptwin.train.environments import open_env
 from vpptwin.train.progress import Simulations
 from vpptwin.train.snapshot import restore_snapshot
 from vpptwin.train.workers import OPTIONS, start_workers
@@ -32,7 +33,7 @@ class Collection:
     env: VppEnv | None
 
 
-def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> VppEnv:
+def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> VppEnv:
     """The environment of this process: all simulations, as they were saved, or a single one to look at with Ray.
 
     Args:
@@ -48,12 +49,7 @@ def open_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | No
         import ray  # noqa: F401  # refused here, before anything is made
 
         return make_env(replace(config, num_envs=1, sim_threads=1))
-    if config.on_device:
-        from vpptwin.train.device_env import make_device_env  # which needs Warp
-
-        env = make_device_env(config, device, config.lesson())
-    else:
-        env = make_env(config, fault_folder, config.lesson())
+    env = open_env(config, device, fault_folder, config.lesson())
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
         restore_snapshot(env, saved["training"]["env"])
@@ -69,7 +65,7 @@ def make_collector(
         config: of the run.
         actor: explores, on the device where it is; its weights and its exploration are those of the moment in every
             batch.
-        env: from `open_env`.
+        env: from `start_env`.
         fault_folder: where simulations that diverged are written.
         begun: steps that were collected before, by the run that is continued.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from vpptwin.errors import InputError
-from vpptwin.train.config import Lesson, TrainConfig, check_values
+from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
 from vpptwin.train.onboard import Onboard
@@ -23,7 +22,7 @@ from vpptwin.train.randomize import IDENTIFIED, Priors, name_effects, randomize
 from vpptwin.train.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.rotors import load_trained_twin, strengthen
 from vpptwin.train.starts import SOON, FailedStarts
-from vpptwin.train.tasks import TASKS, Task, check_task_name
+from vpptwin.train.tasks import Task
 from vpptwin.twin import Twin, TwinState
 from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
 from vpptwin.twin.past import history_depth, record_poses, start_sensors
@@ -389,36 +388,3 @@ def load_randomized(config: TrainConfig) -> tuple[TwinSpec, list[str]]:
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
     return strengthen(spec, config.task.thrust_to_weight, config.task.commanded), randomized
-
-
-def make_task_env(
-    task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
-    randomize: Sequence[str] = (), device: str = "cpu", engine: str | None = None,
-) -> VppEnv:  # fmt: skip
-    """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
-
-    Args:
-        task: one of `vpptwin.train.tasks.TASKS`.
-        twin: `nominal`, `typical` or a twin YAML.
-        num_envs: simulations flown side by side.
-        seed: of everything random.
-        noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
-        randomize: effects drawn from their priors at every reset; `paper` and `all` stand for groups.
-        device: of what it takes and gives, `cpu` or `cuda`.
-        engine: `numba`, or `warp` for simulations on the device; None for `warp` on a card.
-
-    Raises:
-        InputError: if there is no such task, twin or effect, or the device is missing.
-    """
-    check_task_name(task)
-    config = TrainConfig(
-        copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
-        desynchronize=False, device=device, engine=engine,
-    )  # fmt: skip
-    check_values(config)
-    if config.on_device:
-        from vpptwin.train.device_env import make_device_env  # which is one of these
-        from vpptwin.train.devices import find_device
-
-        return make_device_env(config, find_device(device))
-    return make_env(config)

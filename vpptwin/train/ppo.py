@@ -14,7 +14,7 @@ from torchrl.trainers.algorithms import PPOTrainer
 
 from vpptwin.errors import InputError
 from vpptwin.train.checkpoint import SaveCheckpoint, build_policy, make_policy, read_checkpoint
-from vpptwin.train.collect import make_collector, open_env
+from vpptwin.train.collect import make_collector, start_env
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.devices import find_device
 from vpptwin.train.exam import Exam
@@ -78,7 +78,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
     device = find_device(config.device)
-    env = open_env(config, folder / FAULTS, saved, device)
+    env = start_env(config, folder / FAULTS, saved, device)
     policy = make_policy(config).to(device)
     if saved is None and config.init_from is not None:
         start_from(policy, config)
