@@ -156,7 +156,8 @@ def finish(child: subprocess.Popen[bytes], folder: Path, kill: Kill | None = Non
         ended.problems.append(f"{peak / 1024:.0f} MB")
     said = ended.said = (folder / f"{name}stderr").read_text(errors="replace")
     trace = "Traceback" in said or "Exception ignored" in said
-    starting = kill is not None and trace and f"{ROOT}/vpptwin/" not in said and "ignored" not in said  # Python itself
+    ours = f"{ROOT}/vpptwin/" in said.replace(f"{ROOT}/vpptwin/__init__.py", "")
+    starting = kill is not None and trace and not ours and "ignored" not in said  # Python itself, importing us
     if trace and not starting:
         ended.problems.append(said[-1500:])
     allowed = {None, 0, 2} | ({SIGNALS[kill.how], -kill.how} if kill else set())
