@@ -283,10 +283,10 @@ def leaves_as_little(search: Search, held_out: HeldOut, without: Fit, fit: Fit, 
         fit: all causes.
         rival: another in the place of that cause.
     """
-    if not trusts_errors(search):
+    if not trusts_errors(search) or (left := held_out.chi2(fit.values) - 1.0) <= search.criteria.missed:
         return False
-    there, left, other = (held_out.chi2(each.values) - 1.0 for each in (without, fit, rival))
-    return left > search.criteria.missed and other < left + search.criteria.worse * min(left, there - left)
+    there, other = (held_out.chi2(each.values) - 1.0 for each in (without, rival))
+    return other < left + search.criteria.worse * min(left, there - left)
 
 
 def look_alike(search: Search, first: str, second: str) -> bool:
