@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -64,17 +65,9 @@ class Track:
     velocity: np.ndarray
     push: np.ndarray
 
-    def of(self, dofs: np.ndarray) -> Track:
-        """The part of some degrees of freedom, (nv,)."""
-        return Track(self.pose * dofs, self.velocity * dofs, self.push * dofs)
-
-    def without_steady(self, flight: np.ndarray) -> Track:
-        """The track without the pulses' mean over each flight, whose index every window has, (K,).
-
-        A force that stays is for parameters to explain: about a motion that has it already they would add it twice.
-        """
-        steady = {name: self.push[flight == name].mean(axis=(0, 1)) for name in np.unique(flight)}
-        return Track(self.pose, self.velocity, self.push - np.array([steady[name] for name in flight])[:, None])
+    def of(self, starts: np.ndarray, pushes: np.ndarray) -> Track:
+        """The starts of some degrees of freedom, (nv,), and the pulses of some, (nv,)."""
+        return Track(self.pose * starts, self.velocity * starts, self.push * pushes)
 
 
 def pick(motion: Motion, run: int) -> Motion:
@@ -99,9 +92,12 @@ class Bench:
 
     Attributes:
         track: about which all is simulated; None for states as estimated, and no force.
+        followed: degrees of freedom whose starts, and those whose pulses, tracks of other twins follow, (nv,) each;
+            None where all keep the track.
     """
 
     track: Track | None = None
+    followed: tuple[np.ndarray, np.ndarray] | None = None
 
     def __init__(
         self, spec: TwinSpec, windows: Windows, channels: Sequence[Channel], segments: int,
@@ -116,6 +112,12 @@ class Bench:
         self._starts: dict[tuple[float, ...], Windows] = {}
         self._pasts: dict[tuple[float, ...], Past] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
+
+    def about(self, track: Track | None) -> Bench:
+        """The same bench, and what it has computed, about another track."""
+        other = copy(self)
+        other.track = track
+        return other
 
     @cached_property
     def measured(self) -> np.ndarray:

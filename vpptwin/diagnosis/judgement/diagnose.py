@@ -160,7 +160,8 @@ def prepare(
     fitted = thin_out(spec, split.fitted)
     bench = build_bench(spec, measurements, fitted, window, False, progress, criteria)
     if not bench.guessed:
-        bench.track = follow_motion(bench, {}).without_steady(bench.windows.flight).of(spec.robot.rotary)
+        bench.followed = spec.robot.rotary, spec.robot.rotary
+        bench.track = follow_motion(bench, {}).of(*bench.followed)
     search = Search(bench, unknowns)
     return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress, criteria))
 
@@ -197,9 +198,9 @@ def open_held_out(
     window = spec.robot.window
     short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
     if not short.guessed:
-        found = follow_motion(short, {}).without_steady(short.windows.flight)
         # Judged without looking ahead, starts are rough: they move too.
-        short.track = replace(found, push=found.push * spec.robot.rotary)
+        short.followed = np.ones(spec.model.nv), spec.robot.rotary
+        short.track = follow_motion(short, {}).of(*short.followed)
     long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
     return HeldOut(short, long)
 

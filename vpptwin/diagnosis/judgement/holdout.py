@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation, pick
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, pick
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart
@@ -22,7 +21,7 @@ from vpptwin.diagnosis.search.likelihood import (
     measure_response,
     whiten_with,
 )
-from vpptwin.diagnosis.search.motion import follow_motion
+from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
@@ -59,11 +58,10 @@ class HeldOut:
     def __init__(self, short: Bench, long: Bench) -> None:
         self.short, self.long, self.criteria = short, long, short.criteria
         self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
-        self._residuals: dict[frozenset[tuple[Key, float]], np.ndarray] = {}
+        self._missed: dict[frozenset[tuple[Key, float]], tuple[np.ndarray, Track | None]] = {}
         self._errors: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
-        self._plain = copy(short)
-        self._plain.track = None
-        self._tracks: dict[frozenset[tuple[Key, float]], tuple[Response, np.ndarray]] = {}
+        self._plain = short.about(None)
+        self._tracks: dict[frozenset[tuple[Key, float]], tuple[Response, np.ndarray, Track]] = {}
         self._pose = np.zeros(short.valid.shape[1], dtype=bool)
         for channel, columns in zip(short.channels, short.columns):
             self._pose[columns] = channel.kind == "position"
@@ -95,23 +93,23 @@ class HeldOut:
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         gust, found = fit.likelihood.gust if gust is None else gust, []
-        loose = self.response(self.short.loosen(fit.values)), self.residual(fit.likeliest)
-        for response, missed in (loose, self.follow(fit)) if sticks else (loose,):
+        loose = self.response(self.short.loosen(fit.values)), *self.miss(fit.likeliest)
+        for response, missed, track in (loose, self.follow(fit)) if sticks else (loose,):
             likelihood = couple_gusts(self.short, response, gust)
-            square = (likelihood.whiten(response.restore(missed)) ** 2).sum(axis=1) / fit.frame.scale
+            square = (likelihood.whiten(response.restore(missed, track)) ** 2).sum(axis=1) / fit.frame.scale
             usual = fit.frame.criteria.usual_misfit * float(np.median(square))
             # As in the fit, a window that goes astray must not outvote the others.
             square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
             found.append(square + likelihood.logdet)
         return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
 
-    def follow(self, fit: Fit) -> tuple[Response, np.ndarray]:
-        """Response and residual of a fit's twin about the motion that is likeliest with it."""
+    def follow(self, fit: Fit) -> tuple[Response, np.ndarray, Track]:
+        """Response and residual of a fit's twin about the motion that is likeliest with it, and that."""
         key = frozenset(fit.likeliest.items())
         if key not in self._tracks:
-            bench = copy(self.short)
-            bench.track = follow_motion(bench, fit.likeliest, fit.likelihood.gust)
-            self._tracks[key] = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest)
+            track = follow_motion(self.short, fit.likeliest, fit.likelihood.gust)
+            bench = self.short.about(track)
+            self._tracks[key] = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest), track
         return self._tracks[key]
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
@@ -201,12 +199,17 @@ class HeldOut:
                 found[name] = found.get(name, 0.0) + channel.sensor_std**2 + start + 0.0 * horizons
         return found
 
-    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
-        """Measured less predicted in the short windows, (K, M); 0 where nothing was measured."""
+    def miss(self, values: Mapping[Key, float]) -> tuple[np.ndarray, Track | None]:
+        """Measured less predicted in the short windows, (K, M), and the track of a twin with `values`, if any."""
         key = frozenset(values.items())
-        if key not in self._residuals:
-            self._residuals[key] = self.short.residual(values)
-        return self._residuals[key]
+        if key not in self._missed:
+            response = self.response(self.short.loosen(values))
+            self._missed[key] = shift_track(self.short, values, response)
+        return self._missed[key]
+
+    def residual(self, values: Mapping[Key, float]) -> np.ndarray:
+        """The same without a track, to first order, (K, M); 0 where nothing was measured."""
+        return self.response(self.short.loosen(values)).restore(*self.miss(values))
 
     def chi2(self, values: Mapping[Key, float]) -> float:
         """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Unexplained
@@ -30,18 +30,20 @@ class Part:
         bench: K windows.
         response: of the twin to starting states and pulses.
         missed: by the twin, (K, M), build tolerances taken out.
+        track: about which it was simulated.
         felt: whether pulses could have moved their joints, (K, segments, nv).
     """
 
     bench: Bench
     response: Response
     missed: np.ndarray
+    track: Track | None
     felt: np.ndarray | None = None
 
     @property
     def residual(self) -> np.ndarray:
         """What a twin without the bench's track would have missed, (K, M)."""
-        return self.response.restore(self.missed)
+        return self.response.restore(self.missed, self.track)
 
     def square_of_force(self, gust: np.ndarray) -> float:
         """Mean square of the innovations of unmodelled force, under gusts `gust` times as strong as assumed, (nv,)."""
@@ -90,14 +92,15 @@ class Leftover:
 
 def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     """Judge what is left: of rigs whose gusts are known to be some on all windows, fitted or not."""
-    fitted, judged = search.bench.residual(fit.likeliest), held_out.residual(fit.likeliest)
+    track = fit.about.track
+    fitted, judged = search.bench.about(track).residual(fit.likeliest), held_out.miss(fit.likeliest)
     looser = search.responses.without_dry_friction(fit.frame.floor, fit.values)
     blew = np.clip(fit.likelihood.gust, 1.0, search.criteria.storm)
     own = held_out.response(fit.values)
     choices = [
-        [Part(search.bench, response, fitted) for response in (looser, fit.likelihood.response)],
+        [Part(search.bench, response, fitted, track) for response in (looser, fit.likelihood.response)],
         [
-            Part(held_out.short, response, judged)
+            Part(held_out.short, response, *judged)
             for response in (held_out.response(held_out.short.loosen(fit.values)), own)
         ],
     ]
@@ -106,8 +109,8 @@ def judge_leftover(held_out: HeldOut, search: Search, fit: Fit) -> Leftover:
     else:  # the twin slips when the rig did
         parts = [replace(loose, felt=feel(loose, sticking)) for loose, sticking in choices]
     before = [
-        Part(search.bench, search.start.likelihood.response, search.start.about.missed),
-        Part(held_out.short, held_out.response({}), held_out.residual({})),
+        Part(search.bench, search.start.likelihood.response, search.start.about.missed, search.start.about.track),
+        Part(held_out.short, held_out.response({}), *held_out.miss({})),
     ]
     if search.bench.guessed:
         return judge_structure(parts[1], before[1], fit.likeliest, share_left(held_out, fit))

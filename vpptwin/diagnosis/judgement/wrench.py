@@ -46,8 +46,8 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     """The missing force that an effect makes, on the joint it acts on or, for the craft, where it changes most."""
     bench = held_out.short
     model = bench.spec.model
-    found = [(held_out.response(v), held_out.residual(v)) for v in ({}, values)]
-    before, after = (missing_wrench(bench, response, response.restore(missed)) for response, missed in found)
+    found = [(held_out.response(v), held_out.miss(v)) for v in ({}, values)]
+    before, after = (missing_wrench(bench, response, response.restore(*missed)) for response, missed in found)
     joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt) if model.jnt_type[i] != FREE}
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
 from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, tune_gust
+from vpptwin.diagnosis.search.motion import choose_track
 from vpptwin.diagnosis.search.responses import Regime, Responses
 from vpptwin.diagnosis.search.shortlist import advance
 from vpptwin.diagnosis.search.solution import Solution, price_of_freedom, scatter_by_stretch, solve_hypothesis
@@ -107,7 +108,7 @@ class Fitter:
         self.responses = Responses(bench)
         self._derivatives: dict[Regime, Derivatives] = {}
         floor = np.zeros(bench.valid.shape)
-        self.start = self._settle(frozenset(), {}, self.dry_friction_of(frozenset()), floor)
+        self.start = self._settle(frozenset(), {}, self.dry_friction_of(frozenset()), floor, bench.track)
         """The twin as it is, in a frame of its own."""
 
     def dry_friction_of(self, effects: frozenset[str]) -> frozenset[str]:
@@ -174,11 +175,11 @@ class Fitter:
 
         What is left of the misfit sets the scale: noise stronger than assumed makes every finding less certain.
         """
-        return self._settle(fit.effects, fit.values, fit.likelihood.response.sticking, fit.frame.floor)
+        return self._settle(fit.effects, fit.values, fit.likelihood.response.sticking, fit.frame.floor, fit.about.track)
 
     def rederive(self, fit: Fit) -> Fit:
         """The same fit with derivatives that belong to it, in the same frame."""
-        known = self._derive(fit.effects, fit.values, fit.likelihood, fit.frame)
+        known = self._derive(fit.effects, fit.values, fit.likelihood, fit.frame, fit.about.track)
         return self.judge_alone(replace(fit, about=self._linearise(fit.values, fit.effects, known)))
 
     def _polish(self, fit: Fit, response: Response) -> Fit:
@@ -192,13 +193,14 @@ class Fitter:
         return fit
 
     def _settle(
-        self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray
-    ) -> Fit:
+        self, effects: frozenset[str], values: Mapping[Key, float], sticking: frozenset[str], floor: np.ndarray,
+        track: Track | None,
+    ) -> Fit:  # fmt: skip
         """A fit in a new frame, which is found from what the hypothesis misses; `floor` serves until then."""
         plain = Frame(np.ones(self.bench.valid.size), 1.0, floor, self.criteria)
         assumed = np.ones(self.bench.spec.model.nv)
         likelihood = couple_gusts(self.bench, self.responses.find(sticking, floor, values), assumed)
-        about = self._linearise(values, effects, self._derive(effects, values, likelihood, plain))
+        about = self._linearise(values, effects, self._derive(effects, values, likelihood, plain, track))
         floored = replace(plain, floor=self._find_floor(about.missed))
         response = self.responses.find(sticking, floored.floor, values)
         likelihood = self._tune(about, effects, response)
@@ -222,7 +224,7 @@ class Fitter:
     def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:
         """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
         deviation = self._tolerate(about, effects).deviation
-        left = response.restore(about.missed) - np.einsum("p,pkm->km", deviation, about.slopes)
+        left = response.restore(about.missed, about.track) - np.einsum("p,pkm->km", deviation, about.slopes)
         return couple_gusts(self.bench, response, tune_gust(self.bench, response, left, about.frame.scale))
 
     def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
@@ -242,8 +244,9 @@ class Fitter:
         return Fit(effects, point, std, cost, about, tolerated)
 
     def _derive(
-        self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood, frame: Frame
-    ) -> Linearisation:
+        self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood, frame: Frame,
+        track: Track | None,
+    ) -> Linearisation:  # fmt: skip
         """Derivatives about a twin with these effects.
 
         Only what sticks, and what is large, changes the derivatives by everything else much, so that they are taken
@@ -253,9 +256,9 @@ class Fitter:
         if regime not in self._derivatives:
             every, guessed = range(len(self.unknowns)), self.bench.guessed
             first = next(iter(self._derivatives.values()), None) if guessed else None
-            found = self._differentiate(values, every, self.trials if first is None else ())
+            found = self._differentiate(values, every, self.trials if first is None else (), track)
             # Where every effect is tried at several sizes, that is done once: it only finds where to start.
-            self._derivatives[regime] = found if first is None else (*found[:3], first[3])
+            self._derivatives[regime] = found if first is None else (*found[:4], first[4])
         return whiten(self._derivatives[regime], likelihood, frame)
 
     def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
@@ -263,22 +266,32 @@ class Fitter:
         wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
         if effects == known.turned and np.array_equal(known.at, self._place(values)):
             return known
-        at, slopes, missed, _ = self._differentiate(values, wanted, ())
-        return replace(known.move(at, wanted, slopes, missed), turned=effects)
+        at, slopes, missed, track, _ = self._differentiate(values, wanted, (), self._retrack(values, known))
+        return replace(known.move(at, wanted, slopes, missed, track), turned=effects)
 
     def _look(self, values: Mapping[Key, float], known: Linearisation) -> Linearisation:
         """About a twin with `values`, all derivatives as in `known`."""
-        missed = self.bench.residual(values)
-        return replace(known.move(self._place(values), [], known.slopes[:0], missed), turned=None)
+        track = self._retrack(values, known)
+        missed = self.bench.about(track).residual(values)
+        return replace(known.move(self._place(values), [], known.slopes[:0], missed, track), turned=None)
+
+    def _retrack(self, values: Mapping[Key, float], known: Linearisation) -> Track | None:
+        """The track that is likeliest with a twin with `values`, to first order, if tracks are followed.
+
+        What a parameter explains the pulses need not: about a track with both, it would act twice.
+        """
+        if self.bench.followed is None:
+            return known.track
+        return choose_track(self.bench, known.likelihood, known.foretell(self._place(values)))
 
     def _place(self, values: Mapping[Key, float]) -> np.ndarray:
         """All unknowns in a twin with `values`, (P,)."""
         return np.array([values.get(u.key, u.nominal) for u in self.unknowns])
 
     def _differentiate(
-        self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial]
+        self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial], track: Track | None
     ) -> Derivatives:
-        """Point, derivatives by the unknowns `wanted`, residual, and what trials change, of a twin with `values`."""
+        """Of a twin with `values` about a track: see `Derivatives`; slopes are those by the unknowns `wanted`."""
         at = self._place(values)
         steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
@@ -288,6 +301,6 @@ class Fitter:
         # A trial of what is switched on already would replace it.
         on = {key[0] for key in values}
         variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
-        predicted = self.bench.predict(variations, values)
+        predicted = self.bench.about(track).predict(variations, values)
         missed, changed = self.bench.miss(predicted[0]), self.bench.bound(predicted[1:] - predicted[0])
-        return at, changed[: len(wanted)] / steps[:, None, None], missed, changed[len(wanted) :]
+        return at, changed[: len(wanted)] / steps[:, None, None], missed, track, changed[len(wanted) :]

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
+from vpptwin.diagnosis.evidence.bench import Track
 from vpptwin.diagnosis.search.likelihood import Likelihood
 
 
@@ -33,9 +34,9 @@ class Frame:
             return np.empty((0, self.weight.size))
         return likelihood.whiten(raw).reshape(len(raw), -1) * self.weight
 
-    def whiten_missed(self, raw: np.ndarray, likelihood: Likelihood) -> np.ndarray:
-        """The same of what twins missed, (V, K, M), whatever track the windows were simulated about."""
-        return self.whiten(likelihood.response.restore(raw), likelihood)
+    def whiten_missed(self, raw: np.ndarray, track: Track | None, likelihood: Likelihood) -> np.ndarray:
+        """The same of what twins missed, (V, K, M), about a track."""
+        return self.whiten(likelihood.response.restore(raw, track), likelihood)
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class Linearisation:
         at: (P,) in the parameters' units; deviations count from here.
         slopes: derivative of the prediction, (P, K, M).
         missed: residual, (K, M).
+        track: about which all that was simulated.
         trials: change of the prediction by every trial, (T, K, M).
         columns: whitened derivative, (P, K M).
         residual: whitened residual, (K M,).
@@ -60,6 +62,7 @@ class Linearisation:
     at: np.ndarray
     slopes: np.ndarray
     missed: np.ndarray
+    track: Track | None
     trials: np.ndarray
     columns: np.ndarray
     residual: np.ndarray
@@ -78,27 +81,33 @@ class Linearisation:
 
     def under(self, likelihood: Likelihood, frame: Frame) -> Linearisation:
         """The same derivatives whitened by another likelihood, in another frame."""
-        found = whiten((self.at, self.slopes, self.missed, self.trials), likelihood, frame)
+        found = whiten((self.at, self.slopes, self.missed, self.track, self.trials), likelihood, frame)
         return replace(found, turned=self.turned)
 
-    def move(self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray) -> Linearisation:
+    def move(
+        self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray, track: Track | None
+    ) -> Linearisation:
         """About another point: derivatives by the unknowns `wanted` anew, (n, K, M); the others, and trials, stay."""
         moved, columns = self.slopes.copy(), self.columns.copy()
         moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
-        residual = self.frame.whiten_missed(missed[None], self.likelihood)[0]
-        return replace(self, at=at, slopes=moved, missed=missed, columns=columns, residual=residual)
+        residual = self.frame.whiten_missed(missed[None], track, self.likelihood)[0]
+        return replace(self, at=at, slopes=moved, missed=missed, track=track, columns=columns, residual=residual)
+
+    def foretell(self, at: np.ndarray) -> np.ndarray:
+        """What a twin with the parameters `at` and no track would miss by this linearisation, (K, M)."""
+        return self.likelihood.response.restore(self.missed, self.track) - np.tensordot(at - self.at, self.slopes, 1)
 
 
-Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""`at`, `slopes`, `missed` and `trials` of a linearisation: what no frame changes."""
+Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, Track | None, np.ndarray]
+"""`at`, `slopes`, `missed`, `track` and `trials` of a linearisation: what no frame changes."""
 
 
 def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Linearisation:
     """A linearisation from its derivatives."""
-    at, slopes, missed, trials = derivatives
+    at, slopes, missed, track, trials = derivatives
     columns, tried = (frame.whiten(rows, likelihood) for rows in (slopes, trials))
-    residual = frame.whiten_missed(missed[None], likelihood)[0]
-    return Linearisation(frame, likelihood, at, slopes, missed, trials, columns, residual, tried)
+    residual = frame.whiten_missed(missed[None], track, likelihood)[0]
+    return Linearisation(frame, likelihood, at, slopes, missed, track, trials, columns, residual, tried)
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray, times: float) -> np.ndarray:

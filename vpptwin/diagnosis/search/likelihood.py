@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
 
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
@@ -36,8 +36,8 @@ class Response:
         state: derivative by the starting state, (K, M, 2 nv).
         state_std: prior of the starting state, (2 nv,).
         push: derivative by force pulses in units of their standard deviation, (K, M, G).
+        assumed: standard deviation of a pulse per degree of freedom, (nv,) N or N m.
         sticking: ids of the effects of dry friction in that twin.
-        tracked: what the bench's track does to what is measured, to first order, (K, M); 0 without one.
     """
 
     sensor_factor: np.ndarray
@@ -47,12 +47,16 @@ class Response:
     state: np.ndarray
     state_std: np.ndarray
     push: np.ndarray
+    assumed: np.ndarray
     sticking: frozenset[str] = frozenset()
-    tracked: np.ndarray | float = 0.0
 
-    def restore(self, missed: np.ndarray) -> np.ndarray:
-        """What a twin without the bench's track would have missed, to first order, from what one with it missed."""
-        return missed + self.tracked
+    def restore(self, missed: np.ndarray, track: Track | None) -> np.ndarray:
+        """What a twin without a track would have missed, to first order, from what one with it missed, (..., K, M)."""
+        if track is None:
+            return missed
+        moved = np.einsum("kmi,ki->km", self.state, np.concatenate([track.pose, track.velocity], axis=1))
+        pushed = np.einsum("kmg,kg->km", self.push, (track.push / self.assumed).reshape(len(self.push), -1))
+        return missed + moved + pushed
 
     def along(self, residual: np.ndarray) -> np.ndarray:
         """What pulses could have done to residuals (..., K, M), (..., K, G)."""
@@ -241,12 +245,7 @@ def assemble(
     factor = np.linalg.cholesky(sensor)
     basis, triangles = np.linalg.qr(np.moveaxis(whiten_with(factor, np.moveaxis(push, -1, 0)), 0, -1))
     freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
-    tracked: np.ndarray | float = 0.0
-    if (track := bench.track) is not None:
-        moved = np.einsum("kmi,ki->km", state, np.concatenate([track.pose, track.velocity], axis=1))
-        pushed = np.einsum("kmg,kg->km", push, (track.push / gust_std(bench)).reshape(len(push), -1))
-        tracked = bench.bound(moved + pushed)
-    return Response(factor, basis, triangles, freedom, state, state_std, push, tracked=tracked)
+    return Response(factor, basis, triangles, freedom, state, state_std, push, gust_std(bench))
 
 
 def build_likelihood(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:

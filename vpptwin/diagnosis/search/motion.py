@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track
 from vpptwin.diagnosis.search.likelihood import (
-    gust_std,
+    Likelihood,
+    Response,
     likeness_of_gusts,
     measure_response,
     middles_of_segments,
@@ -18,6 +18,90 @@ from vpptwin.diagnosis.search.likelihood import (
 
 FOLLOWED, SETTLED = 5, 0.1
 """Times at most that windows are followed, and drop in a window's cost below which they have been."""
+SHIFTED = 3
+"""Times at most that a track is shifted to another twin's."""
+
+
+def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:
+    """Factors of the prior of every window's pulses in units of what is assumed, (K, segments nv, segments nv).
+
+    Args:
+        bench: K windows.
+        gust: strength of the pulses as a multiple of what is assumed, (nv,).
+    """
+    alike = likeness_of_gusts(bench, middles_of_segments(bench))
+    root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
+    size = bench.segments * bench.spec.model.nv
+    return np.einsum("kij,ab->kiajb", root, np.diag(gust)).reshape(len(alike), size, size)
+
+
+class Path:
+    """Starting states and pulses of K windows in units of their prior, (K, 2 nv + segments nv), and as a track."""
+
+    def __init__(self, bench: Bench, response: Response, gust: np.ndarray) -> None:
+        self.bench, self.response, self.spread = bench, response, spread_gusts(bench, gust)
+
+    def columns(self, response: Response) -> np.ndarray:
+        """Derivatives of what is measured by them, sensors whitened, (K, M, 2 nv + segments nv)."""
+        columns = np.concatenate([response.state * response.state_std, response.push @ self.spread], axis=2)
+        return columns / self.bench.std[..., None]
+
+    def measure(self, track: Track) -> np.ndarray:
+        """A track in those units."""
+        started = np.concatenate([track.pose, track.velocity], axis=1) / self.response.state_std
+        pushed = (track.push / self.response.assumed).reshape(len(started), -1, 1)
+        return np.concatenate([started, np.linalg.solve(self.spread, pushed)[..., 0]], axis=1)
+
+    def place(self, found: np.ndarray) -> Track:
+        """The track of such values."""
+        nv = self.bench.spec.model.nv
+        state = found[:, : 2 * nv] * self.response.state_std
+        push = np.einsum("kpq,kq->kp", self.spread, found[:, 2 * nv :]).reshape(len(found), -1, nv)
+        return Track(state[:, :nv], state[:, nv:], push * self.response.assumed)
+
+    def step(
+        self, response: Response, missed: np.ndarray, at: np.ndarray | float = 0.0, damping: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """Where a linearisation by which a twin without a track misses so much, (K, M), has its likeliest path."""
+        columns, held = self.columns(response), np.broadcast_to(damping, len(missed))[:, None]
+        turned = np.swapaxes(columns, 1, 2)
+        gram = turned @ columns + (1.0 + held[..., None]) * np.eye(columns.shape[2])
+        target = turned @ (missed / self.bench.std)[..., None]
+        return np.linalg.solve(gram, target + (held * at)[..., None])[..., 0]
+
+    def cost(self, missed: np.ndarray, found: np.ndarray) -> np.ndarray:
+        """Square of what is missed about a path, (K, M), and of the path, both in units of their prior, (K,)."""
+        return ((missed / self.bench.std) ** 2).sum(axis=1) + (found**2).sum(axis=1)
+
+
+def choose_track(bench: Bench, likelihood: Likelihood, missed: np.ndarray) -> Track:
+    """The likeliest track of a twin that without one would miss so much, (K, M), to first order: what is followed."""
+    assert bench.followed is not None
+    path = Path(bench, likelihood.response, likelihood.gust)
+    return path.place(path.step(likelihood.response, missed)).of(*bench.followed)
+
+
+def shift_track(bench: Bench, values: Mapping[Key, float], response: Response) -> tuple[np.ndarray, Track | None]:
+    """What a twin with `values` misses, (K, M), about the bench's track, or about one nearer to what it did.
+
+    Args:
+        bench: the windows; a track that was found with another twin holds what this one may explain.
+        values: of the twin.
+        response: that of a twin like it, which serves on the way.
+    """
+    track, missed = bench.track, bench.residual(values)
+    if bench.followed is None or track is None or not values:
+        return missed, track
+    gust = tune_gust(bench, response, response.restore(missed, track))
+    path = Path(bench, response, gust)
+    at, cost = path.measure(track), path.cost(missed, path.measure(track))
+    for _ in range(SHIFTED):
+        track = path.place(path.step(response, response.restore(missed, path.place(at)))).of(*bench.followed)
+        there, found = bench.about(track).residual(values), path.measure(track)
+        better = path.cost(there, found) < cost
+        missed, at = np.where(better[:, None], there, missed), np.where(better[:, None], found, at)
+        cost = np.where(better, path.cost(there, found), cost)
+    return missed, path.place(at)
 
 
 def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Track:
@@ -32,40 +116,24 @@ def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | 
         values: of the twin.
         gust: strength of the pulses as a multiple of what is assumed, (nv,); None for the likeliest.
     """
-    bench, nv = copy(bench), bench.spec.model.nv
-    count, pulses = len(bench.windows), bench.segments * nv
-    if bench.track is None:
-        zero = np.zeros((count, nv))
-        bench.track = Track(zero, zero, np.zeros((count, bench.segments, nv)))
+    nv, count = bench.spec.model.nv, len(bench.windows)
+    none = Track(np.zeros((count, nv)), np.zeros((count, nv)), np.zeros((count, bench.segments, nv)))
+    track = bench.track or none
+    bench = bench.about(track)
     response, missed = measure_response(bench, values), bench.residual(values)
-    gust = tune_gust(bench, response, response.restore(missed)) if gust is None else gust
-    alike = likeness_of_gusts(bench, middles_of_segments(bench))
-    root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
-    spread = np.einsum("kij,ab->kiajb", root, np.diag(gust)).reshape(count, pulses, -1)
-    started = np.concatenate([bench.track.pose, bench.track.velocity], axis=1) / response.state_std
-    pushed = np.linalg.solve(spread, (bench.track.push / gust_std(bench)).reshape(count, -1, 1))[..., 0]
-    at, one = np.concatenate([started, pushed], axis=1), np.eye(2 * nv + pulses)
-
-    def place(found: np.ndarray) -> Track:
-        state, push = found[:, : 2 * nv] * response.state_std, np.einsum("kpq,kq->kp", spread, found[:, 2 * nv :])
-        return Track(state[:, :nv], state[:, nv:], push.reshape(count, -1, nv) * gust_std(bench))
-
-    best, damping = ((missed / bench.std) ** 2).sum(axis=1) + (at**2).sum(axis=1), np.zeros(count)
+    gust = tune_gust(bench, response, response.restore(missed, track)) if gust is None else gust
+    path = Path(bench, response, gust)
+    at = path.measure(track)
+    best, damping = path.cost(missed, at), np.zeros(count)
     for turn in range(FOLLOWED):
         if turn:
             response, missed = measure_response(bench, values), bench.residual(values)
-        columns = np.concatenate([response.state * response.state_std, response.push @ spread], axis=2)
-        columns /= bench.std[..., None]
-        turned = np.swapaxes(columns, 1, 2)
-        gram = turned @ columns + (1.0 + damping)[:, None, None] * one
-        target = turned @ (response.restore(missed) / bench.std)[..., None]
-        found = np.linalg.solve(gram, target + damping[:, None, None] * at[..., None])[..., 0]
-        bench.track = place(found)
-        cost = ((bench.residual(values) / bench.std) ** 2).sum(axis=1) + (found**2).sum(axis=1)
+        found = path.step(response, response.restore(missed, track), at, damping)
+        cost = path.cost(bench.about(path.place(found)).residual(values), found)
         better, gained = cost < best, float(np.maximum(best - cost, 0.0).sum())
         damping = np.where(better, damping / 10.0, np.maximum(4.0 * damping, 1.0))
         best, at = np.where(better, cost, best), np.where(better[:, None], found, at)
-        bench.track = place(at)
-        if gained < len(at) * SETTLED:
+        bench.track = track = path.place(at)
+        if gained < count * SETTLED:
             break
-    return bench.track
+    return track

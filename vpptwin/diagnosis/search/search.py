@@ -208,8 +208,9 @@ class Search(Fitter):
 
     def _pick_places(self, fit: Fit, tried: Sequence[dict[Key, float]]) -> list[dict[Key, float]]:
         """The two of many places that miss least under a fit's likelihood."""
-        predicted = self.bench.predict([Variation(values) for values in tried], fit.values)
-        cost = (fit.frame.whiten_missed(self.bench.miss(predicted), fit.likelihood) ** 2).sum(axis=1)
+        track = fit.about.track
+        predicted = self.bench.about(track).predict([Variation(values) for values in tried], fit.values)
+        cost = (fit.frame.whiten_missed(self.bench.miss(predicted), track, fit.likelihood) ** 2).sum(axis=1)
         return [tried[i] for i in np.argsort(cost)[:2]]
 
     def follow(self, fit: Fit) -> Fit:
@@ -221,10 +222,12 @@ class Search(Fitter):
             return fit
         here, other = fit, copy(self)
         for _ in range(FOLLOWED):
-            other.bench, other._derivatives = copy(other.bench), {}
-            other.bench.track = follow_motion(other.bench, here.values, here.likelihood.gust)
+            track = follow_motion(other.bench, here.values, here.likelihood.gust)
+            other.bench, other._derivatives = other.bench.about(track), {}
+            other.bench.followed = None
             other.responses = Responses(other.bench)
-            before, here = here, other.refine(other.reframe(here))
+            moved = replace(here, about=replace(here.about, track=track))
+            before, here = here, other.refine(other.reframe(moved))
             if all(abs(here.values[key] - before.values[key]) < 0.5 * std for key, std in here.std.items()):
                 break
         return replace(fit, values=here.values, std=here.std)
