@@ -35,7 +35,7 @@ class Plant:
         coulomb: dry friction when it slides [N].
         breakaway: by which dry friction is larger at rest [N].
         bias: constant force [N].
-        cogging: amplitude of a force that repeats every 0.4 m, which no effect of the catalogue is [N].
+        hum: amplitude of a force of 0.8 Hz, which no effect of the catalogue is [N].
         weight: torque of gravity at a right angle [N m].
         drive: force of its motor at most [N]; 0 for none.
         reach: of its references [m].
@@ -47,7 +47,7 @@ class Plant:
     coulomb: float = 0.0
     breakaway: float = 0.0
     bias: float = 0.0
-    cogging: float = 0.0
+    hum: float = 0.0
     weight: float = 0.0
     drive: float = 0.0
     reach: float = 0.5
@@ -72,13 +72,11 @@ def move(plant: Plant, seed: int, start: float = 0.0) -> Track:
         control = min(max(control, -plant.drive), plant.drive)
         pushed = keep * pushed + spread * noise
         log[i] = x, v, control
-        held = control + pushed + plant.bias
+        held = control + pushed + plant.bias + plant.hum * math.sin(2.0 * math.pi * 0.8 * i * LOG_EVERY * STEP)
         for _ in range(LOG_EVERY):
             push = held - b * v
             if w:
                 push -= w * math.sin(x)
-            if plant.cogging:
-                push += plant.cogging * math.sin(2.0 * math.pi / 0.4 * x)
             rubs = sliding + more * math.exp(-((v / WIDTH) ** 2)) if more else sliding
             if v == 0.0 and abs(push) <= rubs:
                 continue
