@@ -184,9 +184,9 @@ def test_surprise_is_minus_twice_the_log_density(rubbing: HeldOut) -> None:
 def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
     """With friction the density is the mean of two: about the likeliest motion of the twin that sticks, and of none."""
     own, parts = guess(TRUTH), []
-    for response, missed in ((rubbing.response({}), rubbing.residual(TRUTH)), rubbing.follow(own)):
+    for response, missed, track in ((rubbing.response({}), *rubbing.miss(TRUTH)), rubbing.follow(own)):
         likelihood = couple_gusts(rubbing.short, response, np.ones(1))
-        square = (likelihood.whiten(response.restore(missed)) ** 2).sum(axis=1)
+        square = (likelihood.whiten(response.restore(missed, track)) ** 2).sum(axis=1)
         usual = 3.0 * np.median(square)
         square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
         parts.append(square + likelihood.logdet)
@@ -225,7 +225,7 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     usual = 3.0 * np.median(square)
     assert square[4] > 5.0 * usual
     astray = HeldOut(rubbing.short, rubbing.long)
-    astray.residual = lambda values: residual  # type: ignore[method-assign]
+    astray.miss = lambda values: (residual, None)  # type: ignore[method-assign]
     found = astray.surprise(guess({}), False)
     assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
     usually = np.flatnonzero(square <= usual)

@@ -48,7 +48,7 @@ def draw_response(count: int, seed: int = 0) -> Response:
     )
     factor = np.linalg.cholesky(np.eye(VALUES) + state @ np.swapaxes(state, 1, 2))
     basis, triangles = np.linalg.qr(np.linalg.solve(factor, push))
-    return Response(factor, basis, triangles, count * (VALUES - 2 * NV), state, np.ones(2 * NV), push)
+    return Response(factor, basis, triangles, count * (VALUES - 2 * NV), state, np.ones(2 * NV), push, np.ones(NV))
 
 
 def correlate_gusts(bench: Bench, strength: np.ndarray, stretches: list[list[int]]) -> np.ndarray:

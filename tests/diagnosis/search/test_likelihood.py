@@ -207,7 +207,7 @@ def test_a_track_follows_what_was_measured_and_changes_no_likelihood(bench: Benc
     plain = couple_gusts(pushed, measure_response(pushed, {}), np.ones(1)).whiten(missed)
     pushed.track = follow_motion(pushed, {}, np.ones(1))
     response = measure_response(pushed, {})
-    followed = couple_gusts(pushed, response, np.ones(1)).whiten(response.restore(pushed.residual({})))
+    followed = couple_gusts(pushed, response, np.ones(1)).whiten(response.restore(pushed.residual({}), pushed.track))
     np.testing.assert_allclose(followed, plain, atol=1e-6 * np.abs(plain).max())
     assert np.square(pushed.residual({}) / pushed.std).mean() < 0.5 < np.square(missed / pushed.std).mean()
     assert np.all(np.argmax(pushed.track.push[:, :, 0], axis=1) == 1)
