@@ -114,12 +114,12 @@ class DeviceEnv(VppEnv):
         return tensor.to(self.device, torch.float32 if tensor.is_floating_point() else tensor.dtype).contiguous()
 
     def _name_constants(self) -> dict[str, torch.Tensor]:
-        """Constants of the sensors by name, (N,) each: views of `numbers`, or the same for all."""
+        """Constants of the sensors by name, (N, nv) each: views of `numbers`, or the same for all."""
         rows, known = self.stepper.numbers, self.twin.constants[0]
         return {
-            name: self.numbers[rows[name]][0] if name in rows.shapes
-            else torch.full((self.count,), float(known[name]), device=self.device) for name in PERFECT
-        }  # fmt: skip
+            name: self.numbers[rows[name]].T if name in rows.shapes else self._to(known[name]).expand(self.count, -1)
+            for name in PERFECT
+        }
 
     def _find_stream(self) -> Any:  # noqa: ANN401
         """Torch's stream of now, as Warp has it; None on a processor."""

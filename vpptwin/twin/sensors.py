@@ -46,7 +46,8 @@ def find_age(constants: Constants, signal: str, dof: int, stamp: np.ndarray | fl
     Returns:
         (N,) s; negative where a slow clock stamps earlier than what is shown.
     """
-    return np.asarray(constants[f"{signal}.delay"][..., dof] + constants[f"{signal}.drift"][..., dof] * stamp)
+    age: np.ndarray = constants[f"{signal}.delay"][..., dof] + constants[f"{signal}.drift"][..., dof] * stamp
+    return age
 
 
 def age_of_pose(constants: Constants, stamp: np.ndarray | float) -> np.ndarray:
@@ -56,7 +57,8 @@ def age_of_pose(constants: Constants, stamp: np.ndarray | float) -> np.ndarray:
 
 def measure_coordinate(constants: Constants, dof: int, value: np.ndarray) -> np.ndarray:
     """A coordinate as its sensor gives it, noise and age apart [m, rad]; any shape that constants broadcast to."""
-    return np.asarray(value * constants["pose.scale"][..., dof] + constants["pose.offset"][..., dof])
+    shown: np.ndarray = value * constants["pose.scale"][..., dof] + constants["pose.offset"][..., dof]
+    return shown
 
 
 def measure_pose(constants: Constants, pose: np.ndarray) -> np.ndarray:
@@ -71,7 +73,8 @@ def measure_velocity(constants: Constants, velocity: np.ndarray) -> np.ndarray:
 
 def measure_rate(constants: Constants, rate: np.ndarray, dof: int | np.ndarray = PITCH) -> np.ndarray:
     """A rate as its sensor gives it, noise and age apart, (N,) m/s, rad/s: by default the drone's gyro's."""
-    return np.asarray(constants["rate.scale"][..., dof] * rate + constants["rate.bias"][..., dof])
+    shown: np.ndarray = constants["rate.scale"][..., dof] * rate + constants["rate.bias"][..., dof]
+    return shown
 
 
 def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:
