@@ -32,7 +32,9 @@ def linear(
     """A linear experiment, given whitened, in a frame in which noise has variance `scale`."""
     tried = np.empty((0, len(residual))) if tried is None else tried
     frame = Frame(np.ones(len(residual)), scale, np.zeros(len(residual)))
-    return Linearisation(frame, None, at, columns[:, None], residual[None], None, tried[:, None], columns, residual, tried)  # type: ignore[arg-type]
+    return Linearisation(
+        frame, None, at, columns[:, None], residual[None], None, tried[:, None], columns, residual, tried
+    )  # type: ignore[arg-type]
 
 
 FRAME = Frame(np.ones(1), 1.0, np.zeros(1))
