@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LOOP = " ".join(f"benchmarks/results/close_the_loop_{seed}.json" for seed in range(3))
 RECORDED = {
     "loop": f"close_the_loop.py --report {LOOP} --picture OUT/loop.svg",
-    "today": "close_the_loop.py --report benchmarks/results/close_the_loop_775b833.json",
+    "today": "close_the_loop.py --report benchmarks/results/close_the_loop_3e11904.json",
     "stuck": "close_the_loop.py --report benchmarks/results/close_the_loop_stuck.json",
     "hidden_8001": "hidden_effects.py --report benchmarks/results/hidden_8001.json --pictures OUT",
     "hidden_52716": "hidden_effects.py --report benchmarks/results/hidden_52716.json",
@@ -106,7 +106,7 @@ def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
     ("name", "page", "file", "least"),
     [
         ("loop", "loop.md", "close_the_loop_0.json", 10),
-        ("today", "loop.md", "close_the_loop_775b833.json", 10),
+        ("today", "loop.md", "close_the_loop_3e11904.json", 10),
         ("stuck", "loop.md", "close_the_loop_stuck.json", 3),
         ("paper_table", "train.md", "paper_table.json", 10),
     ],
