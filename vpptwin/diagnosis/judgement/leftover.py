@@ -42,7 +42,7 @@ class Part:
 
     @property
     def residual(self) -> np.ndarray:
-        """What a twin without the bench's track would have missed, (K, M)."""
+        """What a twin without a track would have missed, (K, M)."""
         return self.response.restore(self.missed, self.track)
 
     def square_of_force(self, gust: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,16 +36,19 @@ def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:
     return np.einsum("kij,ab->kiajb", root, np.diag(gust)).reshape(len(alike), size, size)
 
 
+@dataclass(frozen=True)
 class Path:
-    """Starting states and pulses of K windows in units of their prior, (K, 2 nv + segments nv), and as a track."""
+    """Starting states and pulses of K windows in units of their prior, (K, 2 nv + segments nv), and as a track.
 
-    def __init__(self, bench: Bench, response: Response, gust: np.ndarray) -> None:
-        self.bench, self.response, self.spread = bench, response, spread_gusts(bench, gust)
+    Attributes:
+        bench: the windows.
+        response: of the twin to them.
+        spread: of pulses, see `spread_gusts`.
+    """
 
-    def columns(self, response: Response) -> np.ndarray:
-        """Derivatives of what is measured by them, sensors whitened, (K, M, 2 nv + segments nv)."""
-        columns = np.concatenate([response.state * response.state_std, response.push @ self.spread], axis=2)
-        return columns / self.bench.std[..., None]
+    bench: Bench
+    response: Response
+    spread: np.ndarray
 
     def measure(self, track: Track) -> np.ndarray:
         """A track in those units."""
@@ -59,11 +63,11 @@ class Path:
         push = np.einsum("kpq,kq->kp", self.spread, found[:, 2 * nv :]).reshape(len(found), -1, nv)
         return Track(state[:, :nv], state[:, nv:], push * self.response.assumed)
 
-    def step(
-        self, response: Response, missed: np.ndarray, at: np.ndarray | float = 0.0, damping: np.ndarray | float = 0.0
-    ) -> np.ndarray:
-        """Where a linearisation by which a twin without a track misses so much, (K, M), has its likeliest path."""
-        columns, held = self.columns(response), np.broadcast_to(damping, len(missed))[:, None]
+    def step(self, missed: np.ndarray, at: np.ndarray | float = 0.0, damping: np.ndarray | float = 0.0) -> np.ndarray:
+        """The likeliest path by the response, of a twin that without a track misses so much, (K, M)."""
+        response, held = self.response, np.broadcast_to(damping, len(missed))[:, None]
+        columns = np.concatenate([response.state * response.state_std, response.push @ self.spread], axis=2)
+        columns /= self.bench.std[..., None]
         turned = np.swapaxes(columns, 1, 2)
         gram = turned @ columns + (1.0 + held[..., None]) * np.eye(columns.shape[2])
         target = turned @ (missed / self.bench.std)[..., None]
@@ -77,8 +81,8 @@ class Path:
 def choose_track(bench: Bench, likelihood: Likelihood, missed: np.ndarray) -> Track:
     """The likeliest track of a twin that without one would miss so much, (K, M), to first order: what is followed."""
     assert bench.followed is not None
-    path = Path(bench, likelihood.response, likelihood.gust)
-    return path.place(path.step(likelihood.response, missed)).of(*bench.followed)
+    path = Path(bench, likelihood.response, spread_gusts(bench, likelihood.gust))
+    return path.place(path.step(missed)).of(*bench.followed)
 
 
 def shift_track(bench: Bench, values: Mapping[Key, float], response: Response) -> tuple[np.ndarray, Track | None]:
@@ -93,14 +97,15 @@ def shift_track(bench: Bench, values: Mapping[Key, float], response: Response) -
     if bench.followed is None or track is None or not values:
         return missed, track
     gust = tune_gust(bench, response, response.restore(missed, track))
-    path = Path(bench, response, gust)
-    at, cost = path.measure(track), path.cost(missed, path.measure(track))
+    path = Path(bench, response, spread_gusts(bench, gust))
+    at = path.measure(track)
+    best = path.cost(missed, at)
     for _ in range(SHIFTED):
-        track = path.place(path.step(response, response.restore(missed, path.place(at)))).of(*bench.followed)
+        track = path.place(path.step(response.restore(missed, path.place(at)))).of(*bench.followed)
         there, found = bench.about(track).residual(values), path.measure(track)
-        better = path.cost(there, found) < cost
-        missed, at = np.where(better[:, None], there, missed), np.where(better[:, None], found, at)
-        cost = np.where(better, path.cost(there, found), cost)
+        cost = path.cost(there, found)
+        better = (cost < best)[:, None]
+        missed, at, best = np.where(better, there, missed), np.where(better, found, at), np.minimum(cost, best)
     return missed, path.place(at)
 
 
@@ -122,13 +127,13 @@ def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | 
     bench = bench.about(track)
     response, missed = measure_response(bench, values), bench.residual(values)
     gust = tune_gust(bench, response, response.restore(missed, track)) if gust is None else gust
-    path = Path(bench, response, gust)
+    path = Path(bench, response, spread_gusts(bench, gust))
     at = path.measure(track)
     best, damping = path.cost(missed, at), np.zeros(count)
     for turn in range(FOLLOWED):
         if turn:
-            response, missed = measure_response(bench, values), bench.residual(values)
-        found = path.step(response, response.restore(missed, track), at, damping)
+            path, missed = replace(path, response=measure_response(bench, values)), bench.residual(values)
+        found = path.step(path.response.restore(missed, track), at, damping)
         cost = path.cost(bench.about(path.place(found)).residual(values), found)
         better, gained = cost < best, float(np.maximum(best - cost, 0.0).sum())
         damping = np.where(better, damping / 10.0, np.maximum(4.0 * damping, 1.0))
