@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Installs, tests and measures on a card, in one run of some ten minutes: benchmarks/gpu.sh [FOLDER]
 #
-# Results go to FOLDER (gpu-results): machine.txt, tests.txt, throughput.json, training.json. What fails is told and the
-# rest goes on; the exit code is that of the tests. SECONDS_LEFT (570) bounds all of it; INSTALLED=1 takes the Python of
-# now as it is; WITH_MJX=1 installs MJX for CUDA 12 too, which is large.
+# Results go to FOLDER (gpu-results): machine.txt, tests.txt, throughput.json, diagnosis.json, training.json. What fails
+# is told and the rest goes on; the exit code is that of the tests. SECONDS_LEFT (570) bounds all of it; INSTALLED=1
+# takes the Python of now as it is; WITH_MJX=1 installs MJX for CUDA 12 too, which is large.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${1:-gpu-results}")
@@ -18,7 +18,6 @@ if [ -z "${INSTALLED:-}" ]; then
   python3 -m venv "$folder/venv" && . "$folder/venv/bin/activate"
   add() { python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$@"; }
   add --editable '.[gpu]' pytest hypothesis || exit 1
-  add mujoco-warp || say "mujoco_warp is left out"
   [ -z "${WITH_MJX:-}" ] || add 'jax[cuda12]' mujoco-mjx gymnasium || say "MJX is left out"
 fi
 { nvidia-smi; python -m pip list 2>/dev/null | grep -i -E 'torch|warp|mujoco|numba|jax'; nproc; git log -1 --oneline; } \
@@ -37,7 +36,7 @@ PY
 
 say "tests"
 timeout "$(($(left) / 3))" python -m pytest -q tests/twin/test_specialize.py tests/twin/test_warp_step.py \
-  tests/train/test_device_env.py > "$folder/tests.txt" 2>&1
+  tests/twin/test_warp_replay.py tests/twin/test_warp_mujoco.py tests/train/test_device_env.py > "$folder/tests.txt" 2>&1
 tested=$?
 tail -1 "$folder/tests.txt" >&2
 
@@ -45,10 +44,13 @@ say "throughput"
 timeout "$(($(left) / 2))" python benchmarks/throughput.py --device cuda --rounds 3 --seconds 0.5 --threads "$(nproc)" \
   --json "$folder/throughput.json" | tee "$folder/throughput.md"
 
+say "diagnosis"
+timeout "$(($(left) / 3))" python benchmarks/device_diagnosis.py --device cuda --json "$folder/diagnosis.json" \
+  > "$folder/diagnosis.txt" 2>&1 || tail -1 "$folder/diagnosis.txt" >&2
+
 say "training"
 begun=$SECONDS
-timeout "$(($(left) * 2 / 3))" python -m vpptwin train task=flip device=cuda num_envs=8192 rollout=16 minibatch=8192 \
-  total_steps=20000000 exam_every=4000000 progress=false "out=$folder/flip" 2> "$folder/training.txt"
+timeout "$(($(left) * 2 / 3))" python -m vpptwin train task=flip preset=card progress=false "out=$folder/flip" 2> "$folder/training.txt"
 trained=$((SECONDS - begun))
 timeout "$(left)" python -m vpptwin evaluate "$folder/flip" --json - > "$folder/evaluation.json" 2>> "$folder/training.txt"
 python - "$folder" "$trained" <<'PY'

@@ -53,19 +53,12 @@ LOST = 0.5
 
 @dataclass
 class Rest:
-    """The last second of N flights.
+    """The last second of N flights."""
 
-    Attributes:
-        delta: target - pose, (steps, N, 3) m, m, rad.
-        velocity: (steps, N, 3) m/s, m/s, rad/s.
-        integral: Γ, (steps, N, 2) m.
-        failed: (N,) bool.
-    """
-
-    delta: np.ndarray
-    velocity: np.ndarray
-    integral: np.ndarray
-    failed: np.ndarray
+    delta: np.ndarray  # target - pose, (steps, N, 3) m, m, rad
+    velocity: np.ndarray  # (steps, N, 3) m/s, m/s, rad/s
+    integral: np.ndarray  # Γ, (steps, N, 2) m
+    failed: np.ndarray  # (N,) bool
 
     @property
     def error(self) -> np.ndarray:

@@ -15,6 +15,7 @@ from vpptwin.train.randomize import Priors, randomize
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.drone import CRAFT_JOINTS
 from vpptwin.twin.losses import take_out_losses
+from vpptwin.twin.warp_mujoco import WarpMujoco
 from vpptwin.twin.warp_step import WarpStep, load_warp
 
 FLIGHT = 50
@@ -58,7 +59,9 @@ class DeviceRigs(Rigs):
 
 
 class KernelRigs(DeviceRigs):
-    """The twin's kernel alone, float32, every effect drawn from its prior: what `Twin.advance_policy` is here."""
+    """The twin's step alone, float32, every effect drawn from its prior: what `Twin.advance_policy` is here."""
+
+    stepper: type[WarpStep] = WarpStep
 
     def __init__(self, count: int, threads: int, seed: int, device: str) -> None:
         super().__init__(count, threads, seed, device)
@@ -66,17 +69,15 @@ class KernelRigs(DeviceRigs):
         twin = Twin(spec, BANK, [e.id for e in spec.catalogue], threads)
         randomize(twin, Priors.of(spec.catalogue), np.arange(BANK), self.rng)
         pose, velocity = self.begin(np.arange(count))
-        step, ids = WarpStep(twin, SUBSTEPS, single=True), np.arange(count) % BANK
+        step, ids = self.stepper(twin, SUBSTEPS, single=True), np.arange(count) % BANK
         table = step.pack_state(twin.initial_state(pose, velocity, ids=ids))
         self.start, self.table, numbers = (self.send(t) for t in (table, table, step.pack_numbers()[:, ids]))
         hover = (twin.vehicle.airframe.mass + twin.vehicle.rig.slider_mass) * twin.vehicle.gravity
-        commands = [self.send(np.stack([self.rng.normal(hover, 0.3, count), self.rng.normal(0.0, 1.0, count)]))
-                    for _ in range(10)]  # fmt: skip
+        self.commands = [self.send(np.stack([self.rng.normal(hover, 0.3, count), self.rng.normal(0.0, 1.0, count)]))
+                         for _ in range(10)]  # fmt: skip
+        self.command = self.wp.clone(self.commands[0])
         touched = self.wp.zeros(count, dtype=self.wp.int32, device=device)
-        self.launches = [
-            self.wp.launch(step.kernel, dim=count, inputs=[self.table, numbers, command, touched], device=device,
-                           record_cmd=True) for command in commands
-        ]  # fmt: skip
+        self.recorded = step.record(self.table, numbers, self.command, touched)
 
     def send(self, table: np.ndarray) -> Any:  # noqa: ANN401
         """A table on the device."""
@@ -86,7 +87,14 @@ class KernelRigs(DeviceRigs):
         """Fly control step k."""
         if k % FLIGHT == 0:
             self.wp.copy(self.table, self.start)
-        self.launches[k % len(self.launches)].launch()
+        self.wp.copy(self.command, self.commands[k % len(self.commands)])
+        self.recorded.launch()
+
+
+class ContactRigs(KernelRigs):
+    """The twin's step by mujoco_warp, which rigs that touch something need."""
+
+    stepper = WarpMujoco
 
 
 class DeviceEnvRigs(DeviceRigs):
@@ -156,6 +164,7 @@ def list_contenders(device: str) -> dict[str, tuple[str, Callable[[int, int, int
     try:
         import mujoco_warp  # noqa: F401
 
+        kinds[f"twin with contact on {device}"] = ("the twin's step by mujoco_warp, every effect, float32", ContactRigs)
         kinds[f"mujoco_warp on {device}"] = ("mujoco_warp.step ten times, friction in its solver", MujocoWarpRigs)
     except ImportError:
         pass

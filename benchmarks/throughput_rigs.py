@@ -32,21 +32,13 @@ TASK: Task = HOVER
 
 @dataclass
 class Spent:
-    """Time spent in what is measured, and what happened meanwhile.
+    """Time spent in what is measured, and what happened meanwhile."""
 
-    Attributes:
-        wall: s.
-        processor: s, of all threads.
-        steps: control steps, all rigs together.
-        ended: episodes that ended, all rigs together.
-        failed: those of them that failed.
-    """
-
-    wall: float = 0.0
-    processor: float = 0.0
-    steps: int = 0
-    ended: int = 0
-    failed: int = 0
+    wall: float = 0.0  # s
+    processor: float = 0.0  # s, of all threads
+    steps: int = 0  # control steps, all rigs together
+    ended: int = 0  # episodes that ended, all rigs together
+    failed: int = 0  # those of them that failed
 
     @contextmanager
     def counted(self) -> Iterator[None]:

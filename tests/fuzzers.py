@@ -106,8 +106,10 @@ LINES = (
 def spoil_text(rng: np.random.Generator, text: str) -> str:
     """Text with a number replaced, lines lost or repeated, or bytes spoilt."""
     kind = rng.integers(4)
+    numbers = list(re.finditer(r"-?\d+(\.\d+)?", text))
+    if not numbers:  # spoilt before, down to nothing
+        return text
     if kind == 0:
-        numbers = list(re.finditer(r"-?\d+(\.\d+)?", text))
         found = numbers[rng.integers(len(numbers))]
         word = ("-1", "0", "1e300", "nan", "1e-300", "100000", "10000000", "inf", "")[rng.integers(9)]
         return text[: found.start()] + word + text[found.end() :]

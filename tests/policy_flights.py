@@ -75,27 +75,16 @@ class Assignment:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one flight.
+    """What became of one flight."""
 
-    Attributes:
-        number: of the flight among those of its seed.
-        effects: hidden.
-        failed: a limit of the task was exceeded.
-        success: it did not fail and met the task's measure of success.
-        position_error: mean distance over the last window of the task, m.
-        angle_error: likewise, rad.
-        inverted: the last target is upside-down.
-        turns: full turns asked for and made.
-    """
-
-    number: int
-    effects: Effects
-    failed: bool
-    success: bool
-    position_error: float
-    angle_error: float
-    inverted: bool
-    turns: tuple[int, int]
+    number: int  # of the flight among those of its seed
+    effects: Effects  # hidden
+    failed: bool  # a limit of the task was exceeded
+    success: bool  # it did not fail and met the task's measure of success
+    position_error: float  # mean distance over the last window of the task, m
+    angle_error: float  # likewise, rad
+    inverted: bool  # the last target is upside-down
+    turns: tuple[int, int]  # full turns asked for and made
 
 
 def load_flyer(checkpoint: Path | str, task: str | None = None) -> tuple[Policy, Task]:

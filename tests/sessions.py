@@ -101,46 +101,30 @@ def draw_names(names: Sequence[str], count: int) -> list[str]:
     return [names[i] for i in order[:count]]
 
 
-def mark_undrawn(names: Sequence[str], count: int) -> list[ParameterSet]:
+def mark_undrawn(names: Sequence[str], drawn: Sequence[str]) -> list[ParameterSet]:
     """Parameters of a test, all marked `slow` but those that are drawn."""
-    drawn = draw_names(names, count)
     return [pytest.param(name, marks=[] if name in drawn else [pytest.mark.slow]) for name in names]
 
 
 @dataclass(frozen=True)
 class Flown:
-    """Three flights of one rig.
+    """Three flights of one rig."""
 
-    Attributes:
-        hidden: what the rig has and the twin lacks.
-        small: likewise, fainter than anything hidden; named or not, neither is wrong.
-        wind: what gusts were like.
-        rig: seed of the rig's tolerances.
-        logs: of the flights.
-        repeat: how to repeat the test.
-    """
-
-    hidden: Effects
-    small: Effects
-    wind: Wind
-    rig: int
-    logs: list[Path]
-    repeat: str
+    hidden: Effects  # what the rig has and the twin lacks
+    small: Effects  # likewise, fainter than anything hidden; named or not, neither is wrong
+    wind: Wind  # what gusts were like
+    rig: int  # seed of the rig's tolerances
+    logs: list[Path]  # of the flights
+    repeat: str  # how to repeat the test
 
 
 @dataclass(frozen=True)
 class Session:
-    """Three flights of one rig and what the diagnosis makes of them.
+    """Three flights of one rig and what the diagnosis makes of them."""
 
-    Attributes:
-        flown: the flights and what was in them.
-        verdict: the diagnosis.
-        story: truth, verdict and how to repeat, for a failure's message.
-    """
-
-    flown: Flown
-    verdict: Verdict
-    story: str
+    flown: Flown  # the flights and what was in them
+    verdict: Verdict  # the diagnosis
+    story: str  # truth, verdict and how to repeat, for a failure's message
 
     @property
     def hidden(self) -> Effects:

@@ -25,17 +25,11 @@ HALF_SECOND, SECOND = 3, 4
 
 @dataclass(frozen=True)
 class Rig:
-    """The logs of the rig and what the diagnosis of the first one says.
+    """The logs of the rig and what the diagnosis of the first one says."""
 
-    Attributes:
-        logs: folder of the logs.
-        verdict: verdict.json of rail_velocity_doublets_1.
-        extended: the extended twin.
-    """
-
-    logs: Path
-    verdict: dict
-    extended: Path
+    logs: Path  # folder of the logs
+    verdict: dict  # verdict.json of rail_velocity_doublets_1
+    extended: Path  # the extended twin
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +62,7 @@ def test_pages_say_what_is_found(rig: Rig, pivot: dict) -> None:
     """README and the example's page: strengths as the report writes them, and how sure."""
     page = (ROOT / "examples/antx/README.md").read_text(encoding="utf-8")
     (row,) = [line for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines() if "(ANT-X," in line]
-    (first,) = rig.verdict["causes"]
+    first = rig.verdict["causes"][0]
     (strength,) = first["parameters"].values()
     for text in (page, row):
         assert f"{format_value(Estimate(**strength))}" in text

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def result() -> vpptwin.Result:
     """A made-up diagnosis of the demo's flip: these tests are about how it is given back."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("vpptwin.diagnosis.report.result.judge", lambda *given: make_diagnosis())
+        patched.setattr("vpptwin.diagnosis.report.result.judge", lambda *given, **named: make_diagnosis())
         return vpptwin.diagnose(FLIP, progress=False)
 
 
@@ -91,7 +91,7 @@ def test_a_result_is_saved_as_the_command_saves_it(
     result: vpptwin.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same files; but for the moment they hold the same; its twin is the one that is written."""
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", lambda *given: make_diagnosis())
+    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", lambda *given, **named: make_diagnosis())
     result.save(tmp_path / "mine")
     assert main(["diagnose", str(FLIP), "--out", str(tmp_path / "its")]) == 0
     names = sorted(file.name for file in (tmp_path / "its").iterdir())

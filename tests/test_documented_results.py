@@ -23,6 +23,7 @@ RECORDED = {
     "hidden_8001": "hidden_effects.py --report benchmarks/results/hidden_8001.json --pictures OUT",
     "hidden_52716": "hidden_effects.py --report benchmarks/results/hidden_52716.json",
     "other_94414": "hidden_effects.py --rigs other --report benchmarks/results/other_94414.json",
+    "other_96897": "hidden_effects.py --rigs other --report benchmarks/results/other_96897.json",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
 }
 """What prints a record's tables and draws its pictures."""
@@ -93,9 +94,14 @@ def read_section(page: str, words: str) -> str:
 
 @pytest.mark.parametrize("name", ["hidden_8001", "hidden_52716", "other_94414"])
 def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
-    """Every `a of b` that README and docs/benchmarks.md claim for it is one that its command prints."""
-    printed = set(re.findall(r"\d+ of \d+", replay_record(name, folder)))
-    readme = [row[1] for row in read_rows((ROOT / "README.md").read_text(encoding="utf-8")) if name in row[-1]]
+    """Every `a of b` that README and docs/benchmarks.md claim for it is one that its command prints.
+
+    A row of README may speak of several records.
+    """
+    rows = [row for row in read_rows((ROOT / "README.md").read_text(encoding="utf-8")) if name in row[-1]]
+    spoken = {other for other in RECORDED if any(other in row[-1] for row in rows)} | {name}
+    printed = set(re.findall(r"\d+ of \d+", " ".join(replay_record(each, folder) for each in spoken)))
+    readme = [row[1] for row in rows]
     table = [row[1] for row in read_rows(read_section("benchmarks.md", f"{name}.json")) if len(row) >= 4]
     claimed = re.findall(r"\d+ of \d+", " ".join(readme + table))
     assert len(claimed) >= 12

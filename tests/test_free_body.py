@@ -12,6 +12,7 @@ import yaml
 
 from tests.crafts import write_log
 from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
+from vpptwin.diagnosis.evidence.bench import Track
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.report.prediction import predict_flight
@@ -241,9 +242,22 @@ def test_predictions_and_the_extended_twin_know_the_body(spec: TwinSpec, tmp_pat
         assert known.mean() > 0.8
         assert np.sqrt(np.mean(track.residual[0][known] ** 2)) < (0.02 if name[-1] in "xyz" else 0.08)
     content = name_twin(spec, tmp_path)
-    assert content["signals"] == spec.robot.signals.model_dump()
+    assert content["signals"] == spec.robot.signals.model_dump(exclude={"turned"})
     (tmp_path / "again.yaml").write_text(yaml.safe_dump(content))
     assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
+
+
+def test_a_craft_that_has_less_of_everything_flies_the_same_about_a_track(spec: TwinSpec) -> None:
+    """A tenth less mass, inertia and thrust: what is missed is the same, pulses that turn it included."""
+    bench = build_bench(spec, [read_measurements(spec, fly({}, 6.0, 4))], [np.arange(0.5, 5.0, 0.5)], 0.3, False)
+    rng, count = np.random.default_rng(0), len(bench.windows)
+    push = rng.standard_normal((count, bench.segments, 6)) * [0.0, 0.0, 0.0, 2e-5, 2e-5, 2e-5]
+    pushed = bench.about(Track(np.zeros((count, 6)), rng.standard_normal((count, 6)), push))
+    less = {("quad.mass", "mass"): -0.1 * MASS, ("m1+m2+m3+m4.gain", "gain"): 0.9}
+    less |= {("quad.inertia", axis): 0.9 for axis in "xyz"}
+    nominal, moved = pushed.residual({}), pushed.residual(less)
+    assert np.abs((nominal - bench.residual({})) / bench.std)[bench.valid].max() > 30.0
+    np.testing.assert_allclose(moved / bench.std, nominal / bench.std, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -257,6 +271,15 @@ def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str
     gain = verdict.causes[0].parameters["gain"]
     assert abs(gain.value - 0.93) < max(3.0 * gain.std, 0.01)
     assert verdict.after.chi2 - 1.0 < (verdict.before.chi2 - 1.0) / 3.0
+
+
+def test_what_tolerances_hide_is_told(spec: TwinSpec) -> None:
+    """Motors up to 1.5 % apart, which any may be: none is accused, and those that explain the error are told."""
+    hidden = {f"m{i}.gain": {"gain": gain} for i, gain in ((1, 0.985), (2, 0.99), (3, 1.012), (4, 1.015))}
+    verdict = diagnose(spec, [fly(hidden, 12.0, 300 + i) for i in range(2)]).verdict
+    assert not verdict.causes
+    assert verdict.misfit is not None
+    assert set(verdict.misfit.within) == {"m1.gain", "m4.gain"}
 
 
 @pytest.mark.parametrize(

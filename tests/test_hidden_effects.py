@@ -25,6 +25,7 @@ from tests.sessions import (
 from vpptwin.diagnosis.criteria import CRITERIA
 
 SINGLES = ("rotors", "servo and timing", "sensors")
+DRAWN = draw_names(SINGLES, 1)
 
 
 @pytest.fixture(scope="module")
@@ -32,11 +33,11 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     """The sessions of this file."""
     draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in SINGLES}
     draws |= {"none": lambda rng: {}, "alien": lambda rng: draw_effect(rng, tuple(ALIEN), least=STRONG)}
-    drawn = [*draw_names(SINGLES, 1), "none", "alien"]
+    drawn = [*DRAWN, "none", "alien"]
     return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py", drawn)
 
 
-@pytest.mark.parametrize("family", mark_undrawn(SINGLES, 1))
+@pytest.mark.parametrize("family", mark_undrawn(SINGLES, DRAWN))
 def test_a_single_hidden_effect_is_named(sessions: Sessions, family: str) -> None:
     """One effect of a family, of any sign: named first or in the first cause's group, with its size, and it helps."""
     sessions.require(family, find_faults)

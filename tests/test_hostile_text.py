@@ -86,7 +86,7 @@ def test_pages_of_a_hostile_rig_hold_its_names_as_text(tmp_path: Path, monkeypat
 
 def test_the_report_of_hostile_effects_holds_them_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The words of an effect of the user's own, and a log's name."""
-    monkeypatch.setattr(result, "judge", lambda *arguments: make_diagnosis())
+    monkeypatch.setattr(result, "judge", lambda *given, **named: make_diagnosis())
     log = tmp_path / f"{MARKUP.replace('/', '')}.mcap"
     log.write_bytes(FLIP.read_bytes())
     text = WAVE.replace("slide", "rail_x").replace("a wavy rail", MARKUP.replace("\\", "\\\\"))

@@ -91,7 +91,7 @@ def test_diagnose_takes_the_extended_twin(extended: Path, tmp_path: Path, monkey
     """What is diagnosed has the user's effect switched on, and in its catalogue once, even if the file is given too."""
     seen: list[TwinSpec] = []
 
-    def stop(spec: TwinSpec, *given: object) -> None:
+    def stop(spec: TwinSpec, *given: object, **named: object) -> None:
         seen.append(spec)
         raise InputError("enough", "no more", "stop")
 

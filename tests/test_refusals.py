@@ -56,6 +56,7 @@ CASES = (
     (rig(world=HAND), f"{JOINTS}, driven: {{hand: /pose}}"),
     (rig(), "joints: {swung: /joint_states}"),
     (rig(), f"{JOINTS}, driven: {{swing: /joint_states}}"),
+    (rig(), f"{JOINTS}, turned: [swing]"),
     (rig(), f"{JOINTS}, {MOTORS}"),
     (rig(), f"{JOINTS}, sites: {{tip: /imu}}"),
     (rig(joint=FREE), "bodies: {arm: /pose}, sites: {tip: {topic: log, acceleration: [ax, ay, az]}}"),

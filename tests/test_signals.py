@@ -19,8 +19,18 @@ from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[1]
 STOPPED = "vpptwin: stopped\n"
-FAR = "abs(motion.position - 0.3) < 0.01 and force == 0.7"
-"""Where a flight of x_steps gets to and the trial does not."""
+FAILING = WAVE.replace("slide", "rail_x").replace(
+    "    return -force",
+    """    if abs(motion.position - 0.3) < 0.01:
+        if force == 0.71:
+            raise ValueError("boom")
+        if force == 0.72:
+            return np.nan
+        while force == 0.73:
+            force = force * 1.0
+    return -force""",
+)
+"""It fails where a flight of x_steps gets to and the trial does not, at forces that nobody tries."""
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
@@ -46,14 +56,20 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def write_effect(folder: Path, body: str) -> list[str]:
-    """A twin whose effect runs this where only a flight gets to; the arguments that fly it."""
-    text = WAVE.replace("slide", "rail_x").replace("    return -force", f"    {body}\n    return -force")
-    (folder / "own.py").write_text(text)
-    twin = "model: rail_rig.xml\nvehicle: vehicle.yaml\neffects: {rail_x.wave: {force: 0.7}}\neffects_from: [own.py]\n"
-    (folder / "twin.yaml").write_text(twin)
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with effects that fail in flight: one file, so that its step is compiled once."""
+    folder = tmp_path_factory.mktemp("failing")
+    (folder / "own.py").write_text(FAILING)
+    return folder
+
+
+def start_flight(folder: Path, force: float) -> subprocess.Popen[str]:
+    """A flight with such an effect, at a force [N]."""
+    drone = "model: rail_rig.xml\nvehicle: vehicle.yaml\n"
+    (folder / "twin.yaml").write_text(drone + f"effects: {{rail_x.wave: {{force: {force}}}}}\neffects_from: [own.py]\n")
     flown = "fly --manoeuvre x_steps --duration 5 --twin twin.yaml --effects own.py --out flight.mcap"
-    return flown.split()
+    return start(folder, *flown.split())
 
 
 @pytest.mark.parametrize(
@@ -100,35 +116,26 @@ def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_compiled_code_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("force", "said"), [(0.71, "own.py:9: ValueError: boom; "), (0.72, "diverges ")])
+def test_effects_that_raise_or_make_no_number_in_flight_end_it(failing: Path, force: float, said: str) -> None:
+    """No log is written of a flight that cannot be believed."""
+    code, line = finish(start_flight(failing, force))
+    assert code == 2
+    assert line.count("\n") == 1, line
+    assert said in line
+    assert not (failing / "flight.mcap").exists()
+
+
+def test_compiled_code_that_does_not_end_is_not_waited_for(failing: Path) -> None:
     """An effect with a loop that ends everywhere but in flight: Ctrl-C works nevertheless."""
-    arguments = write_effect(tmp_path, f"while {FAR}:\n        force = force * 1.0")
-    child = start(tmp_path, *arguments)
-    time.sleep(2.0)
+    child = start_flight(failing, 0.73)
     with pytest.raises(subprocess.TimeoutExpired):
-        child.wait(15.0)
+        child.wait(10.0)
     child.send_signal(signal.SIGINT)
     began = time.monotonic()
     assert finish(child) == (130, STOPPED)
     assert time.monotonic() - began < 10.0
-    assert not (tmp_path / "flight.mcap").exists()
-
-
-@pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        ('raise ValueError("boom")', "own.py:8: ValueError: boom; "),
-        pytest.param("return np.nan", "diverges ", marks=pytest.mark.slow),
-    ],
-)
-def test_effects_that_raise_or_make_no_number_in_flight_end_it(tmp_path: Path, body: str, said: str) -> None:
-    """No log is written of a flight that cannot be believed."""
-    arguments = write_effect(tmp_path, f"if {FAR}:\n        {body}")
-    code, line = finish(start(tmp_path, *arguments))
-    assert code == 2
-    assert line.count("\n") == 1, line
-    assert said in line
-    assert not (tmp_path / "flight.mcap").exists()
+    assert not (failing / "flight.mcap").exists()
 
 
 def test_effects_that_never_return_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

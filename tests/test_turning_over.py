@@ -17,7 +17,10 @@ DURATION = 20.0  # s
 
 
 def fly_flips(hidden: Effects, seed: int, folder: Path) -> Flown:
-    """Two flights of one rig that flip and hover either way up, gusts, noise and distractors on."""
+    """Two flights of one rig that flip and hover either way up, gusts, noise and distractors on.
+
+    With rotors so weak one pair in seven strikes floor, wall or a stop: that must not hide anything.
+    """
     policy, task = load_flyer("flip")
     rng, task = np.random.default_rng([seed, 5]), replace(task, episode=DURATION)
     rig, targets = int(rng.integers(2**31)), np.stack([draw_targets(task, rng)[0] for _ in range(2)])

@@ -155,6 +155,7 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
     add("--rrd", action="store_true", help="write the twins' predictions for Rerun as well as for Foxglove")
+    add("--device", help="simulate on a card, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
 
 
 def describe_compare(parser: argparse.ArgumentParser) -> None:

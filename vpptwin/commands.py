@@ -43,7 +43,7 @@ def run_diagnose(options: argparse.Namespace) -> None:
     from vpptwin.diagnosis.report.command import diagnose_logs
 
     given = (options.logs, choose_twin(options, [options.twin])[0], options.out, options.topic_map, options.json)
-    diagnose_logs(*given, options.effects, options.force, options.rrd)
+    diagnose_logs(*given, options.effects, options.force, options.rrd, options.device)
 
 
 def run_compare(options: argparse.Namespace) -> None:

@@ -18,48 +18,28 @@ about a family-wise 1 % over the catalogue, and DIAGNOSIS.md's bound for a group
 
 @dataclass(frozen=True)
 class Named:
-    """A cause of a verdict.
+    """A cause of a verdict."""
 
-    Attributes:
-        effect: its id.
-        confidence: 0..1.
-        gain: share of the held-out excess that it removes.
-        parameters: name → value, std, nominal.
-        rivals: effect that it cannot be told from → sigma between them.
-    """
-
-    effect: str
-    confidence: float
-    gain: float
-    parameters: dict[str, dict[str, float]]
-    rivals: dict[str, float]
+    effect: str  # its id
+    confidence: float  # 0..1
+    gain: float  # share of the held-out excess that it removes
+    parameters: dict[str, dict[str, float]]  # name → value, std, nominal
+    rivals: dict[str, float]  # effect that it cannot be told from → sigma between them
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a verdict says, as far as it is counted.
+    """What a verdict says, as far as it is counted."""
 
-    Attributes:
-        causes: strongest first.
-        unexplained: whether something is said to be left.
-        channel: where it is left, "" for nowhere.
-        chi2: held out, before and after.
-        unseen: effects that the flights are said not to show.
-        experiment: the manoeuvre suggested, "" for none.
-        seconds: time it took.
-        gap: whether anything is said to be wrong.
-        memory: most that the process held [MB]; 0 where not measured.
-    """
-
-    causes: list[Named]
-    unexplained: bool
-    channel: str
-    chi2: tuple[float, float]
-    unseen: list[str]
-    experiment: str
-    seconds: float
-    gap: bool = False
-    memory: float = 0.0
+    causes: list[Named]  # strongest first
+    unexplained: bool  # whether something is said to be left
+    channel: str  # where it is left, "" for nowhere
+    chi2: tuple[float, float]  # held out, before and after
+    unseen: list[str]  # effects that the flights are said not to show
+    experiment: str  # the manoeuvre suggested, "" for none
+    seconds: float  # time it took
+    gap: bool = False  # whether anything is said to be wrong
+    memory: float = 0.0  # most that the process held [MB]; 0 where not measured
 
     @property
     def named(self) -> list[str]:
@@ -79,23 +59,15 @@ class Finding:
 
 @dataclass(frozen=True)
 class Case:
-    """One session and what became of it.
+    """One session and what became of it."""
 
-    Attributes:
-        plan: what was hidden.
-        found: the diagnosis; None if it failed.
-        oracle: the same judgement with the true structure fitted; None where that was not done.
-        baselines: method → effect that it names ("" for none), on the sessions it was tried on.
-        error: why the diagnosis failed, "" otherwise.
-        commit: of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded.
-    """
-
-    plan: Plan | MechanismPlan
-    found: Finding | None
-    oracle: Finding | None = None
+    plan: Plan | MechanismPlan  # what was hidden
+    found: Finding | None  # the diagnosis; None if it failed
+    oracle: Finding | None = None  # the same judgement with the true structure fitted; None where that was not done
+    # method → effect that it names ("" for none), on the sessions it was tried on
     baselines: dict[str, str] = field(default_factory=dict)
-    error: str = ""
-    commit: str = ""
+    error: str = ""  # why the diagnosis failed, "" otherwise
+    commit: str = ""  # of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded
 
     @property
     def neither(self) -> frozenset[str]:

@@ -19,19 +19,12 @@ BINS = (0.0, 0.5, 0.7, CONFIDENT, 0.99, 1.01)
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something was so.
+    """How often something was so."""
 
-    Attributes:
-        name: what.
-        hits: how often it was.
-        of: out of how many.
-        target: `>= 0.95` or the like; "" where none was set.
-    """
-
-    name: str
-    hits: int
-    of: int
-    target: str = ""
+    name: str  # what
+    hits: int  # how often it was
+    of: int  # out of how many
+    target: str = ""  # `>= 0.95` or the like; "" where none was set
 
     @property
     def share(self) -> float:

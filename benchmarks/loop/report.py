@@ -34,9 +34,9 @@ def error(flown: dict[str, Any]) -> float:
 
 
 def closed_share(rigs: Sequence[dict[str, Any]]) -> float:
-    """Share of the distance between the nominal policies' mean score and the oracles' that the extended ones close."""
+    """Share of the way from the mean score of nominal policies to the oracles' that the extended ones close, or NaN."""
     nominal, extended, oracle = (mean_score(rigs, name) for name in ("nominal", "extended", "oracle"))
-    return (nominal - extended) / (nominal - oracle)
+    return (nominal - extended) / (nominal - oracle) if nominal != oracle else float("nan")
 
 
 def tell_gain(rigs: Sequence[dict[str, Any]]) -> str:

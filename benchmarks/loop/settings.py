@@ -18,19 +18,12 @@ LOW = (0.75, 0.95)
 
 @dataclass(frozen=True)
 class Setting:
-    """Effects that a rig has and the twin lacks.
+    """Effects that a rig has and the twin lacks."""
 
-    Attributes:
-        name: in file names and tables.
-        title: in words.
-        ranges: effect → parameter → low and high end of what is drawn, SI.
-        low: flights stay near the floor.
-    """
-
-    name: str
-    title: str
-    ranges: dict[str, dict[str, tuple[float, float]]]
-    low: bool = False
+    name: str  # in file names and tables
+    title: str  # in words
+    ranges: dict[str, dict[str, tuple[float, float]]]  # effect → parameter → low and high end of what is drawn, SI
+    low: bool = False  # flights stay near the floor
 
 
 SETTINGS = (
@@ -76,19 +69,12 @@ STUCK = Setting(
 
 @dataclass(frozen=True)
 class Rig:
-    """One rig.
+    """One rig."""
 
-    Attributes:
-        setting: it comes from.
-        hidden: effect → parameter → value.
-        session: seed of its build tolerances.
-        controller: of its actuators, as `Sky` says.
-    """
-
-    setting: Setting
-    hidden: Effects
-    session: int
-    controller: str = "own"
+    setting: Setting  # it comes from
+    hidden: Effects  # effect → parameter → value
+    session: int  # seed of its build tolerances
+    controller: str = "own"  # of its actuators, as `Sky` says
 
     @property
     def sky(self) -> Sky:

@@ -33,17 +33,11 @@ POLICIES = {
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is trained and flown.
+    """How much is trained and flown."""
 
-    Attributes:
-        steps: policy steps of every training.
-        flights: of every policy on every rig.
-        threads: cores of one training.
-    """
-
-    steps: int = 3_000_000
-    flights: int = 200
-    threads: int = 2
+    steps: int = 3_000_000  # policy steps of every training
+    flights: int = 200  # of every policy on every rig
+    threads: int = 2  # cores of one training
 
 
 def call(arguments: Sequence[str], log: Path) -> None:

@@ -12,21 +12,13 @@ from vpptwin.vehicle import Vehicle
 
 
 class Simulator(Protocol):
-    """Many rigs in one simulator; made from a rig's file, the vehicle, a number of rigs and a seed.
+    """Many rigs in one simulator; made from a rig's file, the vehicle, a number of rigs and a seed."""
 
-    Attributes:
-        title: how the table names it.
-        leaves_out: what it does less, or more, than the environment of vpptwin, for the notes.
-        controlled: whether the flight controller runs; without it there is no flight to compare.
-        envs: number of rigs.
-        workers: processes besides this one.
-    """
-
-    title: ClassVar[str]
-    leaves_out: ClassVar[str]
-    controlled: ClassVar[bool]
-    envs: int
-    workers: int
+    title: ClassVar[str]  # how the table names it
+    leaves_out: ClassVar[str]  # what it does less, or more, than the environment of vpptwin, for the notes
+    controlled: ClassVar[bool]  # whether the flight controller runs; without it there is no flight to compare
+    envs: int  # number of rigs
+    workers: int  # processes besides this one
 
     def __init__(self, rig: Path, vehicle: Vehicle, envs: int, seed: int) -> None: ...
 

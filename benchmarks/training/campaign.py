@@ -59,19 +59,12 @@ VARIANTS = SETUPS | ABLATIONS | TASKS
 
 @dataclass(frozen=True)
 class Run:
-    """One run of training.
+    """One run of training."""
 
-    Attributes:
-        variant: a name of `VARIANTS`.
-        seed: of training.
-        folder: of the campaign.
-        options: overrides that all runs of the campaign share.
-    """
-
-    variant: str
-    seed: int
-    folder: Path
-    options: tuple[str, ...]
+    variant: str  # a name of `VARIANTS`
+    seed: int  # of training
+    folder: Path  # of the campaign
+    options: tuple[str, ...]  # overrides that all runs of the campaign share
 
     @property
     def out(self) -> Path:

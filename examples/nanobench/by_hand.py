@@ -1,8 +1,8 @@
 """What a fit by hand says of Nanobench's flights, without MuJoCo: python -m examples.nanobench.by_hand FOLDER.
 
 Of each flight, take-off and landing left out: how much a rotor at full PWM thrusts if it goes with PWM² and the craft
-weighs 30 g, from the accelerometer alone, in the first and the last seconds too; and the share of what turns the craft
-that PWM explains.
+weighs 30 g, from the accelerometer alone, in the first and the last seconds too; the share of what turns the craft
+that PWM explains; and the drag across thrust, by which the accelerometer's x and y follow the speed there.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ class Found:
         thrust: of a rotor at full PWM [N]; `first` and `last`: in five seconds at either end.
         shares: of the variance of the angular acceleration about x, y and z that PWM explains, at its best lag.
         slope: thrust per PWM² about hover, over that of a line through zero.
+        drag: along the body's x and y [N s/m].
     """
 
     thrust: float
@@ -36,6 +37,7 @@ class Found:
     last: float
     shares: tuple[float, float, float]
     slope: float
+    drag: tuple[float, float]
 
 
 def read_flight(path: Path) -> dict[str, Array]:
@@ -72,7 +74,19 @@ def look(path: Path) -> Found:
         for axis in range(3)
     ]
     ends = fit(slice(up[0], up[0] + PART)), fit(slice(up[1] - PART, up[1]))
-    return Found(thrust, *ends, (float(shares[0]), float(shares[1]), float(shares[2])), float(slope / thrust))
+    along = turn_to_body(log)[rows]
+    drag = [
+        -np.polyfit(along[:, i], 9.80665 * MASS * log[f"imu_acc_{axis}"][rows], 1)[0] for i, axis in enumerate("xy")
+    ]
+    told = (float(shares[0]), float(shares[1]), float(shares[2])), float(slope / thrust)
+    return Found(thrust, *ends, *told, (float(drag[0]), float(drag[1])))
+
+
+def turn_to_body(log: dict[str, Array]) -> Array:
+    """Velocities in the body's axes, (n, 3) m/s: v + 2 u × (u × v + w v), its attitude being (w, -u)."""
+    u, w = -np.stack([log[f"q{axis}"] for axis in "xyz"], axis=1), log["qw"][:, None]
+    velocity = np.stack([log[f"v{axis}"] for axis in "xyz"], axis=1)
+    return velocity + 2.0 * np.cross(u, np.cross(u, velocity) + w * velocity)
 
 
 def main() -> None:
@@ -83,7 +97,7 @@ def main() -> None:
         one = look(path)
         shares = ", ".join(f"{share:.2f}" for share in one.shares)
         print(f"{path.name:28s} {one.thrust:.4f} N, first {one.first:.4f}, last {one.last:.4f}; slope {one.slope:.2f}; "
-              f"turning explained {shares}")  # fmt: skip
+              f"turning explained {shares}; drag {one.drag[0]:.4f}, {one.drag[1]:.4f} N s/m")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -27,31 +27,18 @@ SLIDE = """<mujoco>
 
 @dataclass(frozen=True)
 class Plant:
-    """A joint and what its twin leaves out.
+    """A joint and what its twin leaves out."""
 
-    Attributes:
-        mass: or moment of inertia [kg, kg m²].
-        viscous: damping [N s/m].
-        coulomb: dry friction when it slides [N].
-        breakaway: by which dry friction is larger at rest [N].
-        bias: constant force [N].
-        hum: amplitude of a force of 0.8 Hz, which no effect of the catalogue is [N].
-        weight: torque of gravity at a right angle [N m].
-        drive: force of its motor at most [N]; 0 for none.
-        reach: of its references [m].
-        duration: of its log [s].
-    """
-
-    mass: float
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    breakaway: float = 0.0
-    bias: float = 0.0
-    hum: float = 0.0
-    weight: float = 0.0
-    drive: float = 0.0
-    reach: float = 0.5
-    duration: float = 24.0
+    mass: float  # or moment of inertia [kg, kg m²]
+    viscous: float = 0.0  # damping [N s/m]
+    coulomb: float = 0.0  # dry friction when it slides [N]
+    breakaway: float = 0.0  # by which dry friction is larger at rest [N]
+    bias: float = 0.0  # constant force [N]
+    hum: float = 0.0  # amplitude of a force of 0.8 Hz, which no effect of the catalogue is [N]
+    weight: float = 0.0  # torque of gravity at a right angle [N m]
+    drive: float = 0.0  # force of its motor at most [N]; 0 for none
+    reach: float = 0.5  # of its references [m]
+    duration: float = 24.0  # of its log [s]
 
 
 def move(plant: Plant, seed: int, start: float = 0.0) -> Track:

@@ -14,6 +14,8 @@ from tests.twin.hover import share_kernel
 from vpptwin.actuators.motor import compute_current
 from vpptwin.effects import CATALOGUE, Effect, Link, Parameter, effects_for_rig, find_effect, generic_place
 from vpptwin.effects.actuator import SAG
+from vpptwin.effects.contact import effects_for_contacts
+from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
 
@@ -26,12 +28,15 @@ CART_PENDULUM = """<mujoco model="cart_pendulum">
   <compiler angle="radian"/>
   <option timestep="0.001" integrator="Euler"/>
   <worldbody>
+    <geom name="wall" type="box" pos="4.1 0 0" size="0.02 1 2" conaffinity="0"/>
     <body name="cart">
       <joint name="slide" type="slide" axis="1 0 0"/>
       <inertial pos="0 0 0" mass="0.8" diaginertia="1e-3 1e-3 1e-3"/>
+      <geom type="sphere" size="0.1" contype="0"/>
       <body name="pole">
         <joint name="swing" type="hinge" axis="0 -1 0"/>
         <inertial pos="0 0 -0.3" mass="0.2" diaginertia="2e-3 2e-3 1e-5"/>
+        <geom type="sphere" pos="0 0 -0.6" size="0.02" contype="0"/>
       </body>
     </body>
   </worldbody>
@@ -47,6 +52,7 @@ signals:
 CART_EFFECTS = effects_for_rig(
     [generic_place("slide", False, 1.0, room=1.0, driven=True), generic_place("swing", True, 1.0, room=1.0, dof=1)],
     {"motor": 1.0}, loops={"motor": (SAG,)}, links=[Link("pole", 0.2, (0.0, 0.0, -0.6), 0.3)], mounted=True,
+    contacts=effects_for_contacts(JOINT_SHOWS, [(0.02, 1.0)], 0.001),
 )  # fmt: skip
 EFFECTS = {"flown": CATALOGUE, "replayed": CATALOGUE, "cart": CART_EFFECTS}
 """What each rig can have, as known before it is loaded."""
@@ -60,6 +66,7 @@ class Rig:
         name: `flown` (drone under policy commands), `replayed` (drone under blade pitches) or `cart`.
         spec: no effect switched on.
         low, high: corners of the box that starts are drawn from, positions before velocities, (2 nv,) m, rad, m/s, ...
+        near_low, near_high: the same of a box near a wall, moving onto it and along it.
         drives: standard deviation of a random command, (nu,).
         trim: its mean.
         hold: for how many intervals of 10 ms a command stands.
@@ -70,6 +77,8 @@ class Rig:
     spec: TwinSpec
     low: tuple[float, ...]
     high: tuple[float, ...]
+    near_low: tuple[float, ...]
+    near_high: tuple[float, ...]
     drives: tuple[float, ...]
     trim: tuple[float, ...]
     hold: int = 1
@@ -85,8 +94,12 @@ class Rig:
         return find_effect(self.spec.catalogue, effect_id)
 
     def for_effect(self, effect_id: str) -> Rig:
-        """The rig driven so that the effect can be seen."""
-        return replace(self, throttled="/rotor/state" in self.effect(effect_id).shows)
+        """The rig driven so that the effect can be seen: where it acts where bodies touch, from near a wall onto it."""
+        effect = self.effect(effect_id)
+        if effect.touching:
+            calm = tuple(0.25 * drive for drive in self.drives)
+            return replace(self, low=self.near_low, high=self.near_high, drives=calm)
+        return replace(self, throttled="/rotor/state" in effect.shows)
 
     def twin(self, num_sims: int, values: Mapping[str, Mapping[str, np.ndarray | float]] | None = None) -> Twin:
         """A twin with some effects switched on, parameters at off where no value is given."""
@@ -194,11 +207,14 @@ def load_rigs(folder: Path) -> dict[str, Rig]:
     (folder / "cart.yaml").write_text(CART_TWIN)
     drone = load_twin()
     low, high = (-0.3, 1.2, -0.5, -0.8, -0.5, -2.0), (0.3, 1.6, 0.5, 0.8, 0.8, 2.0)
+    # Level it touches the wall at 1.485 m.
+    near = (1.482, 1.2, -0.1, 0.02, -0.1, -0.1), (1.484, 1.6, 0.1, 0.04, 0.1, 0.1)
+    bumper = (3.974, -0.1, 0.1, -0.2), (3.978, 0.1, 0.2, 0.2)  # the cart's at 3.98 m
     cart = load_twin(folder / "cart.yaml")
     return {
-        "flown": Rig("flown", drone, low, high, (4.0, 6.0), (4.0, 0.0)),
-        "replayed": Rig("replayed", drone, low, high, (0.08, 0.08), (0.06, 0.06)),
-        "cart": Rig("cart", cart, (-1, -1.5, -0.8, -3.0), (1, 1.5, 0.8, 3.0), (1.0,), (0.0,), hold=3),
+        "flown": Rig("flown", drone, low, high, *near, (4.0, 6.0), (4.0, 0.0)),
+        "replayed": Rig("replayed", drone, low, high, *near, (0.08, 0.08), (0.06, 0.06)),
+        "cart": Rig("cart", cart, (-1, -1.5, -0.8, -3.0), (1, 1.5, 0.8, 3.0), *bumper, (1.0,), (0.0,), hold=3),
     }
 
 

@@ -124,6 +124,13 @@ SITE = Site(dof=1, place=1, actuator=0, body=2)
 G = 9.81
 SIXTH = np.pi / 6  # sin = 1/2
 CONSTANT_LAWS = [
+    # Time constant by damping, ratio by damping over the root of stiffness; numbers below zero are the two themselves.
+    (
+        "contact.compliance",
+        {"stiffness": (4.0, 1.0), "damping": (2.0, 0.5)},
+        {"geom_solref": [[[0.01, 1.0], [-400.0, -20.0]], [[0.04, 0.5], [-100.0, -5.0]]]},
+    ),
+    ("contact.friction", {"gain": (0.5, 2.0)}, {"geom_friction": [[[0.2, 0.1], [0.5, 0.1]], [[0.8, 0.1], [2.0, 0.1]]]}),
     ("rail_x.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),  # 0.1 besides
     ("rail_z.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
     ("pitch.viscous", {"damping": (0.3, 0.5)}, {"dof_damping": [[0, 0.4, 0], [0, 0.6, 0]]}),
@@ -233,6 +240,8 @@ def nominal_constants() -> dict[str, np.ndarray]:
         "dof_damping": rows(0.0, 0.1, 0.0),
         "dof_armature": rows(0.0, 0.2, 0.0),
         "opt.gravity": rows(0.0, 0.0, -G),
+        "geom_solref": rows([0.02, 1.0], [-100.0, -10.0]),
+        "geom_friction": rows([0.4, 0.1], [1.0, 0.1]),
     }
 
 

@@ -64,15 +64,18 @@ MORE_EFFECTS: dict[str, dict[str, str]] = {
     "rail_z.lugre": {"compliance": "m/N"},
     "pitch.lugre": {"compliance": "rad/(N m)"},
     "rail_x.elastic": {"share": "", "frequency": "Hz", "zeta": ""},
+    "contact.compliance": {"stiffness": "", "damping": ""},
+    "contact.friction": {"gain": ""},
 }
 """What the catalogue has besides SPEC 5."""
 SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
                     "rate_bias", "rate_scale", "cogging", "tight_spot", "fade"}  # fmt: skip
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
 BODY_KINDS = {"mass", "payload", "tilt"}
+CONTACT_KINDS = {"compliance", "friction"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
 RATIOS = {"gain", "fraction", "mu", "loss", "scale", "share", "zeta"}
-"""Parameters that are pure numbers."""
+"""Parameters that are pure numbers, as are all of contacts."""
 SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta", "place_x", "place_y", "place_z",
           "waves", "phase"}  # fmt: skip
 """Parameters that merely shape an effect whose strength another one gives."""
@@ -103,6 +106,7 @@ def test_any_rig_has_the_generic_effects() -> None:
         "swing.fade",
     }
     wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.payload", "mount.tilt"}
+    wanted |= {f"contact.{kind}" for kind in CONTACT_KINDS}
     assert {effect.id for effect in CART_EFFECTS} == wanted
     assert len(CART_EFFECTS) == len(wanted)
 
@@ -156,8 +160,9 @@ def test_what_scales_friction_comes_after_all_of_it() -> None:
 def test_generic_ids_name_their_target(effect: Effect) -> None:
     """A generic effect is called after the joint or actuator it acts on, with a kind of SPEC 5."""
     target, _, kind = effect.id.rpartition(".")
-    kinds = {"motor": SPEC_ACTUATOR_KINDS, "pole": BODY_KINDS, "mount": BODY_KINDS}.get(target, SPEC_JOINT_KINDS)
-    assert effect.target == ("" if target == "mount" else target)
+    special = {"motor": SPEC_ACTUATOR_KINDS, "pole": BODY_KINDS, "mount": BODY_KINDS, "contact": CONTACT_KINDS}
+    kinds = special.get(target, SPEC_JOINT_KINDS)
+    assert effect.target == ("" if target in ("mount", "contact") else target)
     assert kind in kinds
     weighed = {"motor.gain": {"pole.mass", "pole.payload"}, "pole.mass": {"motor.gain"}, "pole.payload": {"motor.gain"}}
     alike = set(effect.look_alikes) - weighed.get(effect.id, set())
@@ -198,7 +203,7 @@ def test_parameter_numbers_make_sense(effect: Effect, parameter: Parameter) -> N
     else:
         assert 0.0 < parameter.size <= 0.5 * (parameter.high - parameter.low)
     assert np.isfinite([parameter.low, parameter.off, parameter.high, parameter.size, parameter.tolerance]).all()
-    assert bool(parameter.unit) != (parameter.name in RATIOS)
+    assert bool(parameter.unit) != (parameter.name in RATIOS or effect.touching)
 
 
 @pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)

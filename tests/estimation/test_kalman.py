@@ -27,21 +27,13 @@ PLANS: list[FlightPlan] = [
 
 @dataclass(frozen=True)
 class Estimated:
-    """What a filter made of a flight.
+    """What a filter made of a flight."""
 
-    Attributes:
-        time: (n,) s.
-        error: of x, z, θ, v_x, v_z, q, (n, 6).
-        surprise: normalized innovations squared, (m,).
-        used: when each pose arrived, (m,) s.
-        filter: at the end.
-    """
-
-    time: np.ndarray
-    error: np.ndarray
-    surprise: np.ndarray
-    used: np.ndarray
-    filter: KalmanFilter
+    time: np.ndarray  # (n,) s
+    error: np.ndarray  # of x, z, θ, v_x, v_z, q, (n, 6)
+    surprise: np.ndarray  # normalized innovations squared, (m,)
+    used: np.ndarray  # when each pose arrived, (m,) s
+    filter: KalmanFilter  # at the end
 
 
 def read(flight: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

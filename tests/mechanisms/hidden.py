@@ -20,23 +20,14 @@ Values = dict[str, float]
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect to hide.
+    """An effect to hide."""
 
-    Attributes:
-        effect: its id.
-        joint: index of the joint, of an actuator's the driven one.
-        share: its size, as a share of what is usual there.
-        sign: of what may have either.
-        seed: of its further numbers.
-        sensor: whether it is the log of the torque that is wrong, not the torque.
-    """
-
-    effect: str
-    joint: int
-    share: float
-    sign: float = 1.0
-    seed: int = 0
-    sensor: bool = False
+    effect: str  # its id
+    joint: int  # index of the joint, of an actuator's the driven one
+    share: float  # its size, as a share of what is usual there
+    sign: float = 1.0  # of what may have either
+    seed: int = 0  # of its further numbers
+    sensor: bool = False  # whether it is the log of the torque that is wrong, not the torque
 
     @property
     def kind(self) -> str:

@@ -35,21 +35,13 @@ Column = np.ndarray
 
 @dataclass(frozen=True)
 class Visibility:
-    """How visible one hidden effect is.
+    """How visible one hidden effect is."""
 
-    Attributes:
-        seen: sigma from nothing, what else is hidden and the build's jitter being free.
-        apart: likewise from the nearest look-alike.
-        nearest: that look-alike's id.
-        shift: rms change of free predictions within a second, in units of the encoders' noise.
-        alike: ids of the look-alikes within `APART` that explain more than half of it.
-    """
-
-    seen: float
-    apart: float
-    nearest: str
-    shift: float
-    alike: list[str]
+    seen: float  # sigma from nothing, what else is hidden and the build's jitter being free
+    apart: float  # likewise from the nearest look-alike
+    nearest: str  # that look-alike's id
+    shift: float  # rms change of free predictions within a second, in units of the encoders' noise
+    alike: list[str]  # ids of the look-alikes within `APART` that explain more than half of it
 
     @property
     def detectable(self) -> bool:

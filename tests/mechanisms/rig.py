@@ -17,31 +17,18 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Link:
-    """A body and the joint that carries it; its parent is the link before it.
+    """A body and the joint that carries it; its parent is the link before it."""
 
-    Attributes:
-        joint: name.
-        rotary: hinge, else slide.
-        axis: of the joint, unit vector in the link's axes.
-        place: of the joint in the parent's axes [m].
-        com: centre of mass [m].
-        mass: kg.
-        inertia: about the centre of mass, along the link's axes [kg m²].
-        armature: inertia of the drive reflected to the joint [kg, kg m²].
-        damping: that the MJCF knows of [N s/m, N m s/rad].
-        dry: likewise dry friction [N, N m].
-    """
-
-    joint: str
-    rotary: bool
-    axis: Vector
-    place: Vector
-    com: Vector
-    mass: float
-    inertia: Vector
-    armature: float = 0.0
-    damping: float = 0.0
-    dry: float = 0.0
+    joint: str  # name
+    rotary: bool  # hinge, else slide
+    axis: Vector  # of the joint, unit vector in the link's axes
+    place: Vector  # of the joint in the parent's axes [m]
+    com: Vector  # centre of mass [m]
+    mass: float  # kg
+    inertia: Vector  # about the centre of mass, along the link's axes [kg m²]
+    armature: float = 0.0  # inertia of the drive reflected to the joint [kg, kg m²]
+    damping: float = 0.0  # that the MJCF knows of [N s/m, N m s/rad]
+    dry: float = 0.0  # likewise dry friction [N, N m]
 
 
 @dataclass(frozen=True)
@@ -56,21 +43,13 @@ class Drive:
 
 @dataclass(frozen=True)
 class Rig:
-    """A chain of links under gravity along -z.
+    """A chain of links under gravity along -z."""
 
-    Attributes:
-        family: that it was drawn from.
-        links: from the ground on.
-        drives: in the order of the control inputs.
-        travel: amplitude that each joint is moved about by, (n,) [m, rad].
-        pace: typical angular frequency of its motion [rad/s].
-    """
-
-    family: str
-    links: tuple[Link, ...]
-    drives: tuple[Drive, ...]
-    travel: tuple[float, ...]
-    pace: float
+    family: str  # that it was drawn from
+    links: tuple[Link, ...]  # from the ground on
+    drives: tuple[Drive, ...]  # in the order of the control inputs
+    travel: tuple[float, ...]  # amplitude that each joint is moved about by, (n,) [m, rad]
+    pace: float  # typical angular frequency of its motion [rad/s]
 
     @property
     def joints(self) -> list[str]:

@@ -15,23 +15,14 @@ MARGIN = 20.0
 
 @dataclass(frozen=True)
 class Sensors:
-    """How a rig is measured, in shares of what moves there.
+    """How a rig is measured, in shares of what moves there."""
 
-    Attributes:
-        noise: of positions, share of their standard deviation.
-        quantum: of an encoder, likewise; 0 for none.
-        velocity: `none`, `noisy`, or `filtered`: differences of what the encoder says, low-passed.
-        velocity_noise: share of the rms velocity.
-        cut: of that filter [Hz].
-        torque: noise of logged inputs, share of their rms.
-    """
-
-    noise: float
-    quantum: float
-    velocity: str
-    velocity_noise: float
-    cut: float
-    torque: float
+    noise: float  # of positions, share of their standard deviation
+    quantum: float  # of an encoder, likewise; 0 for none
+    velocity: str  # `none`, `noisy`, or `filtered`: differences of what the encoder says, low-passed
+    velocity_noise: float  # share of the rms velocity
+    cut: float  # of that filter [Hz]
+    torque: float  # noise of logged inputs, share of their rms
 
 
 def draw_sensors(rng: np.random.Generator) -> Sensors:

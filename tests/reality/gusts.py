@@ -21,19 +21,12 @@ BURST, CALM = 3.0, 3.0  # correlation times that a burst lasts, and between two 
 
 @dataclass(frozen=True)
 class Wind:
-    """What gusts are like; the default is what the diagnosis assumes.
+    """What gusts are like; the default is what the diagnosis assumes."""
 
-    Attributes:
-        kind: One of KINDS.
-        strength: rms, in multiples of SHARE.
-        time: s over which the force stays alike.
-        axes: Factors on x, z and moment.
-    """
-
-    kind: str = "ou"
-    strength: float = 1.0
-    time: float = 0.3
-    axes: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    kind: str = "ou"  # One of KINDS
+    strength: float = 1.0  # rms, in multiples of SHARE
+    time: float = 0.3  # s over which the force stays alike
+    axes: tuple[float, float, float] = (1.0, 1.0, 1.0)  # Factors on x, z and moment
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Wind:

@@ -12,27 +12,16 @@ PERIOD = 0.01  # s
 
 @dataclass
 class Script:
-    """A timeline of `ticks` policy periods.
+    """A timeline of `ticks` policy periods."""
 
-    Attributes:
-        setpoint: x m, z m, theta rad as published on /setpoint/pose. (ticks, 3).
-        reference: x, z the position loop follows, m. (ticks, 2).
-        velocity: Feed-forward, m/s. (ticks, 2).
-        accel: Feed-forward, m/s^2. (ticks, 2).
-        base: Body angle about which the position loop tilts, rad. (ticks,).
-        nudge: Angle added to the tilt, rad. (ticks,).
-        turning: Whether `base` alone commands the angle. (ticks,).
-        haste: Largest position error that the position loop answers to, m. (ticks,).
-    """
-
-    setpoint: np.ndarray
-    reference: np.ndarray
-    velocity: np.ndarray
-    accel: np.ndarray
-    base: np.ndarray
-    nudge: np.ndarray
-    turning: np.ndarray
-    haste: np.ndarray
+    setpoint: np.ndarray  # x m, z m, theta rad as published on /setpoint/pose. (ticks, 3)
+    reference: np.ndarray  # x, z the position loop follows, m. (ticks, 2)
+    velocity: np.ndarray  # Feed-forward, m/s. (ticks, 2)
+    accel: np.ndarray  # Feed-forward, m/s^2. (ticks, 2)
+    base: np.ndarray  # Body angle about which the position loop tilts, rad. (ticks,)
+    nudge: np.ndarray  # Angle added to the tilt, rad. (ticks,)
+    turning: np.ndarray  # Whether `base` alone commands the angle. (ticks,)
+    haste: np.ndarray  # Largest position error that the position loop answers to, m. (ticks,)
 
 
 class Choreographer:

@@ -47,17 +47,11 @@ ALIEN_KINDS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Form:
-    """An effect of the catalogue with another law.
+    """An effect of the catalogue with another law."""
 
-    Attributes:
-        nearest: The effect of the catalogue that it is.
-        sizes: Its parameters.
-        also: Effects that describe part of its law too: named beside the nearest they are not wrong.
-    """
-
-    nearest: str
-    sizes: dict[str, Size]
-    also: tuple[str, ...] = ()
+    nearest: str  # The effect of the catalogue that it is
+    sizes: dict[str, Size]  # Its parameters
+    also: tuple[str, ...] = ()  # Effects that describe part of its law too: named beside the nearest they are not wrong
 
 
 FORMS: dict[str, Form] = {

@@ -21,12 +21,9 @@ _POSE_GAIN, _VELOCITY_GAIN, _ANGLE_BLEND = 0.25, 2.5, 0.15  # 1, 1/s, 1
 
 
 class Commander(Protocol):
-    """Whoever flies a batch.
+    """Whoever flies a batch."""
 
-    Attributes:
-        setpoint: x m, z m, theta rad of each policy period, as published on /setpoint/pose. (ticks, 3, flights).
-    """
-
+    # x m, z m, theta rad of each policy period, as published on /setpoint/pose. (ticks, 3, flights)
     setpoint: np.ndarray
 
     def command(

@@ -23,21 +23,13 @@ EPOCH_NS = 1_760_000_000_000_000_000  # first stamp of the flight with seed 0; a
 
 @dataclass(frozen=True)
 class Topic:
-    """Messages of one topic.
+    """Messages of one topic."""
 
-    Attributes:
-        kind: Message type.
-        frame: frame_id.
-        time: header.stamp, s since the start of the log. (n,).
-        latency: From stamp to record, s. (n,).
-        columns: Varying fields as the message has them, SI. (n,) each.
-    """
-
-    kind: str
-    frame: str
-    time: np.ndarray
-    latency: np.ndarray
-    columns: dict[str, np.ndarray]
+    kind: str  # Message type
+    frame: str  # frame_id
+    time: np.ndarray  # header.stamp, s since the start of the log. (n,)
+    latency: np.ndarray  # From stamp to record, s. (n,)
+    columns: dict[str, np.ndarray]  # Varying fields as the message has them, SI. (n,) each
 
 
 @dataclass

@@ -13,17 +13,11 @@ from .rotor import STEP, SUBSTEPS, Motor, Propeller, Servo
 
 @dataclass(frozen=True)
 class Replay:
-    """What became of the flights at 0, every, 2 every, ... s.
+    """What became of the flights at 0, every, 2 every, ... s."""
 
-    Attributes:
-        states: x m, z m, theta rad and their rates. (times, 6, flights).
-        reversed: Dry friction N, N m of each joint, summed over its reversals so far. (times, 3, flights).
-        arrested: Likewise, summed over its reversals and its stops.
-    """
-
-    states: np.ndarray
-    reversed: np.ndarray
-    arrested: np.ndarray
+    states: np.ndarray  # x m, z m, theta rad and their rates. (times, 6, flights)
+    reversed: np.ndarray  # Dry friction N, N m of each joint, summed over its reversals so far. (times, 3, flights)
+    arrested: np.ndarray  # Likewise, summed over its reversals and its stops
 
     def take(self, which: np.ndarray) -> Replay:
         """Some of the flights."""

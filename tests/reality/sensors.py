@@ -33,33 +33,19 @@ def quantise(value: np.ndarray, lsb: float) -> np.ndarray:
 
 @dataclass
 class Chances:
-    """Random series of a batch. Time runs in steps of 1 ms (mocap: 10 ms), flights are the last axis.
+    """Random series of a batch. Time runs in steps of 1 ms (mocap: 10 ms), flights are the last axis."""
 
-    Attributes:
-        gyro: rad/s, (steps, flights).
-        accel: m/s^2, (steps, 2, flights).
-        speed: rad/s, (steps, 2, flights).
-        current: A, (steps, 2, flights).
-        gust: N, N, N m at the whole milliseconds, (steps + 1, 3, flights); of a field once it has been felt.
-        mocap: m, m, rad, (frames, 3, flights).
-        jitter: s, error of mocap stamps, (frames, flights).
-        seen: Whether a frame arrives, (frames, flights).
-        phase: ms from a policy tick to the mocap frame that follows, (flights,).
-        ripple: Factor on thrust, (steps, flights).
-        wild: m, m, rad, by which recorded mocap frames are wrong, mostly 0, (frames, 3, flights).
-    """
-
-    gyro: np.ndarray
-    accel: np.ndarray
-    speed: np.ndarray
-    current: np.ndarray
-    gust: np.ndarray
-    mocap: np.ndarray
-    jitter: np.ndarray
-    seen: np.ndarray
-    phase: np.ndarray
-    ripple: np.ndarray
-    wild: np.ndarray
+    gyro: np.ndarray  # rad/s, (steps, flights)
+    accel: np.ndarray  # m/s^2, (steps, 2, flights)
+    speed: np.ndarray  # rad/s, (steps, 2, flights)
+    current: np.ndarray  # A, (steps, 2, flights)
+    gust: np.ndarray  # N, N, N m at the whole milliseconds, (steps + 1, 3, flights); of a field once it has been felt
+    mocap: np.ndarray  # m, m, rad, (frames, 3, flights)
+    jitter: np.ndarray  # s, error of mocap stamps, (frames, flights)
+    seen: np.ndarray  # Whether a frame arrives, (frames, flights)
+    phase: np.ndarray  # ms from a policy tick to the mocap frame that follows, (flights,)
+    ripple: np.ndarray  # Factor on thrust, (steps, flights)
+    wild: np.ndarray  # m, m, rad, by which recorded mocap frames are wrong, mostly 0, (frames, 3, flights)
 
 
 def _draw_gaps(rng: np.random.Generator, frames: int) -> np.ndarray:

@@ -14,19 +14,12 @@ def round_size(value: float) -> float:
 
 @dataclass(frozen=True)
 class Size:
-    """Sizes that a hidden parameter may take.
+    """Sizes that a hidden parameter may take."""
 
-    Attributes:
-        unit: SI unit of the parameter.
-        off: Value at which the effect does nothing (NaN: the vehicle's nominal value).
-        spans: Intervals to draw from, negative ones included, each equally likely.
-        idle: Value from which on it does nothing in flight, where that is not `off`.
-    """
-
-    unit: str
-    off: float
-    spans: tuple[tuple[float, float], ...]
-    idle: float | None = None
+    unit: str  # SI unit of the parameter
+    off: float  # Value at which the effect does nothing (NaN: the vehicle's nominal value)
+    spans: tuple[tuple[float, float], ...]  # Intervals to draw from, negative ones included, each equally likely
+    idle: float | None = None  # Value from which on it does nothing in flight, where that is not `off`
 
     @property
     def nothing(self) -> float:

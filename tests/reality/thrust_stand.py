@@ -15,21 +15,13 @@ from .sensors import CURRENT_LSB, SPEED_LSB, quantise
 
 @dataclass(frozen=True)
 class Reading:
-    """What a stand shows at one time. Each (2, runs).
+    """What a stand shows at one time. Each (2, runs)."""
 
-    Attributes:
-        speed: Measured, rad/s.
-        current: Measured, A.
-        thrust: True, N.
-        true_speed: rad/s.
-        pitch: True blade pitch, rad.
-    """
-
-    speed: np.ndarray
-    current: np.ndarray
-    thrust: np.ndarray
-    true_speed: np.ndarray
-    pitch: np.ndarray
+    speed: np.ndarray  # Measured, rad/s
+    current: np.ndarray  # Measured, A
+    thrust: np.ndarray  # True, N
+    true_speed: np.ndarray  # rad/s
+    pitch: np.ndarray  # True blade pitch, rad
 
 
 class ThrustStand:

@@ -24,7 +24,7 @@ from vpptwin.train.evaluate import Conditions, evaluate
 from vpptwin.train.main import run_train
 from vpptwin.train.snapshot import restore_snapshot, take_snapshot
 
-pytest.importorskip("warp")
+pytest.importorskip("mujoco_warp")
 from vpptwin.train.device_env import DeviceEnv, make_device_env
 
 FLOWN = ("num_envs=16", "minibatch=32", "randomize=paper", "engine=warp", "desynchronize=false", "sim_threads=1")
@@ -49,11 +49,15 @@ def copy_over(plain: VppEnv, env: DeviceEnv) -> None:
             getattr(mine, name).copy_(torch.tensor(values))
 
 
-@pytest.mark.parametrize("overrides", [("noise=0",), ("noise=0", "task=flip", "critic=lstm", "task.target.turns=0")])
+@pytest.mark.parametrize(
+    "overrides",
+    [(), ("task=flip", "critic=lstm", "task.target.turns=0"), ("task=wall-backtrack",)],
+    ids=["hover", "flip", "wall"],
+)
 def test_flies_as_numba_does(overrides: tuple[str, ...]) -> None:
     """Observation, reward, what a critic sees and how episodes end, with what the paper randomizes."""
-    plain = make_env(tiny_config(*FLOWN, *overrides))
-    env = device_env(*overrides)
+    overrides = "noise=0", *overrides
+    plain, env = make_env(tiny_config(*FLOWN, *overrides)), device_env(*overrides)
     plain.reset()
     env.reset()
     copy_over(plain, env)
@@ -156,9 +160,10 @@ def test_what_diverges_begins_anew() -> None:
     assert torch.isfinite(shown["observation"]).all()
 
 
-def test_snapshot_goes_on_bit_equal() -> None:
+@pytest.mark.parametrize("task", ["flip", "wall-backtrack"])
+def test_snapshot_goes_on_bit_equal(task: str) -> None:
     """What evolves is saved and put back whole; one of numba's is refused."""
-    env, other = device_env("task=flip", "noise=1"), device_env("task=flip", "noise=1", "seed=7")
+    env, other = device_env(f"task={task}", "noise=1"), device_env(f"task={task}", "noise=1", "seed=7")
     fly(env)
     restore_snapshot(other, take_snapshot(env))
     env.restored = True  # its next full reset too hands out the present
@@ -219,10 +224,12 @@ def test_what_warp_does_not_do_is_refused(overrides: tuple[str, ...], said: str)
         tiny_config(*FLOWN, *overrides)
 
 
-def test_contact_is_refused() -> None:
-    """A task that flies into the ends of the rail needs MuJoCo."""
-    with pytest.raises(InputError, match=r"wall-backtrack.*engine=numba"):
-        device_env("task=wall-backtrack")
+def test_training_at_the_wall(tmp_path: Path) -> None:
+    """A few hundred steps by mujoco_warp; the policy flies in numba's twin."""
+    brief = ("task=wall-backtrack", "engine=warp", "num_envs=16", "rollout=8", "minibatch=64", "exam_every=0",
+             "loggers=csv", "progress=false", "sim_threads=1", "task.episode=0.5", "task.success.window=0.2",
+             "total_steps=384", f"out={tmp_path / 'wall'}")  # fmt: skip
+    assert evaluate(run_train([*brief]), Conditions(tracks=4))["fail_rate"] <= 1.0
 
 
 def test_missing_parts_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,7 +266,7 @@ def test_no_step_asks_the_device() -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a card")
-@pytest.mark.parametrize("task", ["hover", "flip"])
+@pytest.mark.parametrize("task", ["hover", "flip", "wall-backtrack"])
 def test_no_step_waits_for_the_card(task: str) -> None:
     """Neither a step nor a new episode synchronises, and a card flies as Warp's processor device does."""
     card = make_device_env(

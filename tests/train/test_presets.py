@@ -115,6 +115,15 @@ def test_help_lists_tasks_and_presets() -> None:
     compose_config([example.strip("'") for example in examples])
 
 
+def test_a_card_takes_8192_rigs() -> None:
+    """The preset for one steps them there; without a card Warp's processor device does."""
+    config = compose_config(["preset=card"])
+    assert (config.on_device, config.num_envs, config.device) == (True, 8192, "cuda")
+    small = compose_config(["preset=card", "device=cpu", "engine=warp", "num_envs=64", "total_steps=4096"])
+    assert small.on_device
+    assert small.num_envs * small.rollout == 1024
+
+
 @pytest.mark.parametrize("flag", ["--help", "-h"])
 def test_help_is_printed_wherever_it_is_asked_for(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Beside options too, which are not looked at; nothing is trained."""

@@ -21,19 +21,12 @@ PERIOD = 0.01
 
 @dataclass
 class Course:
-    """What N episodes asked for: after every step, the state after the reset first.
+    """What N episodes asked for: after every step, the state after the reset first."""
 
-    Attributes:
-        time: since the start, (steps + 1,) s.
-        target: (steps + 1, N, 3) m, m, rad.
-        stage: triggers so far, (steps + 1, N).
-        turn: what a target has still to turn through, (steps + 1, N) rad.
-    """
-
-    time: np.ndarray
-    target: np.ndarray
-    stage: np.ndarray
-    turn: np.ndarray
+    time: np.ndarray  # since the start, (steps + 1,) s
+    target: np.ndarray  # (steps + 1, N, 3) m, m, rad
+    stage: np.ndarray  # triggers so far, (steps + 1, N)
+    turn: np.ndarray  # what a target has still to turn through, (steps + 1, N) rad
 
     def triggers(self, row: int) -> np.ndarray:
         """Indices of the steps in which a trigger came."""

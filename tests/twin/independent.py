@@ -34,21 +34,13 @@ ROTOR_SPEED = 540.0
 
 @dataclass(frozen=True)
 class Flights:
-    """Random flights.
+    """Random flights."""
 
-    Attributes:
-        cases: what is switched on in each, (N,): "none", an effect or "all".
-        hidden: effects of each.
-        state: x m, z m, theta rad and their rates at the start, (6, N).
-        pitch: blade-pitch commands, (M, 2, N) rad.
-        throttle: (M, 2, N).
-    """
-
-    cases: np.ndarray
-    hidden: tuple[dict[str, dict[str, float]], ...]
-    state: np.ndarray
-    pitch: np.ndarray
-    throttle: np.ndarray
+    cases: np.ndarray  # what is switched on in each, (N,): "none", an effect or "all"
+    hidden: tuple[dict[str, dict[str, float]], ...]  # effects of each
+    state: np.ndarray  # x m, z m, theta rad and their rates at the start, (6, N)
+    pitch: np.ndarray  # blade-pitch commands, (M, 2, N) rad
+    throttle: np.ndarray  # (M, 2, N)
 
     def take(self, which: np.ndarray) -> Flights:
         """Some of them."""
@@ -137,21 +129,13 @@ def draw_flights(cases: Mapping[str, int], free: bool, seconds: float, seed: int
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far the twin is from the independent simulation, both at their finer steps.
+    """How far the twin is from the independent simulation, both at their finer steps."""
 
-    Attributes:
-        flights: what was flown.
-        free: whether without the rig.
-        flown: by the independent simulation, at STEP.
-        error: largest difference so far, (times, 6, N) m, rad, m/s, rad/s.
-        bound: what the steps explain of it, likewise.
-    """
-
-    flights: Flights
-    free: bool
-    flown: Replay
-    error: np.ndarray
-    bound: np.ndarray
+    flights: Flights  # what was flown
+    free: bool  # whether without the rig
+    flown: Replay  # by the independent simulation, at STEP
+    error: np.ndarray  # largest difference so far, (times, 6, N) m, rad, m/s, rad/s
+    bound: np.ndarray  # what the steps explain of it, likewise
 
     def select(self, case: str, limit: int | None = None) -> np.ndarray:
         """Indices of the first flights of a case."""

@@ -63,6 +63,21 @@ def test_models_that_ask_for_gigabytes_are_refused(tmp_path: Path, index: int) -
         load_twin(tmp_path / "twin.yaml")
 
 
+@pytest.mark.parametrize("way", ["bytes", "dashes", "included"])
+def test_models_are_refused_before_mujoco_hangs(tmp_path: Path, way: str) -> None:
+    """What no parser of XML reads and MuJoCo does, whose next model would wait for this one's lock; and includes."""
+    comment = {"bytes": b"<!-- \xff\x08 -->", "dashes": b"<!-- a -- b & c -->", "included": b""}[way]
+    text = comment + ELEMENTS[0].encode()
+    if way == "included":
+        (tmp_path / "huge.xml").write_bytes(b"<mujoco>" + text + b"</mujoco>")
+        text = b'<include file="huge.xml"/><include file="rig.xml"/><include file="nowhere.xml"/>'
+    rig = (MODELS / "rail_rig.xml").read_bytes()
+    (tmp_path / "rig.xml").write_bytes(rig.replace(b"</mujoco>", text + b"</mujoco>"))
+    (tmp_path / "twin.yaml").write_text(RIG.replace("rail_rig", "rig"))
+    with pytest.raises(InputError, match="<hfield"):
+        load_twin(tmp_path / "twin.yaml")
+
+
 def test_a_refused_model_costs_a_command_nothing(tmp_path: Path) -> None:
     """The line, and less than a gigabyte."""
     text = (MODELS / "rail_rig.xml").read_text().replace("</mujoco>", f"{ELEMENTS[0]}\n</mujoco>")

@@ -28,10 +28,11 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
 
 
 def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
-    """A twin with every effect on, at values drawn from the priors, half of them at off."""
+    """A twin with every effect on but those of contacts, at values drawn from the priors, half of them at off."""
+    effects = [effect for effect in rig.spec.catalogue if not effect.touching]
     with share_kernel():
-        twin = Twin(rig.spec, ROWS, active=[effect.id for effect in rig.spec.catalogue], num_threads=2)
-    for effect in rig.spec.catalogue:
+        twin = Twin(rig.spec, ROWS, active=[effect.id for effect in effects], num_threads=2)
+    for effect in effects:
         for p in effect.parameters:
             twin.set_parameter(effect.id, p.name, np.where(rng.random(ROWS) < 0.5, p.off, p.draw(rng, ROWS)))
     return twin

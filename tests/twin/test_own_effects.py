@@ -12,6 +12,20 @@ from tests.twin.own_effect_files import HEAD, WARM, WAVE, write_effects, write_r
 from vpptwin.twin import Twin, load_twin
 
 STEPS, DT, MASS, START = 100, 0.002, 3.0, 0.1  # -, s, kg, m
+STRONG = WAVE.replace("-force * np", "-2.0 * force * np")
+EVOLVING = (
+    WARM
+    + """
+def rub(level, motion, /, heat, dt, force):
+    return level + force * heat, heat + dt * (1.0 + motion.direction)
+
+RUB = Effect(
+    id="slide.rub", summary="a rail that wears", equation="force heat", parameters=(FORCE,), stage=Stage.FRICTION,
+    apply=rub, shows=("/joint_states",), target="slide", states=(State("heat", "m", 0.1),),
+)
+"""
+)
+"""A force and a friction that evolve, compiled together."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -47,7 +61,7 @@ def test_own_effects_push(folder: Path) -> None:
 
 def test_own_effects_evolve(folder: Path) -> None:
     """What an effect keeps starts with its joint, changes by its formula, and acts by it; off it stays."""
-    twin, file = write_rig(folder), write_effects(folder, WARM)
+    twin, file = write_rig(folder), write_effects(folder, EVOLVING)
     x, v, heat = START, 0.0, START
     for _ in range(STEPS):
         pull, heat = -1.5 * np.sin(10.0 * x) * heat, heat + DT * abs(v)
@@ -60,15 +74,9 @@ def test_own_effects_evolve(folder: Path) -> None:
 
 def test_friction_that_evolves(folder: Path) -> None:
     """A FRICTION effect is called for both senses; what it keeps is what it returns for the sense of motion."""
-    rub = """
-def pull(level, motion, /, heat, dt, force):
-    return level + force * heat, heat + dt * (1.0 + motion.direction)
-"""
-    text = WARM[: WARM.index("\ndef pull")] + rub + WARM[WARM.index("\nOWN") :].replace("Stage.FORCE", "Stage.FRICTION")
-    text = text.replace('"position"', "0.1")
-    spec = load_twin(write_rig(folder), [write_effects(folder, text)])
-    made = Twin(spec, 2, active=["slide.wave"], num_threads=1)
-    made.set_parameter("slide.wave", "force", 0.01)
+    spec = load_twin(write_rig(folder), [write_effects(folder, EVOLVING)])
+    made = Twin(spec, 2, active=["slide.rub"], num_threads=1)
+    made.set_parameter("slide.rub", "force", 0.01)
     state = made.initial_state(qpos=np.array([START, 0.0]), qvel=np.array([[0.5, 0.0], [-0.5, 0.0]]))
     after = made.replay_commands(state, np.zeros((2, STEPS, 1)))[0].effects[:, -1]
     np.testing.assert_allclose(after, [START + 2.0 * STEPS * DT, START], rtol=1e-9)
@@ -94,7 +102,7 @@ def test_an_edited_file_is_compiled_anew(folder: Path) -> None:
     """A stronger wave in the same file, under the same id, pulls the cart farther; the old text its old way again."""
     twin = write_rig(folder)
     weak = coast(twin, write_effects(folder))
-    strong = coast(twin, write_effects(folder, WAVE.replace("-force * np", "-2.0 * force * np")))
+    strong = coast(twin, write_effects(folder, STRONG))
     assert abs(strong - START) > 1.5 * abs(weak - START)
     assert coast(twin, write_effects(folder)) == weak
 
@@ -103,9 +111,8 @@ def test_files_with_the_same_ids_do_not_clash(folder: Path) -> None:
     """Two files of one name, with effects of one id, are two: each does what is written in it."""
     twin = write_rig(folder)
     (folder / "b").mkdir()
-    plus = write_effects(folder)
-    minus = write_effects(folder / "b", WAVE.replace("return -force", "return force"))
-    assert coast(twin, plus) < START < coast(twin, minus)
+    weak, strong = write_effects(folder), write_effects(folder / "b", STRONG)
+    assert 1.5 * (START - coast(twin, weak)) < START - coast(twin, strong)
 
 
 def test_numbers_of_the_rig_are_compiled_in(folder: Path) -> None:

@@ -35,17 +35,11 @@ OF_PLACES = {"qpos0": "ref", "qpos_spring": "springref"}
 
 @dataclass
 class Held:
-    """What goes into an MJCF.
+    """What goes into an MJCF."""
 
-    Attributes:
-        values: place → numbers.
-        reasons: place → the effects that change it.
-        lost: effects that MuJoCo has no word for, each with why.
-    """
-
-    values: dict[Place, tuple[float, ...]] = field(default_factory=dict)
-    reasons: dict[Place, list[Effect]] = field(default_factory=dict)
-    lost: list[tuple[Effect, str]] = field(default_factory=list)
+    values: dict[Place, tuple[float, ...]] = field(default_factory=dict)  # place → numbers
+    reasons: dict[Place, list[Effect]] = field(default_factory=dict)  # place → the effects that change it
+    lost: list[tuple[Effect, str]] = field(default_factory=list)  # effects that MuJoCo has no word for, each with why
 
     @property
     def effects(self) -> list[Effect]:

@@ -27,23 +27,14 @@ SETTINGS = ("solreffriction", "solimpfriction", "nsample", "biastype")
 
 @dataclass(frozen=True)
 class Event:
-    """One term of mjlab's event manager.
+    """One term of mjlab's event manager."""
 
-    Attributes:
-        term: what it is called.
-        function: of `mjlab.envs.mdp.dr`.
-        names: the argument that selects elements.
-        pattern: which, a regular expression.
-        ranges: Python text of what is drawn, absolute numbers.
-        about: the effects that it stands for.
-    """
-
-    term: str
-    function: str
-    names: str
-    pattern: str
-    ranges: str
-    about: list[str]
+    term: str  # what it is called
+    function: str  # of `mjlab.envs.mdp.dr`
+    names: str  # the argument that selects elements
+    pattern: str  # which, a regular expression
+    ranges: str  # Python text of what is drawn, absolute numbers
+    about: list[str]  # the effects that it stands for
 
 
 def write_mjlab(spec: TwinSpec) -> tuple[str, list[str]]:

@@ -52,6 +52,8 @@ class Criteria:
         "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.2 % of a typical force elsewhere (issue 20)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
+    tails: float = assumed(4.0, "", "degrees of freedom of Student's t, for every pulse, of the gusts of a window",
+        "68f7aa5 for their strength, issue 20 for stronger ones where it is assumed")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
         "68f7aa5 (fitted), 668e32f (held out)")
     nonlinear: float = by_hand(0.1, "", "share of a miss that linearisation is not believed to follow", "7ea694a")
@@ -115,6 +117,10 @@ class Criteria:
     suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "issue 20")
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
         "issue 20, rigs whose sensors and disturbances are assumed")
+    far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",
+        "issue 20: whatever share of the error that is")
+    felt: float = assumed(1.0, "", "held-out chi² that a cause must take away to be sure: as much as noise makes",
+        "issue 20, rigs whose sensors are assumed")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow", "e1272d1, b200008")
     has_a_say: float = assumed(0.2, "", "standard error of the share of a force up to which inverse dynamics has a say",
         "issue 20, rigs whose sensors are assumed; development seeds 701 to 720")
@@ -123,6 +129,8 @@ class Criteria:
     most_seen: float = assumed(2.5, "", "share of it that it may see at most", "issue 20")
     obeyed: float = assumed(0.25, "", "share of what moves a joint below which inputs in the log do not explain it",
         "issue 22, a quadrotor's PWM at a fifth of its controller's rate")
+    led: float = calibrated(0.6, "", "share of what turns a free body below which its attitude follows its log",
+        "issue 22: eight quadrotors of seed 37597 have 0.74 to 0.97, five flights of nanobench 0.17 to 0.34")
     late: float = assumed(0.01, "s", "by which a log's accelerations may be late", "issue 20: a low pass at 16 Hz")
     distorted: float = assumed(0.03, "", "share by which they may be too small or too large", "issue 20")
     blurred: float = assumed(0.7, "", "share of a force's square left in its mean over 75 ms; below, it is blurred",

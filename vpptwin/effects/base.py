@@ -149,12 +149,14 @@ class Site:
         place: index of its joint's position in qpos.
         actuator: index of the actuator it acts on.
         body: index of the body it acts on: `target` where that is a body, else the craft.
+        pair: index of the pair of geoms that it acts on.
     """
 
     dof: int = -1
     place: int = -1
     actuator: int = -1
     body: int = -1
+    pair: int = -1
 
 
 ApplyFunction = Callable[..., Any]
@@ -198,6 +200,7 @@ class Effect:
         follows: what the force it makes follows, against which a report plots the residual: `velocity`, `position`,
             `command` or `command change`.
         states: what evolves, of effects that act every step.
+        touching: it acts where bodies touch and nowhere else, on all geoms alike or on a pair.
         placed: it acts here or there along its joint: logs are looked through for where, before any fit.
         fades_along: joint with whose position it fades: only low enough on it can it be seen. "" for none.
     """
@@ -220,6 +223,7 @@ class Effect:
     states: tuple[State, ...] = ()
     fades_along: str = ""
     placed: bool = False
+    touching: bool = False
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

@@ -100,7 +100,7 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
         tolerance=0.0025 * body.mass, prior=Prior("normal", 0.0, 0.1 * body.mass), source=source,
     )  # fmt: skip
     moments = tuple(
-        Parameter(name=axis, unit="", off=1.0, low=0.2, high=5.0, size=0.1, tolerance=0.01,
+        Parameter(name=axis, unit="", off=1.0, low=0.2, high=5.0, size=0.1, tolerance=0.05,
                   prior=Prior("normal", 1.0, 0.2), source=source)
         for axis in AXES
     )  # fmt: skip

@@ -10,6 +10,7 @@ from vpptwin.effects import (
     actuator,
     air,
     airframe,
+    contact,
     flex,
     friction,
     joint,
@@ -77,6 +78,7 @@ CATALOGUE: tuple[Effect, ...] = (
     servo.BACKLASH,
     servo.TRIM,
     servo.DELAY,
+    *contact.effects_for_contacts(("/mocap/pose", "/imu/data"), [(0.01, 0.3)], 0.001, needs=rail.RIG),
     *sensing.OF_DRONE,
 )
 """Every effect of the drone on its rail rig (SPEC 5)."""
@@ -136,7 +138,7 @@ def generic_place(
 def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
     loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
-    links: Iterable[Link] = (), mounted: bool = False,
+    links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (),
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -148,6 +150,7 @@ def effects_for_rig(
         groups: names of actuators that are alike; what one has of its own comes after what all have.
         links: bodies that joints move.
         mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
+        contacts: what `contact.effects_for_contacts` makes of what may touch.
     """
     effects, groups = [], list(groups)
     for place in joints:
@@ -169,7 +172,7 @@ def effects_for_rig(
     weights = link.effects_for_links(links)
     whole = [*map("+".join, groups)] or (list(actuators) if len(actuators) == 1 else [])
     found = tie_alike([*effects, *weights], [f"{name}.gain" for name in whole], [effect.id for effect in weights])
-    return (*found, *((link.MOUNT_TILT,) if mounted else ()))
+    return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
 
 
 def effects_for_ball(place: Place, ways: tuple[str, ...]) -> tuple[Effect, ...]:

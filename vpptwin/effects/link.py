@@ -16,19 +16,13 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Link:
-    """A moving body that effects are made for.
+    """A moving body that effects are made for."""
 
-    Attributes:
-        name: in the MJCF.
-        mass: kg.
-        tip: where a payload is looked for first, in the body's frame [m]; None where none is.
-        reach: how far from there it may be [m].
-    """
-
-    name: str
-    mass: float
+    name: str  # in the MJCF
+    mass: float  # kg
+    # where a payload is looked for first, in the body's frame [m]; None where none is
     tip: tuple[float, float, float] | None = None
-    reach: float = 0.1
+    reach: float = 0.1  # how far from there it may be [m]
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:

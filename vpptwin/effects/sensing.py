@@ -31,15 +31,11 @@ Dofs = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Misread:
-    """The function of an effect on signals: it adds to constants of degrees of freedom, or multiplies them.
+    """The function of an effect on signals: it adds to constants of degrees of freedom, or multiplies them."""
 
-    Attributes:
-        places: constant → degrees of freedom, each with a parameter of its own or all with the one there is.
-        factor: it multiplies.
-    """
-
+    # constant → degrees of freedom, each with a parameter of its own or all with the one there is
     places: tuple[tuple[str, Dofs], ...]
-    factor: bool = False
+    factor: bool = False  # it multiplies
 
     def __call__(self, constants: Constants, site: Site, /, **errors: np.ndarray) -> None:
         """Write parameters, (n,) each, into the constants, (n, nv)."""

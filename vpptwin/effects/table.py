@@ -36,7 +36,7 @@ too. Look-alikes are hard to tell apart: that takes the right manoeuvre.
 A fingerprint shows what an effect does to a flight with steps along x and z, flips and inverted hover: left how the
 motion, or what a sensor says of it, departs from that of a twin without the effect within 50 ms under the same
 commands; right the same departures over what they follow. `vpptwin effects --pictures docs/effects` draws them anew,
-each effect five typical sizes away from off.
+each effect five typical sizes away from off. Contacts have none: nothing touches in that flight.
 
 What is missing here you can add without touching our code: [an effect of your own](own_effects.md).
 """
@@ -73,7 +73,7 @@ def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, picture
         print(PREAMBLE)
         if pictures:
             header = (*header, FINGERPRINT)
-            seen: set[str] = set()
+            seen = {effect.id for effect in catalogue if effect.touching}
             for row in rows:
                 row[FINGERPRINT] = "" if row["id"] in seen else show_picture(row["id"], pictures)
                 seen.add(row["id"])

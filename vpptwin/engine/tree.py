@@ -14,93 +14,51 @@ from numba.extending import register_jitable
 
 
 class Tree(NamedTuple):
-    """How bodies hang together; bodies in MuJoCo's order, degree of freedom j is joint j.
+    """How bodies hang together; bodies in MuJoCo's order, degree of freedom j is joint j."""
 
-    Attributes:
-        parent: of each body, (nbody,).
-        first: the first joint of each body, (nbody,).
-        last: one past its last, (nbody,).
-        deepest: the last joint on its way from the world, -1 for none, (nbody,).
-        before: the joint before each on that way, -1 for none, (nv,).
-        hinge: whether a joint turns instead of slides, (nv,) bool.
-        seat: body that each actuator pushes at a site, -1 where it drives a joint, (nu,).
-        drives: that joint, (nu,).
-    """
-
-    parent: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    deepest: np.ndarray
-    before: np.ndarray
-    hinge: np.ndarray
-    seat: np.ndarray
-    drives: np.ndarray
+    parent: np.ndarray  # of each body, (nbody,)
+    first: np.ndarray  # the first joint of each body, (nbody,)
+    last: np.ndarray  # one past its last, (nbody,)
+    deepest: np.ndarray  # the last joint on its way from the world, -1 for none, (nbody,)
+    before: np.ndarray  # the joint before each on that way, -1 for none, (nv,)
+    hinge: np.ndarray  # whether a joint turns instead of slides, (nv,) bool
+    seat: np.ndarray  # body that each actuator pushes at a site, -1 where it drives a joint, (nu,)
+    drives: np.ndarray  # that joint, (nu,)
 
 
 class Shape(NamedTuple):
-    """The numbers of one simulation's model, with MuJoCo's names; rotations as rows of matrices.
+    """The numbers of one simulation's model, with MuJoCo's names; rotations as rows of matrices."""
 
-    Attributes:
-        body_pos: (nbody, 3) m.
-        body_mat: (nbody, 9).
-        body_ipos: (nbody, 3) m.
-        body_imat: (nbody, 9).
-        body_mass: (nbody,) kg.
-        body_inertia: (nbody, 3) kg m².
-        jnt_pos: (nv, 3) m.
-        jnt_axis: (nv, 3).
-        qpos0: (nv,).
-        jnt_stiffness: (nv,).
-        qpos_spring: (nv,).
-        dof_damping: (nv,).
-        dof_armature: (nv,).
-        site_pos: of the site that each actuator pushes, (nu, 3) m.
-        gear_force: what it pushes with there, in the body's axes, (nu, 3).
-        gear_torque: likewise, (nu, 3).
-        gear: ratio of one that drives a joint, (nu,).
-    """
-
-    body_pos: np.ndarray
-    body_mat: np.ndarray
-    body_ipos: np.ndarray
-    body_imat: np.ndarray
-    body_mass: np.ndarray
-    body_inertia: np.ndarray
-    jnt_pos: np.ndarray
-    jnt_axis: np.ndarray
-    qpos0: np.ndarray
-    jnt_stiffness: np.ndarray
-    qpos_spring: np.ndarray
-    dof_damping: np.ndarray
-    dof_armature: np.ndarray
-    site_pos: np.ndarray
-    gear_force: np.ndarray
-    gear_torque: np.ndarray
-    gear: np.ndarray
+    body_pos: np.ndarray  # (nbody, 3) m
+    body_mat: np.ndarray  # (nbody, 9)
+    body_ipos: np.ndarray  # (nbody, 3) m
+    body_imat: np.ndarray  # (nbody, 9)
+    body_mass: np.ndarray  # (nbody,) kg
+    body_inertia: np.ndarray  # (nbody, 3) kg m²
+    jnt_pos: np.ndarray  # (nv, 3) m
+    jnt_axis: np.ndarray  # (nv, 3)
+    qpos0: np.ndarray  # (nv,)
+    jnt_stiffness: np.ndarray  # (nv,)
+    qpos_spring: np.ndarray  # (nv,)
+    dof_damping: np.ndarray  # (nv,)
+    dof_armature: np.ndarray  # (nv,)
+    site_pos: np.ndarray  # of the site that each actuator pushes, (nu, 3) m
+    gear_force: np.ndarray  # what it pushes with there, in the body's axes, (nu, 3)
+    gear_torque: np.ndarray  # likewise, (nu, 3)
+    gear: np.ndarray  # ratio of one that drives a joint, (nu,)
 
 
 class Pose(NamedTuple):
-    """Where everything is, in the world's axes.
+    """Where everything is, in the world's axes."""
 
-    Attributes:
-        place: of the bodies, (nbody, 3) m.
-        turn: of the bodies, (nbody, 9).
-        anchor: of the joints, (nv, 3) m.
-        axis: of the joints, (nv, 3).
-        spin: angular velocity of the bodies, (nbody, 3) rad/s.
-        twist: angular acceleration without that of the joints, (nbody, 3) rad/s².
-        pull: likewise acceleration of the bodies' places, less gravity's, (nbody, 3) m/s².
-        arm: how each joint moves a point, and how it turns, (nv, 3) and (nv, 3) in one, (2, nv, 3).
-    """
-
-    place: np.ndarray
-    turn: np.ndarray
-    anchor: np.ndarray
-    axis: np.ndarray
-    spin: np.ndarray
-    twist: np.ndarray
-    pull: np.ndarray
-    arm: np.ndarray
+    place: np.ndarray  # of the bodies, (nbody, 3) m
+    turn: np.ndarray  # of the bodies, (nbody, 9)
+    anchor: np.ndarray  # of the joints, (nv, 3) m
+    axis: np.ndarray  # of the joints, (nv, 3)
+    spin: np.ndarray  # angular velocity of the bodies, (nbody, 3) rad/s
+    twist: np.ndarray  # angular acceleration without that of the joints, (nbody, 3) rad/s²
+    pull: np.ndarray  # likewise acceleration of the bodies' places, less gravity's, (nbody, 3) m/s²
+    arm: np.ndarray  # how each joint moves a point, and how it turns, (nv, 3) and (nv, 3) in one, (2, nv, 3)
 
 
 Vector = tuple[float, float, float]
@@ -310,23 +268,14 @@ def solve_inertia(
 
 
 class Reach(NamedTuple):
-    """What could touch, and where joints end: a geom is taken for the ball around it.
+    """What could touch, and where joints end: a geom is taken for the ball around it."""
 
-    Attributes:
-        ranges: within which no end stop acts, (nv, 2) m, rad.
-        body: that each ball is on, (P,).
-        ball: its centre in the body's axes, radius with margin, (P, 4) m.
-        flat: what stands still beside it, 0 a plane, 1 a box, 2 another ball, that of a body, (P,).
-        other: that body, (P,).
-        stands: place, rotation and half sizes (of a ball the radius first) of what stands beside it, (P, 15).
-    """
-
-    ranges: np.ndarray
-    body: np.ndarray
-    ball: np.ndarray
-    flat: np.ndarray
-    other: np.ndarray
-    stands: np.ndarray
+    ranges: np.ndarray  # within which no end stop acts, (nv, 2) m, rad
+    body: np.ndarray  # that each ball is on, (P,)
+    ball: np.ndarray  # its centre in the body's axes, radius with margin, (P, 4) m
+    flat: np.ndarray  # what stands still beside it, 0 a plane, 1 a box, 2 another ball, that of a body, (P,)
+    other: np.ndarray  # that body, (P,)
+    stands: np.ndarray  # place, rotation and half sizes (of a ball the radius first) of what stands beside it, (P, 15)
 
 
 @register_jitable(forceinline=True)

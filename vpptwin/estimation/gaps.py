@@ -25,8 +25,8 @@ PROBE = 0.3
 
 
 def usable_starts(measurements: Measurements, starts: np.ndarray, length: float) -> np.ndarray:
-    """Whether windows of a length [s] from `starts` (K,) [s] touch no gap that would make them nonsense, (K,) bool."""
-    spoilt = np.zeros(len(starts), dtype=bool)
+    """Whether windows of a length [s] from `starts` (K,) [s] touch no gap or strike that spoils them, (K,) bool."""
+    spoilt = touch(measurements.strikes, starts - LOOK_BACK, starts + length)
     for _, rows in spoil_starts(measurements, starts, length):
         spoilt |= rows
     return ~spoilt

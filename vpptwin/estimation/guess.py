@@ -37,26 +37,17 @@ FAR = {"rad": 2.0 * np.pi, "m": 5.0}
 
 @dataclass
 class Guess:
-    """What one joint, actuator, free body or IMU may be in the log.
+    """What one joint, actuator, free body or IMU may be in the log."""
 
-    Attributes:
-        target: its name; `group` is joints, actuators, bodies or sites.
-        fields: position, velocity or effort → the signal.
-        vectors: position, attitude or rate of a body → its signals, in one topic.
-        units: likewise, where it is not SI.
-        sure: whether there is no doubt.
-        reasons: what speaks for it, with numbers.
-        doubts: what speaks against it, or what else it may be.
-    """
-
-    target: str
+    target: str  # its name; `group` is joints, actuators, bodies or sites
     group: str
-    fields: dict[str, Signal] = field(default_factory=dict)
+    fields: dict[str, Signal] = field(default_factory=dict)  # position, velocity or effort → the signal
+    # position, attitude or rate of a body → its signals, in one topic
     vectors: dict[str, tuple[Signal, ...]] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
-    sure: bool = False
-    reasons: list[str] = field(default_factory=list)
-    doubts: list[str] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)  # likewise, where it is not SI
+    sure: bool = False  # whether there is no doubt
+    reasons: list[str] = field(default_factory=list)  # what speaks for it, with numbers
+    doubts: list[str] = field(default_factory=list)  # what speaks against it, or what else it may be
 
 
 def split_words(text: str) -> list[str]:

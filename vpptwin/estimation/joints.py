@@ -42,8 +42,7 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
             read_body(spec, flight, each, found)
         else:
             read_joint(spec, flight, each, found)
-        if each.led:
-            found.lead([int(dof) for dof in np.flatnonzero(spec.model.dof_jntid == each.joint)])
+        found.lead([int(dof) for dof in spec.robot.driven if spec.model.dof_jntid[dof] == each.joint])
     command = read_efforts(spec, flight, signals.actuators, found)
     spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())

@@ -20,23 +20,14 @@ RATE = 100.0
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the twin did under a log's commands.
+    """What the twin did under a log's commands."""
 
-    Attributes:
-        time: (T,) s on the flight's clock.
-        qpos: (T, nq) m, rad; where the twin is, not what its sensors show.
-        qvel: (T, nv) m/s, rad/s.
-        blade_pitch: command as the servos see it, (T, nu) rad (control input on other rigs).
-        rotor_speed: (T, nu) rad/s; nominal where it was not measured.
-        restarts: (R,) s, instants at which the twin was put back to the estimated state.
-    """
-
-    time: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    blade_pitch: np.ndarray
-    rotor_speed: np.ndarray
-    restarts: np.ndarray
+    time: np.ndarray  # (T,) s on the flight's clock
+    qpos: np.ndarray  # (T, nq) m, rad; where the twin is, not what its sensors show
+    qvel: np.ndarray  # (T, nv) m/s, rad/s
+    blade_pitch: np.ndarray  # command as the servos see it, (T, nu) rad (control input on other rigs)
+    rotor_speed: np.ndarray  # (T, nu) rad/s; nominal where it was not measured
+    restarts: np.ndarray  # (R,) s, instants at which the twin was put back to the estimated state
 
 
 def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: float = RATE) -> Prediction:

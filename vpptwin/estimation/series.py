@@ -12,23 +12,14 @@ from vpptwin.logs.clocks import Clock
 
 @dataclass(frozen=True)
 class Series:
-    """Samples of one quantity.
+    """Samples of one quantity."""
 
-    Attributes:
-        name: what it is, e.g. `x` or `pitch rate`.
-        unit: SI unit.
-        time: (n,) s, increasing.
-        value: (n,) or (n, k).
-        std: sensor noise of one sample, 1 sigma, in the unit.
-        white: the noise is independent from sample to sample, so that averaging reduces it.
-    """
-
-    name: str
-    unit: str
-    time: np.ndarray
-    value: np.ndarray
-    std: float
-    white: bool = True
+    name: str  # what it is, e.g. `x` or `pitch rate`
+    unit: str  # SI unit
+    time: np.ndarray  # (n,) s, increasing
+    value: np.ndarray  # (n,) or (n, k)
+    std: float  # sensor noise of one sample, 1 sigma, in the unit
+    white: bool = True  # the noise is independent from sample to sample, so that averaging reduces it
 
 
 @dataclass(frozen=True)
@@ -60,6 +51,7 @@ class Measurements:
         attitudes: first of three degrees of freedom of a free body's rotation → its attitude, a unit quaternion
             (n, 4). Their `positions` are the angles that it has turned about its own axes since the first sample.
         clocks: topic → the clock that stamped it.
+        strikes: spans in which the rig strikes something, which spoil windows, (n, 2) s.
         warnings: what was left out, filled in or is lost, one line each.
     """
 
@@ -78,6 +70,7 @@ class Measurements:
     lag: Lag | None = None
     attitudes: dict[int, Series] = field(default_factory=dict)
     clocks: Mapping[str, Clock] = field(default_factory=dict)
+    strikes: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     warnings: tuple[str, ...] = ()
 
     @property

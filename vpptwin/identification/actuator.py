@@ -25,57 +25,34 @@ LAGS, DELAYS = (0.005, 0.015, 0.03, 0.06), (0.0, 0.005, 0.012, 0.025)
 
 @dataclass(frozen=True)
 class Constant:
-    """One identified number.
+    """One identified number."""
 
-    Attributes:
-        name: as in a vehicle file, e.g. `motor.k_v`.
-        value: in `unit`.
-        std: standard deviation; 0 where it follows from another.
-        unit: SI.
-        note: what it rests on, where that is not the measurement alone.
-    """
-
-    name: str
-    value: float
-    std: float
-    unit: str
-    note: str = ""
+    name: str  # as in a vehicle file, e.g. `motor.k_v`
+    value: float  # in `unit`
+    std: float  # standard deviation; 0 where it follows from another
+    unit: str  # SI
+    note: str = ""  # what it rests on, where that is not the measurement alone
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well a part of the model predicts what it was not fitted to.
+    """How well a part of the model predicts what it was not fitted to."""
 
-    Attributes:
-        what: quantity.
-        error: RMS, in `unit`.
-        scale: RMS of the quantity itself, or of its changes.
-        unit: SI.
-    """
-
-    what: str
-    error: float
-    scale: float
-    unit: str
+    what: str  # quantity
+    error: float  # RMS, in `unit`
+    scale: float  # RMS of the quantity itself, or of its changes
+    unit: str  # SI
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """What thrust-stand runs tell of an actuator.
+    """What thrust-stand runs tell of an actuator."""
 
-    Attributes:
-        thrust: the chosen map.
-        maps: all that were tried.
-        constants: of motor, drag, servo.
-        held_out: errors on what was left out.
-        levels: the means that static fits rest on.
-    """
-
-    thrust: ThrustMap
-    maps: tuple[ThrustMap, ...]
-    constants: tuple[Constant, ...]
-    held_out: tuple[HeldOut, ...]
-    levels: Levels
+    thrust: ThrustMap  # the chosen map
+    maps: tuple[ThrustMap, ...]  # all that were tried
+    constants: tuple[Constant, ...]  # of motor, drag, servo
+    held_out: tuple[HeldOut, ...]  # errors on what was left out
+    levels: Levels  # the means that static fits rest on
 
     def constant(self, name: str) -> Constant:
         """The constant of that name; KeyError if there is none."""

@@ -24,17 +24,11 @@ Band = tuple[float, float]
 
 @dataclass(frozen=True)
 class Dated:
-    """A flight and what it tells.
+    """A flight and what it tells."""
 
-    Attributes:
-        log: path.
-        start_ns: its first stamp.
-        fit: what it tells of the parameters.
-    """
-
-    log: str
-    start_ns: int
-    fit: FlightFit
+    log: str  # path
+    start_ns: int  # its first stamp
+    fit: FlightFit  # what it tells of the parameters
 
     @property
     def date(self) -> datetime:
@@ -79,19 +73,12 @@ class Course:
 
 @dataclass(frozen=True)
 class Record:
-    """Parameters flight by flight.
+    """Parameters flight by flight."""
 
-    Attributes:
-        twin: name of the twin that they were fitted in.
-        dated: whether flights are told by date; else by number, as their stamps do not tell.
-        flights: by date, or in the order in which they were given.
-        courses: of every parameter.
-    """
-
-    twin: str
-    dated: bool
-    flights: list[Dated]
-    courses: list[Course]
+    twin: str  # name of the twin that they were fitted in
+    dated: bool  # whether flights are told by date; else by number, as their stamps do not tell
+    flights: list[Dated]  # by date, or in the order in which they were given
+    courses: list[Course]  # of every parameter
 
     @property
     def left(self) -> list[Course]:

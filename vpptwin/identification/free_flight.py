@@ -9,7 +9,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.bench import Key
-from vpptwin.diagnosis.judgement.diagnose import estimate, prepare
+from vpptwin.diagnosis.judgement.conclusion import estimate
+from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.judgement.selection import fit_together
 from vpptwin.diagnosis.judgement.verdict import Estimate

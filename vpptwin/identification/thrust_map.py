@@ -35,19 +35,12 @@ def inflow(pitch: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form that a thrust map may have.
+    """A form that a thrust map may have."""
 
-    Attributes:
-        name: for people.
-        shape: s(α) without its offset.
-        start: coefficients that a search begins with, for thrusts and pitches of order 1.
-        power: n of T ∝ ω^n.
-    """
-
-    name: str
-    shape: Shape
-    start: tuple[float, ...]
-    power: int
+    name: str  # for people
+    shape: Shape  # s(α) without its offset
+    start: tuple[float, ...]  # coefficients that a search begins with, for thrusts and pitches of order 1
+    power: int  # n of T ∝ ω^n
 
 
 CANDIDATES: tuple[Candidate, ...] = tuple(
@@ -64,29 +57,17 @@ CANDIDATES: tuple[Candidate, ...] = tuple(
 
 @dataclass(frozen=True)
 class ThrustMap:
-    """A fitted map.
+    """A fitted map."""
 
-    Attributes:
-        candidate: its form.
-        values: coefficients, (k,), N s/rad and up.
-        std: their standard deviations, (k,).
-        offset: pitch at which there is no thrust, rad.
-        offset_std: its standard deviation.
-        reference: rotor speed that coefficients go by, rad/s.
-        residual: RMS over all levels, N.
-        held_out: RMS error at pitches that were left out, N.
-        held_out_std: its standard error.
-    """
-
-    candidate: Candidate
-    values: np.ndarray
-    std: np.ndarray
-    offset: float
-    offset_std: float
-    reference: float
-    residual: float
-    held_out: float
-    held_out_std: float
+    candidate: Candidate  # its form
+    values: np.ndarray  # coefficients, (k,), N s/rad and up
+    std: np.ndarray  # their standard deviations, (k,)
+    offset: float  # pitch at which there is no thrust, rad
+    offset_std: float  # its standard deviation
+    reference: float  # rotor speed that coefficients go by, rad/s
+    residual: float  # RMS over all levels, N
+    held_out: float  # RMS error at pitches that were left out, N
+    held_out_std: float  # its standard error
 
     def predict(self, speed: np.ndarray, pitch: np.ndarray) -> np.ndarray:
         """Thrust of each rotor, (..., r) N, at speed [rad/s] and commanded pitch [rad]."""

@@ -15,22 +15,14 @@ AXES = {f"{sign}{name}": (name, -1.0 if sign else 1.0) for name in "xyz" for sig
 
 @dataclass(frozen=True)
 class Source:
-    """Where a column lies in a message: column = scale * polynomial(field) + offset.
+    """Where a column lies in a message: column = scale * polynomial(field) + offset."""
 
-    Attributes:
-        paths: one field, or one field per component.
-        scale: one factor, or one per component.
-        offset: added after scaling, in the unit of the column.
-        axis: for a quaternion, the axis whose rotation angle is read, one of AXES; otherwise None.
-        polynomial: coefficients, that of the constant first; none for the field itself.
-        voltage: field of a supply and its nominal value: before anything else the field is multiplied by their ratio.
-    """
-
-    paths: tuple[str, ...]
-    scale: tuple[float, ...] = (1.0,)
-    offset: float = 0.0
-    axis: str | None = None
-    polynomial: tuple[float, ...] = ()
+    paths: tuple[str, ...]  # one field, or one field per component
+    scale: tuple[float, ...] = (1.0,)  # one factor, or one per component
+    offset: float = 0.0  # added after scaling, in the unit of the column
+    axis: str | None = None  # for a quaternion, the axis whose rotation angle is read, one of AXES; otherwise None
+    polynomial: tuple[float, ...] = ()  # coefficients, that of the constant first; none for the field itself
+    # field of a supply and its nominal value: before anything else the field is multiplied by their ratio
     voltage: tuple[str, float] | None = None
 
     @property
@@ -41,46 +33,28 @@ class Source:
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a stream.
+    """One column of a stream."""
 
-    Attributes:
-        name: column name.
-        unit: SI unit.
-        source: where messages of the canonical type hold it.
-        width: number of components; 1 for a plain column.
-        optional: may be absent from other people's messages, or NaN throughout.
-        limit: magnitude that no sane value exceeds, in `unit`.
-        mistake: what values beyond the limit look like.
-    """
-
-    name: str
-    unit: str
-    source: Source
-    width: int = 1
-    optional: bool = False
-    limit: float = math.inf
-    mistake: str = ""
+    name: str  # column name
+    unit: str  # SI unit
+    source: Source  # where messages of the canonical type hold it
+    width: int = 1  # number of components; 1 for a plain column
+    optional: bool = False  # may be absent from other people's messages, or NaN throughout
+    limit: float = math.inf  # magnitude that no sane value exceeds, in `unit`
+    mistake: str = ""  # what values beyond the limit look like
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One topic.
+    """One topic."""
 
-    Attributes:
-        topic: canonical name.
-        message_type: ROS 2 type.
-        columns: what is read and written.
-        steady: messages come at a constant rate, so that gaps are worth a warning.
-        constants: field -> value written besides the columns; all others are written as zero.
-        frame_id: written to the header.
-    """
-
-    topic: str
-    message_type: str
-    columns: tuple[Column, ...]
-    steady: bool = True
+    topic: str  # canonical name
+    message_type: str  # ROS 2 type
+    columns: tuple[Column, ...]  # what is read and written
+    steady: bool = True  # messages come at a constant rate, so that gaps are worth a warning
+    # field -> value written besides the columns; all others are written as zero
     constants: Mapping[str, float] = field(default_factory=dict)
-    frame_id: str = "world"
+    frame_id: str = "world"  # written to the header
 
 
 def _plain(

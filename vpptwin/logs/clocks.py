@@ -22,17 +22,11 @@ ALIKE = 0.1
 
 @dataclass(frozen=True)
 class Clock:
-    """What one topic's stamps are against the time of recording.
+    """What one topic's stamps are against the time of recording."""
 
-    Attributes:
-        latency: median time from stamp to record [s].
-        jitter: spread of that time, 1 sigma [s].
-        drift: by which the stamps' clock runs fast against the recorder's [s/s].
-    """
-
-    latency: float
-    jitter: float
-    drift: float
+    latency: float  # median time from stamp to record [s]
+    jitter: float  # spread of that time, 1 sigma [s]
+    drift: float  # by which the stamps' clock runs fast against the recorder's [s/s]
 
 
 def read_clock(samples: Samples) -> Clock | None:

@@ -37,19 +37,12 @@ class Rows:
 
 @dataclass(frozen=True)
 class Batch:
-    """What is wanted of messages of one shape.
+    """What is wanted of messages of one shape."""
 
-    Attributes:
-        number: (n,) record numbers in the file.
-        log_time: (n,) ns.
-        values: path -> (n,) or (n, k).
-        texts: path of a string sequence -> its strings, the same in all messages of the batch.
-    """
-
-    number: np.ndarray
-    log_time: np.ndarray
-    values: dict[str, np.ndarray]
-    texts: dict[str, tuple[str, ...]]
+    number: np.ndarray  # (n,) record numbers in the file
+    log_time: np.ndarray  # (n,) ns
+    values: dict[str, np.ndarray]  # path -> (n,) or (n, k)
+    texts: dict[str, tuple[str, ...]]  # path of a string sequence -> its strings, the same in all messages of the batch
 
 
 @dataclass
@@ -107,23 +100,15 @@ Take = Callable[[Sequence[RawChannel]], None]
 
 @dataclass(frozen=True)
 class Wish:
-    """What of a log is wanted.
+    """What of a log is wanted."""
 
-    Attributes:
-        channel: tells whether a channel's messages are.
-        fields: topic -> the fields of a table that are enough; all of those that it leaves out.
-        stamps: topic -> where its time lies, where somebody says.
-        take: what looks at a large log's channels as they fill.
-        span: which messages are wanted, None for all.
-        texts: whether columns of text are.
-    """
-
-    channel: Callable[[RawChannel], bool]
+    channel: Callable[[RawChannel], bool]  # tells whether a channel's messages are
+    # topic -> the fields of a table that are enough; all of those that it leaves out
     fields: Mapping[str, Collection[str]] = field(default_factory=dict)
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
-    take: Take | None = None
-    span: Span | None = None
-    texts: bool = False
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)  # topic -> where its time lies, where somebody says
+    take: Take | None = None  # what looks at a large log's channels as they fill
+    span: Span | None = None  # which messages are wanted, None for all
+    texts: bool = False  # whether columns of text are
 
     def name_table(self, topic: str) -> str:
         """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""

@@ -22,21 +22,14 @@ MOST_NS = 2.0**62
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples of one topic, or of one joint.
+    """Samples of one topic, or of one joint."""
 
-    Attributes:
-        label: canonical topic, and name of the joint.
-        stamp: (n,) ns.
-        log_time: when each was recorded, (n,) ns; the array of stamps itself where they are equal, as in tables.
-        fields: message field -> (n,) or (n, k).
-        columns: what to make of the fields, for topics of the channel table.
-    """
-
-    label: str
-    stamp: np.ndarray
+    label: str  # canonical topic, and name of the joint
+    stamp: np.ndarray  # (n,) ns
+    # when each was recorded, (n,) ns; the array of stamps itself where they are equal, as in tables
     log_time: np.ndarray
-    fields: dict[str, np.ndarray]
-    columns: tuple[Column, ...] = ()
+    fields: dict[str, np.ndarray]  # message field -> (n,) or (n, k)
+    columns: tuple[Column, ...] = ()  # what to make of the fields, for topics of the channel table
 
     def take(self, rows: slice | np.ndarray) -> Samples:
         """Samples of these rows, in this order; as they are for `slice(None)`."""

@@ -21,21 +21,13 @@ _MOST_S = 2**31
 
 @dataclass(frozen=True)
 class Table:
-    """Some rows of one source of a log.
+    """Some rows of one source of a log."""
 
-    Attributes:
-        topic: of the source, with a slash in front.
-        time: (n,) ns, int64.
-        columns: name as in the log -> numbers, bool or text, (n,) or (n, k).
-        units: of columns that have one.
-        fields: column wanted -> its name in messages; None where nobody has chosen yet.
-    """
-
-    topic: str
-    time: np.ndarray
-    columns: Mapping[str, np.ndarray]
-    units: Mapping[str, str] = field(default_factory=dict)
-    fields: Mapping[str, str] | None = None
+    topic: str  # of the source, with a slash in front
+    time: np.ndarray  # (n,) ns, int64
+    columns: Mapping[str, np.ndarray]  # name as in the log -> numbers, bool or text, (n,) or (n, k)
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns that have one
+    fields: Mapping[str, str] | None = None  # column wanted -> its name in messages; None where nobody has chosen yet
 
 
 def choose_fields(wish: Wish, topic: str, columns: Iterable[str]) -> dict[str, str]:

@@ -26,22 +26,14 @@ from vpptwin.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Sortie:
-    """What a flight is to be.
+    """What a flight is to be."""
 
-    Attributes:
-        spec: the twin.
-        out: log to write.
-        seed: of noise and gusts.
-        gusts: whether gusts of 1 % of the weight blow.
-        about: what is flown, stored in the log.
-        describe: what the log says besides, say for 3D panels: from twin and streams to messages in order of time.
-    """
-
-    spec: TwinSpec
-    out: Path
-    seed: int
-    gusts: bool
-    about: Mapping[str, str]
+    spec: TwinSpec  # the twin
+    out: Path  # log to write
+    seed: int  # of noise and gusts
+    gusts: bool  # whether gusts of 1 % of the weight blow
+    about: Mapping[str, str]  # what is flown, stored in the log
+    # what the log says besides, say for 3D panels: from twin and streams to messages in order of time
     describe: Callable[[TwinSpec, Mapping[str, Stream]], Iterable[Message]] = lambda spec, streams: ()
 
 

@@ -15,19 +15,12 @@ HEIGHT = 1.2
 
 @dataclass(frozen=True)
 class Reference:
-    """What a pilot is to follow, one row a policy tick, T ticks.
+    """What a pilot is to follow, one row a policy tick, T ticks."""
 
-    Attributes:
-        pose: x, z, θ, (T, 3) m, m, rad; between multiples of π θ is the path of a turn.
-        velocity: (T, 3) m/s, rad/s.
-        acceleration: of x and z, (T, 2) m/s².
-        nudge: angle added to the lean, (T,) rad.
-    """
-
-    pose: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    nudge: np.ndarray
+    pose: np.ndarray  # x, z, θ, (T, 3) m, m, rad; between multiples of π θ is the path of a turn
+    velocity: np.ndarray  # (T, 3) m/s, rad/s
+    acceleration: np.ndarray  # of x and z, (T, 2) m/s²
+    nudge: np.ndarray  # angle added to the lean, (T,) rad
 
     def __len__(self) -> int:
         """Number of ticks."""

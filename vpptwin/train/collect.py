@@ -20,17 +20,11 @@ from vpptwin.train.workers import OPTIONS, start_workers
 
 @dataclass(frozen=True)
 class Collection:
-    """What a trainer collects from.
+    """What a trainer collects from."""
 
-    Attributes:
-        collector: gives batches (num_envs, rollout).
-        simulations: what the hooks report of them.
-        env: the environment, if its simulations are in this process, where a checkpoint can take them in.
-    """
-
-    collector: BaseCollector
-    simulations: Simulations
-    env: VppEnv | None
+    collector: BaseCollector  # gives batches (num_envs, rollout)
+    simulations: Simulations  # what the hooks report of them
+    env: VppEnv | None  # the environment, if its simulations are in this process, where a checkpoint can take them in
 
 
 def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> VppEnv:

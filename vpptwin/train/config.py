@@ -82,7 +82,7 @@ class TrainConfig:
 
     Attributes:
         task: what to fly.
-        preset: values to start from, fast, paper (what it says, nothing of ours) or finetune (from init_from on).
+        preset: values to start from, fast, paper (what it says, nothing of ours), finetune (from init_from on) or card.
         twin: `nominal`, `typical` or a twin YAML.
         controller: of the actuators, map or adaptive; null for the twin's own.
         effects: Python files with effects of your own, e.g. '[cogging.py]'; not needed for a twin YAML that names them.
@@ -232,6 +232,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "curriculum": {"difficulty": {"start": 1.0}},
         "learning_rate": {"start": 5e-4, "end": 5e-5, "begin": 0.0, "finish": 0.95},
         "exploration": {"start": 0.2, "end": 0.06, "begin": 0.0, "finish": 0.9}, "exam_from": 0.3,
+    },
+    "card": {
+        "device": "cuda", "num_envs": 8192, "rollout": 16, "minibatch": 8192, "total_steps": 20_000_000,
+        "exam_every": 4_000_000,
     },
 }  # fmt: skip
 """What each preset changes."""

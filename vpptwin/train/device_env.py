@@ -15,7 +15,7 @@ from vpptwin.errors import InputError
 from vpptwin.progress import tell_wait
 from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.device_draws import BANK, DeviceDraws, ParameterBank, StartRing
-from vpptwin.train.devices import PROCESSOR, check_warp
+from vpptwin.train.devices import check_warp
 from vpptwin.train.env import NEAR, VppEnv, load_randomized
 from vpptwin.train.episodes import Episodes
 from vpptwin.train.observe import Sight, accumulate_error, observe, wrap_angle
@@ -30,25 +30,28 @@ from vpptwin.twin.health import FASTEST
 from vpptwin.twin.kernel import COMPILING
 from vpptwin.twin.past import record_poses, start_sensors
 from vpptwin.twin.sensors import PERFECT, read_sensors
-from vpptwin.twin.warp_step import NEED, WarpStep, load_warp
+from vpptwin.twin.warp_device import load_warp
+from vpptwin.twin.warp_mujoco import WarpMujoco
+from vpptwin.twin.warp_step import WarpStep
 
 
 class DeviceEnv(VppEnv):
     """N drones as `VppEnv` flies them, in float32 on a device; no step waits for the device.
 
-    What touches something, or comes as near as the ball around it, ends its episode as a failure: contact is MuJoCo's.
+    What touches something, or comes as near as the ball around it, ends its episode as a failure; a task that goes on
+    there, and a rig that only MuJoCo steps, are stepped by `mujoco_warp`, contact and all.
     Parameters are drawn, and effects that act on constants applied, on the processor: for a bank of rigs, from which
     new episodes take theirs, and which is drawn afresh as training goes.
 
     Args:
         twin: of the bank: as many simulations as it has sets of parameters, with `randomized` effects switched on.
-        task: what to fly; one that neither ends at the rail's ends nor fails there is refused.
+        task: what to fly.
         count: simulations N.
         device: `cpu`, by Warp's processor device, or `cuda`.
         seed, noise, randomized, sight, desynchronize, lesson, memory, privileged, narrowed: as `VppEnv`.
 
     Raises:
-        InputError: if Warp or a card is missing, or the rig, the task or an effect cannot be flown by Warp.
+        InputError: if Warp, mujoco_warp or a card is missing, or the rig or an effect cannot be flown by them.
     """
 
     def __init__(
@@ -57,14 +60,12 @@ class DeviceEnv(VppEnv):
         lesson: Lesson | None = None, memory: int = 0, privileged: bool = True, narrowed: bool = False,
     ) -> None:  # fmt: skip
         check_warp(device)
-        if not task.limits.ends:
-            found = f"task {task.name}, which goes on at the ends of the rail"
-            raise InputError(f"{NEED}: {found}", "one that fails there, as hover and flip do", PROCESSOR)
         super().__init__(
             twin, task, seed, noise, randomized, sight, desynchronize, lesson, memory, privileged, narrowed=narrowed,
             count=count, device=device,
         )  # fmt: skip
-        self.stepper = WarpStep(twin, steps=round(self._period / twin.dt), single=True)
+        alone = twin.layout is not None and task.limits.ends
+        self.stepper = (WarpStep if alone else WarpMujoco)(twin, round(self._period / twin.dt), single=True)
         self.draws: Any = DeviceDraws(device, seed)  # which numpy's generator is declared for
         self.bank = ParameterBank(self.stepper, self._priors, self.rng, device)
         start = self.stepper.pack_state(twin.initial_state(ids=np.zeros(1, int)))
@@ -82,12 +83,10 @@ class DeviceEnv(VppEnv):
         self.failed_starts: Any = StartRing(device)
         self._broken = torch.zeros((), dtype=torch.int64, device=device)
         self._wp = load_warp()
-        arrays = [self._wp.from_torch(t) for t in (self.table, self.numbers, self._command, self._touched)]
         with tell_wait(COMPILING):
-            self._wp.load_module(self.stepper.kernel.module, device=arrays[0].device)
-        self._launch = self._wp.launch(
-            self.stepper.kernel, dim=count, inputs=arrays, device=arrays[0].device, record_cmd=True
-        )  # fmt: skip
+            self._launch = self.stepper.record(
+                *(self._wp.from_torch(t) for t in (self.table, self.numbers, self._command, self._touched))
+            )
         self._everyone = torch.ones(count, dtype=torch.bool, device=device)
 
     def show_rows(self) -> None:

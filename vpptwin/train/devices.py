@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from vpptwin.errors import InputError
-from vpptwin.twin.warp_step import load_warp
+from vpptwin.twin.warp_device import check_driver, load_warp
 
 PROCESSOR = "say engine=numba, which simulates on the processor"
 
@@ -32,11 +32,6 @@ def check_warp(device: torch.device) -> None:
     Raises:
         InputError: if Warp is not installed, or the card's driver is older than what it was built for.
     """
-    wp = load_warp()
-    if device.type == "cuda" and not wp.is_cuda_available():
-        driver, wanted = (
-            ".".join(map(str, version or ("none",)))
-            for version in (wp.get_cuda_driver_version(), wp.get_cuda_toolkit_version())
-        )
-        found = f"device={device} with a driver for CUDA {driver}, and Warp {wp.__version__} built with CUDA {wanted}"
-        raise InputError(found, "a driver at least as new", f"install one, or {PROCESSOR}")
+    load_warp()
+    if device.type == "cuda":
+        check_driver(f"device={device}", PROCESSOR)

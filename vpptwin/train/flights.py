@@ -20,27 +20,16 @@ TURN_ERROR = 0.6
 
 @dataclass
 class Flights:
-    """What N tracks came to.
+    """What N tracks came to."""
 
-    Attributes:
-        position_error: mean distance over the last window of the task, (N,) m.
-        angle_error: likewise, (N,) rad.
-        failed: whether a limit was exceeded, (N,) bool.
-        missed: whether an angle that the task asks to be met was not, (N,) bool.
-        success: whether the task's measure of success is met, (N,) bool.
-        inverted: whether the last target is upside-down, (N,) bool.
-        turns: number of full turns that were asked for in flights that did not fail.
-        turned: number of those that the craft made.
-    """
-
-    position_error: np.ndarray
-    angle_error: np.ndarray
-    failed: np.ndarray
-    missed: np.ndarray
-    success: np.ndarray
-    inverted: np.ndarray
-    turns: int
-    turned: int
+    position_error: np.ndarray  # mean distance over the last window of the task, (N,) m
+    angle_error: np.ndarray  # likewise, (N,) rad
+    failed: np.ndarray  # whether a limit was exceeded, (N,) bool
+    missed: np.ndarray  # whether an angle that the task asks to be met was not, (N,) bool
+    success: np.ndarray  # whether the task's measure of success is met, (N,) bool
+    inverted: np.ndarray  # whether the last target is upside-down, (N,) bool
+    turns: int  # number of full turns that were asked for in flights that did not fail
+    turned: int  # number of those that the craft made
 
     def score(self, lost: float) -> float:
         """Mean position error, a flight that failed or missed an angle counted as `lost` and none as more, m."""

@@ -8,17 +8,11 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 
 class Hook(TrainerHookBase):
-    """A hook that is called at one place of the trainer; unless it says otherwise it has nothing to save.
+    """A hook that is called at one place of the trainer; unless it says otherwise it has nothing to save."""
 
-    Attributes:
-        place: where the trainer calls it.
-        name: of its state in a checkpoint.
-        trainer: from `register` on.
-    """
-
-    place: ClassVar[str]
-    name: ClassVar[str]
-    trainer: Trainer
+    place: ClassVar[str]  # where the trainer calls it
+    name: ClassVar[str]  # of its state in a checkpoint
+    trainer: Trainer  # from `register` on
 
     def register(self, trainer: Trainer, name: str | None = None) -> None:
         """Have the trainer call it at `place`, and save its state."""

@@ -24,15 +24,10 @@ INTEGRAL_DECAY = 0.9
 
 @dataclass(frozen=True)
 class Sight:
-    """What a policy is shown.
+    """What a policy is shown."""
 
-    Attributes:
-        setup: one of `SETUPS`.
-        target_angle: show the target's angle, which the paper's inputs lack.
-    """
-
-    setup: str = "All"
-    target_angle: bool = True
+    setup: str = "All"  # one of `SETUPS`
+    target_angle: bool = True  # show the target's angle, which the paper's inputs lack
 
     @cached_property
     def names(self) -> tuple[str, ...]:

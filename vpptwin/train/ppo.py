@@ -33,19 +33,12 @@ VALUE_SCALE = 10.0
 
 @dataclass
 class Training:
-    """The parts of a run that are put together.
+    """The parts of a run that are put together."""
 
-    Attributes:
-        trainer: TorchRL's trainer, ready to `train()`.
-        simulations: what it collects from.
-        policy: what it trains.
-        bar: the progress bar.
-    """
-
-    trainer: PPOTrainer
-    simulations: Simulations
-    policy: Policy
-    bar: ProgressBar
+    trainer: PPOTrainer  # TorchRL's trainer, ready to `train()`
+    simulations: Simulations  # what it collects from
+    policy: Policy  # what it trains
+    bar: ProgressBar  # the progress bar
 
 
 def start_from(policy: Policy, config: TrainConfig) -> None:

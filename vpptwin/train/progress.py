@@ -20,13 +20,9 @@ LAYOUT = "{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {re
 
 
 class Simulations(Protocol):
-    """What is reported of the simulations that are trained on, wherever they are.
+    """What is reported of the simulations that are trained on, wherever they are."""
 
-    Attributes:
-        faults: number of simulations so far that diverged and were started afresh.
-    """
-
-    faults: int
+    faults: int  # number of simulations so far that diverged and were started afresh
 
     @property
     def difficulty(self) -> float:

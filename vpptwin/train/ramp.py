@@ -7,19 +7,12 @@ from dataclasses import dataclass
 
 @dataclass
 class Ramp:
-    """A value that is constant, then changes linearly, then is constant again, over the course of training.
+    """A value that is constant, then changes linearly, then is constant again, over the course of training."""
 
-    Attributes:
-        start: first value.
-        end: last value.
-        begin: share of training at which the change starts.
-        finish: share of training at which it is over.
-    """
-
-    start: float
-    end: float
-    begin: float = 0.1
-    finish: float = 0.7
+    start: float  # first value
+    end: float  # last value
+    begin: float = 0.1  # share of training at which the change starts
+    finish: float = 0.7  # share of training at which it is over
 
     def at(self, progress: float) -> float:
         """Value at a share of training between 0 and 1."""

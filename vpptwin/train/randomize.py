@@ -107,7 +107,7 @@ def name_effects(
     An unknown name is passed on, for whoever checks ids to refuse.
 
     Args:
-        names: ids, `all`, `paper` or `identified`.
+        names: ids, `all`, `paper` or `identified`; those of contacts, which few tasks make, by their ids alone.
         catalogue: of the twin.
         intervals: "effect.parameter" → 90 % interval that data gave.
 
@@ -116,7 +116,8 @@ def name_effects(
     """
     everything = [effect.id for effect in catalogue]
     found = list_identified(intervals or {}, catalogue) if IDENTIFIED in names else []
-    groups = {ALL: everything, PAPER: list(PAPER_EFFECTS), IDENTIFIED: found}
+    flown = [effect.id for effect in catalogue if not effect.touching]
+    groups = {ALL: flown, PAPER: list(PAPER_EFFECTS), IDENTIFIED: found}
     wanted = [effect for name in names for effect in groups.get(name, [name])]
     return sorted(set(wanted), key=lambda id_: (everything.index(id_) if id_ in everything else -1, id_))
 

@@ -14,19 +14,12 @@ SOON = 1.0
 
 @dataclass
 class FailedStarts:
-    """A ring of the latest starts that led to a failure.
+    """A ring of the latest starts that led to a failure."""
 
-    Attributes:
-        target: x, z, θ that were asked for, (KEPT, 3) m, m, rad.
-        pose: x, z, θ, (KEPT, 3) m, m, rad.
-        velocity: m/s, m/s, rad/s, (KEPT, 3).
-        seen: how many there have been so far, (1,) int.
-    """
-
-    target: np.ndarray
-    pose: np.ndarray
-    velocity: np.ndarray
-    seen: np.ndarray
+    target: np.ndarray  # x, z, θ that were asked for, (KEPT, 3) m, m, rad
+    pose: np.ndarray  # x, z, θ, (KEPT, 3) m, m, rad
+    velocity: np.ndarray  # m/s, m/s, rad/s, (KEPT, 3)
+    seen: np.ndarray  # how many there have been so far, (1,) int
 
     @classmethod
     def empty(cls) -> FailedStarts:

@@ -30,21 +30,13 @@ OPTIONS = {"auto_register_policy_transforms": False}
 
 @dataclass(frozen=True)
 class WorkerEnv:
-    """Makes one worker's environment, in that worker.
+    """Makes one worker's environment, in that worker."""
 
-    Attributes:
-        config: of the run.
-        worker: number of the worker, 0 the first.
-        begun: steps that the whole run had collected before.
-        fault_folder: of the run; each worker writes into a folder of its own in it, on its machine.
-        trusted: Python files that the user lets run.
-    """
-
-    config: TrainConfig
-    worker: int
-    begun: int
-    fault_folder: Path
-    trusted: frozenset[Path]
+    config: TrainConfig  # of the run
+    worker: int  # number of the worker, 0 the first
+    begun: int  # steps that the whole run had collected before
+    fault_folder: Path  # of the run; each worker writes into a folder of its own in it, on its machine
+    trusted: frozenset[Path]  # Python files that the user lets run
 
     @property
     def seed(self) -> int:

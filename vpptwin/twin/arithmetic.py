@@ -47,8 +47,10 @@ class Arithmetic(Paths):
             return self.of_record(base, key)
         if isinstance(base, Ring):
             if isinstance(key, tuple) and isinstance(key[0], slice):
-                return Ring(base.place, base.memory, base.shape[:1], (None, key[1]))
-            return self.copy_out(self.locate(base, key))
+                return Ring(base.place, base.shape[:1], (None, key[1]))
+            if isinstance(key, tuple) or len(base.shape) == 1:
+                return self.copy_out(self.locate(base, key))
+            return Cells.of([self.copy_out(self.locate(base, (key, j))) for j in range(base.shape[1])])
         if isinstance(key, Term) or (isinstance(key, tuple) and any(isinstance(k, Term) for k in key)):
             raise Unwritable("takes an item at a place that changes")
         if isinstance(base, Cells):
@@ -70,7 +72,7 @@ class Arithmetic(Paths):
     def locate(self, ring: Ring, key: Any) -> str:  # noqa: ANN401
         """Where an element of a ring is in memory."""
         row, column = (key, ring.fixed[1]) if not isinstance(key, tuple) else key
-        return f"{ring.memory}[{ring.place(self.write_out(row, WHOLE), int(column or 0))}, i]"
+        return ring.place(self.write_out(row, WHOLE), int(column or 0))
 
     def of_record(self, record: Record, name: str) -> Value:
         """A field of a record: a number, or an array."""
@@ -144,11 +146,12 @@ class Arithmetic(Paths):
                 return eval(f"a {sign} b", {"a": left, "b": right})
         kind = common_kind(left, right)
         kind = WHOLE if kind == TRUTH else kind
-        if kind == WHOLE and sign == "%":  # Python's has the sign of the divisor
-            n = self.write_out(right, WHOLE)
-            inner = self.keep(f"{self.write_out(left, WHOLE)} % {n}", WHOLE)
-            return self.keep(f"wp.where({inner.text} < 0, {inner.text} + {n}, {inner.text})", WHOLE)
-        if kind == WHOLE and sign in ("/", "**", "//"):
+        if kind == WHOLE and sign in ("%", "//"):  # Python's remainder has the sign of the divisor
+            m, n = self.write_out(left, WHOLE), self.write_out(right, WHOLE)
+            inner = self.keep(f"{m} % {n}", WHOLE)
+            rest = self.keep(f"wp.where({inner.text} < 0, {inner.text} + {n}, {inner.text})", WHOLE)
+            return rest if sign == "%" else self.keep(f"({m} - {rest.text}) // {n}", WHOLE)
+        if kind == WHOLE and sign in ("/", "**"):
             kind = REAL
         if sign in ("%", "//") and kind == REAL:
             raise Unwritable(f"uses {sign} of numbers, which Warp has otherwise")

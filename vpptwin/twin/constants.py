@@ -66,6 +66,11 @@ class ConstantTable:
         acting = self.parameters.shape[1]
         return self.parameters[:, column] if column < acting else self._settings[:, column - acting]
 
+    def read_derived(self, name: str) -> np.ndarray | None:
+        """A field that the engine derives from what effects write, (N, ...); None where it is the same for all."""
+        self.refresh()
+        return self._batch.expanded(name)
+
     def set_parameters(self, keys: Sequence[Key], values: np.ndarray | float, ids: np.ndarray | None = None) -> None:
         """Set parameters, for all simulations or for `ids`; the constants follow at the next `refresh`.
 

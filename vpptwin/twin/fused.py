@@ -52,15 +52,12 @@ for k in range(steps):
         joint_lifted, nothing,
     )
     if context.qpos:
-        kept_qpos = float64_at(context.qpos + (steps * i + k) * {nv} * 8, {nv})
-        kept_qvel = float64_at(context.qvel + (steps * i + k) * {nv} * 8, {nv})
         for j in range({nv}):
-            kept_qpos[j], kept_qvel[j] = qpos[j], qvel[j]
+            kept_qpos[k, j], kept_qvel[k, j] = qpos[j], qvel[j]
     {step}
     if context.rotor_speed:
-        kept_speed = float64_at(context.rotor_speed + (steps * i + k) * {nu} * 8, {nu})
         for a in range({nu}):
-            kept_speed[a] = row.layer.rotor_speed[a]
+            kept_speed[k, a] = row.layer.rotor_speed[a]
     foresee_actuators(view, exerted)
     for j in range({nv}):
         exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
@@ -94,6 +91,11 @@ def fly(address, begin, end, room):
         warmstart = float64_at(context.warmstart + {nv} * 8 * i, {nv})
         clock = float64_at(context.time + 8 * i, 1)
 {row}
+        kept_qpos = float64_table_at(context.qpos + steps * {nv} * 8 * i, steps if context.qpos else 0, {nv})
+        kept_qvel = float64_table_at(context.qvel + steps * {nv} * 8 * i, steps if context.qvel else 0, {nv})
+        kept_speed = float64_table_at(
+            context.rotor_speed + steps * {nu} * 8 * i, steps if context.rotor_speed else 0, {nu}
+        )
 {flight}
         int64_at(context.stuck, i + 1)[i] = int(touches)
 """

@@ -38,44 +38,26 @@ def find_diverged(state: TwinState) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Fault:
-    """One simulation's step that ended in nonsense.
+    """One simulation's step that ended in nonsense."""
 
-    Attributes:
-        twin: `nominal` or the path of a twin YAML.
-        effects: every effect that was switched on, with its values.
-        command: of the policy, held during the step, (2,) N, rad/s.
-        duration: of the step [s].
-        before: state at its start, one row.
-        after: state at its end, one row.
-        about: where it happened and with which versions.
-    """
-
-    twin: str
-    effects: EffectValues
-    command: np.ndarray
-    duration: float
-    before: TwinState
-    after: TwinState
-    about: Mapping[str, Any] = field(default_factory=dict)
+    twin: str  # `nominal` or the path of a twin YAML
+    effects: EffectValues  # every effect that was switched on, with its values
+    command: np.ndarray  # of the policy, held during the step, (2,) N, rad/s
+    duration: float  # of the step [s]
+    before: TwinState  # state at its start, one row
+    after: TwinState  # state at its end, one row
+    about: Mapping[str, Any] = field(default_factory=dict)  # where it happened and with which versions
 
 
 @dataclass(frozen=True)
 class Replay:
-    """A fault flown again.
+    """A fault flown again."""
 
-    Attributes:
-        fault: as it was taken down.
-        after: state at the end of the step, one row.
-        equal: whether it is bit-equal to the one taken down.
-        first: when a number first was not finite or absurd, s after the start of the step; None if none was.
-        fields: which arrays of the state held such numbers then.
-    """
-
-    fault: Fault
-    after: TwinState
-    equal: bool
-    first: float | None
-    fields: tuple[str, ...]
+    fault: Fault  # as it was taken down
+    after: TwinState  # state at the end of the step, one row
+    equal: bool  # whether it is bit-equal to the one taken down
+    first: float | None  # when a number first was not finite or absurd, s after the start of the step; None if none was
+    fields: tuple[str, ...]  # which arrays of the state held such numbers then
 
 
 def take_fault(

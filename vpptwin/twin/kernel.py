@@ -126,21 +126,13 @@ def warm_up(layer, constants, commands, sizes):
 
 @dataclass(frozen=True)
 class Kernel:
-    """The compiled step for one model and catalogue; compiled when it is first asked for.
+    """The compiled step for one model and catalogue; compiled when it is first asked for."""
 
-    Attributes:
-        pipeline: the effects' part of it.
-        layer: dtype of the actuators' state.
-        constants: dtype of the constants.
-        entry: text of the function that MuJoCo's control callback is.
-        fused: text of the function that steps without MuJoCo; None for a model that needs it.
-    """
-
-    pipeline: Pipeline
-    layer: np.dtype
-    constants: np.dtype
-    entry: str
-    fused: str | None
+    pipeline: Pipeline  # the effects' part of it
+    layer: np.dtype  # dtype of the actuators' state
+    constants: np.dtype  # dtype of the constants
+    entry: str  # text of the function that MuJoCo's control callback is
+    fused: str | None  # text of the function that steps without MuJoCo; None for a model that needs it
 
     @cached_property
     def callback(self) -> Any:  # noqa: ANN401

@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.effects.link import to_matrix
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree, gear_actuators, place_bodies, weigh_bodies
-from vpptwin.twin.model import HINGE, SLIDE
+from vpptwin.twin.model import HINGE, SLIDE, find_meeting
 
 SITE, JOINT = int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_JOINT)
 PLANE, BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
@@ -29,21 +29,17 @@ PER_SIMULATION = {"body_mass": "body_mass", "body_inertia": "body_inertia", "bod
                   "actuator_gainprm": "gain", "actuator_biasprm": "bias", "actuator_forcerange": "force_range",
                   "body_iquat": "body_imat"}  # fmt: skip
 """Fields that effects may write → what the fused step calls them."""
+AT_CONTACTS = {"geom_solref", "geom_friction"}
+"""Fields that they may write and it does not need: whatever touches is stepped by MuJoCo."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What the fused step needs to know of a model: see `Tree`, `Shape` and `Reach`.
+    """What the fused step needs to know of a model: see `Tree`, `Shape` and `Reach`."""
 
-    Attributes:
-        tree: how it hangs together.
-        numbers: `Shape`, gravity, gain, bias and force range of the nominal model, by name.
-        reach: what could touch.
-    """
-
-    tree: Tree
-    numbers: dict[str, np.ndarray]
-    reach: Reach
+    tree: Tree  # how it hangs together
+    numbers: dict[str, np.ndarray]  # `Shape`, gravity, gain, bias and force range of the nominal model, by name
+    reach: Reach  # what could touch
 
 
 def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
@@ -53,7 +49,8 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
         model: that is stepped.
         written: its fields that effects write.
     """
-    if not is_plain(model) or any(name not in PER_SIMULATION for name in written if is_of_model(model, name)):
+    known = PER_SIMULATION.keys() | AT_CONTACTS
+    if not is_plain(model) or any(name not in known for name in written if is_of_model(model, name)):
         return None
     tree, numbers = read_tree(model)
     reach = read_reach(model, tree)
@@ -133,10 +130,10 @@ def read_reach(model: mujoco.MjModel, tree: Tree) -> Reach | None:
     ranges[limited] = (np.asarray(model.jnt_range) + margin)[limited]
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    rows = []
+    rows, meeting = [], find_meeting(model)
     for g in range(model.ngeom):
         for h in range(model.ngeom):
-            if not can_touch(model, g, h) or held[model.geom_bodyid[g]] or (g > h and not held[model.geom_bodyid[h]]):
+            if not meeting[g, h] or held[model.geom_bodyid[g]] or (g > h and not held[model.geom_bodyid[h]]):
                 continue
             kind, radius = int(model.geom_type[h]), model.geom_rbound[g]
             if kind not in (PLANE, BOX) or not held[model.geom_bodyid[h]]:
@@ -156,19 +153,6 @@ def read_reach(model: mujoco.MjModel, tree: Tree) -> Reach | None:
         np.array([r[2] for r in rows], np.int64), np.array([r[3] for r in rows], np.int64),
         np.array([r[4] for r in rows]).reshape(-1, 15),
     )  # fmt: skip
-
-
-def can_touch(model: mujoco.MjModel, g: int, h: int) -> bool:
-    """Whether MuJoCo looks for contacts between two geoms."""
-    weld = np.asarray(model.body_weldid)
-    one, other = (weld[model.geom_bodyid[i]] for i in (g, h))
-    if one == other:
-        return False
-    kin = {one, other} in ({one, weld[model.body_parentid[one]]}, {other, weld[model.body_parentid[other]]})
-    if kin and 0 not in (one, other) and not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        return False
-    types, affinities = model.geom_contype, model.geom_conaffinity
-    return bool(types[g] & affinities[h] or types[h] & affinities[g])
 
 
 def make_pose(nbody: int, nv: int) -> Pose:

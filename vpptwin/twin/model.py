@@ -194,10 +194,15 @@ def group_rotors(model: mujoco.MjModel) -> list[tuple[str, ...]]:
     groups: dict[tuple[float, ...], list[str]] = {}
     for i in range(model.nu):
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_SITE and model.actuator(i).name:
-            body = model.site_bodyid[model.actuator_trnid[i, 0]]
+            body = find_carrier(model, model.actuator(i).name)
             law = *np.abs(model.actuator_gear[i]), *model.actuator_gainprm[i, :3], *model.actuator_biasprm[i, :3]
             groups.setdefault((body, *law), []).append(model.actuator(i).name)
     return [tuple(group) for group in groups.values() if len(group) > 2]
+
+
+def find_carrier(model: mujoco.MjModel, rotor: str) -> int:
+    """Index of the body that an actuator at a site sits on."""
+    return int(model.site_bodyid[model.actuator_trnid[model.actuator(rotor).id, 0]])
 
 
 def is_driven(model: mujoco.MjModel, joint: str) -> bool:
@@ -266,3 +271,15 @@ def missing_parts(model: mujoco.MjModel, effect: Effect) -> list[str]:
     """Joints and bodies that an effect needs and the model lacks."""
     names = {model.joint(i).name for i in range(model.njnt)} | {model.body(i).name for i in range(model.nbody)}
     return [name for name in effect.needs if name not in names]
+
+
+def find_meeting(model: mujoco.MjModel, geoms: np.ndarray | None = None) -> np.ndarray:
+    """Between which of some geoms, by default all (G,), MuJoCo looks for contacts, (G, G) bool."""
+    geoms = np.arange(model.ngeom) if geoms is None else geoms
+    weld = np.asarray(model.body_weldid)[model.geom_bodyid[geoms]]
+    parent = np.asarray(model.body_weldid)[np.asarray(model.body_parentid)[weld]]
+    kin = ((weld[:, None] == parent) | (parent[:, None] == weld)) & (weld[:, None] > 0) & (weld > 0)
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        kin[:] = False
+    answers = (model.geom_contype[geoms][:, None] & model.geom_conaffinity[geoms]) != 0
+    return np.asarray((weld[:, None] != weld) & ~kin & (answers | answers.T))

@@ -18,17 +18,11 @@ from vpptwin.engine.compile import can_keep
 
 @dataclass(frozen=True)
 class SensorState:
-    """Poses and velocities of the last policy steps, of N simulations.
+    """Poses and velocities of the last policy steps, of N simulations."""
 
-    Attributes:
-        pose: ring of x, z, θ, (N, depth, 3) m, m, rad; no entries when no pose comes late.
-        velocity: ring of v_x, v_z, q, (N, depth, 3) m/s, m/s, rad/s.
-        newest: index of the last one, (N,).
-    """
-
-    pose: np.ndarray
-    velocity: np.ndarray
-    newest: np.ndarray
+    pose: np.ndarray  # ring of x, z, θ, (N, depth, 3) m, m, rad; no entries when no pose comes late
+    velocity: np.ndarray  # ring of v_x, v_z, q, (N, depth, 3) m/s, m/s, rad/s
+    newest: np.ndarray  # index of the last one, (N,)
 
     @property
     def depth(self) -> int:

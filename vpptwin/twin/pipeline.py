@@ -34,20 +34,13 @@ Transform = Callable[..., Function]
 
 @dataclass(frozen=True)
 class Pipeline:
-    """The per-step effects of a catalogue on one model.
+    """The per-step effects of a catalogue on one model."""
 
-    Attributes:
-        source: Python text of the functions of `CHAIN`.
-        functions: names in the text → the effects' functions.
-        columns: (effect id, parameter) → column of a simulation's parameters.
-        places: effect id → place among the switches.
-        starts: of every column of the effects' states, a number, or which position or velocity: ("position", 0).
-    """
-
-    source: str
-    functions: dict[str, Function]
-    columns: dict[tuple[str, str], int]
-    places: dict[str, int]
+    source: str  # Python text of the functions of `CHAIN`
+    functions: dict[str, Function]  # names in the text → the effects' functions
+    columns: dict[tuple[str, str], int]  # (effect id, parameter) → column of a simulation's parameters
+    places: dict[str, int]  # effect id → place among the switches
+    # of every column of the effects' states, a number, or which position or velocity: ("position", 0)
     starts: tuple[float | tuple[str, int], ...]
 
     def start_effects(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
@@ -120,20 +113,13 @@ class ChainWriter:
     """Writes the functions of `CHAIN`, lines of text each, for the effects of a catalogue that act every step.
 
     Switches are looked up in the step, not written into it: all twins of a catalogue share what is compiled.
-
-    Attributes:
-        model: whose joints they act on.
-        effects: in the order of the catalogue.
-        columns: (effect id, parameter) → column of a simulation's parameters.
-        places: effect id → place among the switches.
-        states: effect id → what its states are called in the text.
     """
 
-    model: mujoco.MjModel
-    effects: Sequence[Effect]
-    columns: Mapping[tuple[str, str], int]
-    places: Mapping[str, int]
-    states: Mapping[str, list[str]]
+    model: mujoco.MjModel  # whose joints they act on
+    effects: Sequence[Effect]  # in the order of the catalogue
+    columns: Mapping[tuple[str, str], int]  # (effect id, parameter) → column of a simulation's parameters
+    places: Mapping[str, int]  # effect id → place among the switches
+    states: Mapping[str, list[str]]  # effect id → what its states are called in the text
 
     def of(self, stage: Stage, target: str) -> list[Effect]:
         """The effects of a stage on a joint, or on the craft ("")."""

@@ -64,25 +64,16 @@ def recall_effects(address, begin, end, room):
 
 
 class Past(NamedTuple):
-    """How flights moved, one after the other, sampled every step of the twin.
+    """How flights moved, one after the other, sampled every step of the twin."""
 
-    Attributes:
-        time: (T,) s on each flight's clock.
-        qpos: the engine's positions, (T, nq).
-        qvel: (T, nv).
-        first: where a flight begins, (T,) bool.
-        stops: the samples from which the leads of windows go on, (K,).
-        lead_qpos: positions from there to the start of each window, (K, L + 1, nq): what is known of them there.
-        lead_qvel: velocities, (K, L + 1, nv).
-    """
-
-    time: np.ndarray
-    qpos: np.ndarray
-    qvel: np.ndarray
-    first: np.ndarray
-    stops: np.ndarray
+    time: np.ndarray  # (T,) s on each flight's clock
+    qpos: np.ndarray  # the engine's positions, (T, nq)
+    qvel: np.ndarray  # (T, nv)
+    first: np.ndarray  # where a flight begins, (T,) bool
+    stops: np.ndarray  # the samples from which the leads of windows go on, (K,)
+    # positions from there to the start of each window, (K, L + 1, nq): what is known of them there
     lead_qpos: np.ndarray
-    lead_qvel: np.ndarray
+    lead_qvel: np.ndarray  # velocities, (K, L + 1, nv)
 
 
 def evolves(effect: Effect) -> bool:
@@ -92,21 +83,13 @@ def evolves(effect: Effect) -> bool:
 
 @dataclass(frozen=True)
 class Recollection:
-    """The effects of a model that evolve, ready to be run along what is known of the past.
+    """The effects of a model that evolve, ready to be run along what is known of the past."""
 
-    Attributes:
-        pipeline: the whole step's, to whose columns, switches and states the text keeps.
-        source: text of the C function, and of the effects in it.
-        dry: friction that the joints have without any effect, (nv,).
-        inertia: joint-space inertia in the reference pose, (nC,): few effects ask for it, and roughly.
-        dt: step [s].
-    """
-
-    pipeline: Pipeline
-    source: str
-    dry: np.ndarray
-    inertia: np.ndarray
-    dt: float
+    pipeline: Pipeline  # the whole step's, to whose columns, switches and states the text keeps
+    source: str  # text of the C function, and of the effects in it
+    dry: np.ndarray  # friction that the joints have without any effect, (nv,)
+    inertia: np.ndarray  # joint-space inertia in the reference pose, (nC,): few effects ask for it, and roughly
+    dt: float  # step [s]
 
     def run(self, parameters: np.ndarray, active: np.ndarray, past: Past) -> np.ndarray:
         """How far the effects' states are from those at rest with the joints where the windows start.

@@ -12,30 +12,18 @@ from vpptwin.twin.state import TwinState
 
 @dataclass(frozen=True)
 class Driven:
-    """Joints and free bodies that follow a log.
+    """Joints and free bodies that follow a log."""
 
-    Attributes:
-        dofs: their degrees of freedom, (D,).
-        pose: whole poses at every step, of which theirs count, (N, steps, nq) m, rad, unit quaternions.
-        velocity: likewise, (N, steps, nv) m/s, rad/s.
-    """
-
-    dofs: np.ndarray
-    pose: np.ndarray
-    velocity: np.ndarray
+    dofs: np.ndarray  # their degrees of freedom, (D,)
+    pose: np.ndarray  # whole poses at every step, of which theirs count, (N, steps, nq) m, rad, unit quaternions
+    velocity: np.ndarray  # likewise, (N, steps, nv) m/s, rad/s
 
 
 class Replay(NamedTuple):
-    """What became of N simulations under logged commands.
+    """What became of N simulations under logged commands."""
 
-    Attributes:
-        state: the final state.
-        qpos: the engine's positions after every step, (N, steps, nq) m, rad.
-        qvel: velocities after every step, (N, steps, nv) m/s, rad/s.
-        rotor_speed: of the simulated motors after every step, (N, steps, 2) rad/s; None where none is simulated.
-    """
-
-    state: TwinState
-    qpos: np.ndarray
-    qvel: np.ndarray
+    state: TwinState  # the final state
+    qpos: np.ndarray  # the engine's positions after every step, (N, steps, nq) m, rad
+    qvel: np.ndarray  # velocities after every step, (N, steps, nv) m/s, rad/s
+    # of the simulated motors after every step, (N, steps, 2) rad/s; None where none is simulated
     rotor_speed: np.ndarray | None

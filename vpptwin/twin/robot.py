@@ -29,12 +29,16 @@ from vpptwin.effects import (
 )
 from vpptwin.effects.actuator import list_loop_effects
 from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
+from vpptwin.effects.contact import effects_for_contacts
+from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.errors import InputError
 from vpptwin.twin.manifold import BALL, FREE, list_attitudes
 from vpptwin.twin.model import (
     compile_model,
     describe_joints,
+    find_carrier,
     find_floating,
+    find_meeting,
     group_rotors,
     is_driven,
     list_swung,
@@ -47,6 +51,8 @@ from vpptwin.vehicle import Vehicle
 
 GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
+TURNING = ("com", "inertia", "twist")
+"""Effects of a body that show as it turns."""
 WAYS = ("x", "y", "z", "roll", "pitch", "yaw")
 """What a free body's degrees of freedom are called: along the world's axes, about its own; a ball joint's are three."""
 GUST_TIME = 0.2
@@ -167,7 +173,9 @@ class Robot:
     def driven(self) -> np.ndarray:
         """Degrees of freedom that follow their log, (D,)."""
         led = [each.joint for each in self.tracked if each.led]
-        return np.flatnonzero(np.isin(self.model.dof_jntid, led))
+        turned = [each.joint for each in self.tracked if each.posed and each.name in self.signals.turned]
+        turns = [int(self.model.jnt_dofadr[joint]) + 3 + axis for joint in turned for axis in range(3)]
+        return np.union1d(np.flatnonzero(np.isin(self.model.dof_jntid, led)), turns).astype(int)
 
     @property
     def numbers(self) -> np.ndarray:
@@ -246,7 +254,7 @@ class Robot:
         apart = [effect for joint, body in self.list_free().items() for effect in self.list_of_body(joint, body)]
         apart += self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
-        more = about, group_rotors(model), self.list_links(), tells_mount(model)
+        more = about, group_rotors(model), self.list_links(), tells_mount(model), self.list_contacts()
         if loads is None:
             unit = {name: 1.0 for name in names if name}
             places = [
@@ -262,6 +270,20 @@ class Robot:
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, dof, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
         return self.tie_signals((*effects_for_rig(places, controls, 1.0, *more), *apart))
+
+    def hides(self, effect: Effect) -> bool:
+        """Whether an effect cannot show: nothing touches in what is compared, bodies that are `turned` turn anyhow.
+
+        Then their gyros tell nothing, nor do rotors that are alike one by one.
+        """
+        if effect.touching or not self.signals.turned:
+            return effect.touching
+        bodies = {self.model.body(name).id for name in self.signals.turned}
+        sites = [name for name in self.signals.sites if self.model.site(name).bodyid[0] in bodies]
+        groups = [group for group in group_rotors(self.model) if find_carrier(self.model, group[0]) in bodies]
+        if effect.target in self.signals.turned:
+            return effect.id.rsplit(".", 1)[1] in (*TURNING, "misalignment")
+        return effect.target in sites or any(effect.target in group for group in groups)
 
     def find_dof(self, joint: str) -> int:
         """Degree of freedom of a joint."""
@@ -298,6 +320,7 @@ class Robot:
             gyros = [n for n in self.signals.sites if f"{n}.scale" in ids]
             for some, others in (
                 ([f"{body}.misalignment"], [f"{body}.wind", f"{body}.com"]), ([f"{body}.scale"], [f"{body}.mass"]),
+                ([f"{body}.mass"], [f"{name}.gain" for name in whole]),
                 ([f"{n}.scale" for n in gyros], [f"{body}.inertia"]),
             ):  # fmt: skip
                 tied = tie_alike(tied, some, others)
@@ -325,14 +348,26 @@ class Robot:
                 found.append(Link(name, mass, tip, reach))
         return found
 
+    def list_contacts(self) -> tuple[Effect, ...]:
+        """What contacts may have, of geoms that can touch and of pairs."""
+        model = self.model
+        kinds = np.stack([model.body_weldid[model.geom_bodyid], model.geom_contype, model.geom_conaffinity], axis=1)
+        _, some, kind = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
+        meets = np.asarray(find_meeting(model, some).any(axis=1))[kind.ravel()]
+        if not meets.any() and not model.npair:
+            return ()
+        solref = np.concatenate([model.geom_solref[meets], model.pair_solref])
+        pairs = [model.pair(i).name for i in range(model.npair)]
+        return effects_for_contacts(JOINT_SHOWS, solref, float(model.opt.timestep), bool(meets.any()), pairs)
+
     def list_free(self) -> dict[int, FreeBody]:
-        """The bodies that turn any way and are simulated, by their joint, with what is typical of them."""
+        """The bodies that fly or turn freely and are simulated, by their joint, with what is typical of them."""
         model, loads, force, found = self.model, self.loads, self.forces, {}
         for _, turn in list_attitudes(model):
             joint = int(model.dof_jntid[turn])
             body, dof = int(model.jnt_bodyid[joint]), int(model.jnt_dofadr[joint])
             name, mass = model.body(body).name, float(model.body_mass[body])
-            if turn in self.driven or not name or not mass:
+            if dof in self.driven or not name or not mass:
                 continue
             speed = 1.0 if loads is None else float(loads.speed[dof : dof + 3].max())
             size = float(np.sqrt(model.body_inertia[body].max() / mass))
@@ -346,7 +381,7 @@ class Robot:
         model, effects = self.model, effects_for_body(body)
         if model.jnt_type[joint] == FREE:
             return list(effects)
-        held = [effect for effect in effects if effect.id.rsplit(".", 1)[1] in ("com", "inertia", "twist")]
+        held = [effect for effect in effects if effect.id.rsplit(".", 1)[1] in TURNING]
         name, dof = model.joint(joint).name, int(model.jnt_dofadr[joint])
         if not name:
             return held
@@ -379,11 +414,13 @@ class Robot:
         actuators = {model.actuator(i).name: i for i in range(model.nu)}
         bodies = {model.body(i).name: i for i in range(model.nbody)}
         places = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
+        pairs = {model.pair(i).name: i for i in range(model.npair)}
         return Site(
             dof=joints.get(effect.target, -1),
             place=places.get(effect.target, -1),
             actuator=actuators.get(effect.target, -1),
             body=bodies.get(effect.target, self.body),
+            pair=pairs.get(effect.target, -1),
         )
 
     def weigh_commands(self, effect: Effect, dof: int) -> tuple[np.ndarray, str]:

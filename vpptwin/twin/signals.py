@@ -22,7 +22,8 @@ class Signals(BaseModel):
     """Topics that carry a rig's joints, free bodies, IMUs and control inputs, by MJCF name.
 
     Joints and free bodies under `driven` are not simulated but follow their log: whatever moves them, its errors stay
-    out of the question. Bodies are those that fly, float or hang by a ball joint; sites those where an IMU sits on one.
+    out of the question. Bodies are those that fly, float or hang by a ball joint; of those that are `turned` too, only
+    where they go is simulated, and their attitude follows its log; sites are those where an IMU sits on a body.
     Instead of a topic a YAML may name fields of any topic, which come to lie in `entries`: topic that they are read as
     → name → where they are.
     """
@@ -33,6 +34,7 @@ class Signals(BaseModel):
     sites: dict[str, str] = {}
     actuators: dict[str, str] = {}
     driven: dict[str, str] = {}
+    turned: tuple[str, ...] = ()
     entries: dict[str, dict[str, SignalEntry]] = Field(default_factory=dict, exclude=True)
 
     @model_validator(mode="before")
@@ -56,12 +58,13 @@ class Signals(BaseModel):
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """What a twin YAML says."""
         told = self.model_dump()
+        turned = told.pop("turned")
         content = {part: names for part, names in told.items() if names or part not in ("bodies", "sites")}
         for names in content.values():
             for name, topic in names.items():
                 if (entry := self.entries.get(topic, {}).get(name)) is not None:
                     names[name] = dump_entry(entry)
-        return content
+        return content | ({"turned": list(turned)} if turned else {})
 
 
 NO_SIGNALS = Signals()
@@ -77,21 +80,13 @@ def place_entry(topic: str, name: str, entry: dict[str, Any]) -> str:
 
 
 class Tracked(NamedTuple):
-    """What a signal tells the motion of.
+    """What a signal tells the motion of."""
 
-    Attributes:
-        name: of the joint or the body.
-        topic: that carries it.
-        joint: index of the joint, or of that which carries the body.
-        posed: it is the pose of a body in the world, not where a joint is from its parent.
-        led: it follows the log.
-    """
-
-    name: str
-    topic: str
-    joint: int
-    posed: bool
-    led: bool
+    name: str  # of the joint or the body
+    topic: str  # that carries it
+    joint: int  # index of the joint, or of that which carries the body
+    posed: bool  # it is the pose of a body in the world, not where a joint is from its parent
+    led: bool  # it follows the log
 
 
 def list_tracked(model: mujoco.MjModel, signals: Signals) -> list[Tracked]:
@@ -134,6 +129,10 @@ def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> 
             "signals that map joints and actuators to topics, as the rig is not ours",
             f"add `signals: {{{example if free else example + '/joint_states}'}}}`",
         )
+    for body in signals.turned:
+        if body not in signals.bodies or body not in free:
+            found = f"{name}: signals name {body!r} under turned"
+            raise InputError(found, "a free body that is under bodies, too", "remove it, or name the body there")
     sites = {model.site(i).name: model.body(int(model.site_bodyid[i])).name for i in range(model.nsite)}
     unheld = [site for site in signals.sites if site in sites and sites[site] not in floating]
     if unheld:

@@ -117,8 +117,9 @@ class TwinSpec:
 
     @cached_property
     def stepped(self) -> mujoco.MjModel:
-        """The model that simulations step: without what is only looked at, unless an effect changes geoms."""
-        if any(name.startswith("geom_") for effect in self.catalogue for name in effect.writes):
+        """The model that simulations step: without what is only looked at, unless an effect changes some geoms."""
+        some = (effect for effect in self.catalogue if not effect.touching)
+        if any(name.startswith("geom_") for effect in some for name in effect.writes):
             return self.model
         return strip_model(self.model, self.model_file, self.robot.adapt)
 
@@ -234,7 +235,7 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
     place = [str(part) for part in first["loc"]]
     keys = "model and, if need be, vehicle, effects, signals, controller, actuator, losses, thrust_to_weight"
     if place[:1] == ["signals"]:
-        keys = ", ".join(SIGNAL_TOPICS)
+        keys = ", ".join([*SIGNAL_TOPICS, "turned"])
     if place[:2] == ["signals", "entries"]:  # by the topic that they are read as
         place, keys = ["signals", *place[3:]], ", ".join(SignalEntry.model_fields)
     key = ".".join(place) or "the file"

@@ -30,61 +30,37 @@ X, Z, PITCH = 0, 1, 2
 
 
 class Row(NamedTuple):
-    """What a simulation has of its own besides MuJoCo's state.
+    """What a simulation has of its own besides MuJoCo's state."""
 
-    Attributes:
-        layer: state of the actuators, a record of `layer_dtype`.
-        constants: a record of `constants_dtype`.
-        parameters: of the effects that act every step, (P,).
-        memory: of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,).
-        effects: what evolves of the effects, (S,).
-        scratch: room for forces, friction levels, friction, loads and inertia, (7 + 2 nv, nv).
-    """
-
-    layer: Any
-    constants: Any
-    parameters: np.ndarray
+    layer: Any  # state of the actuators, a record of `layer_dtype`
+    constants: Any  # a record of `constants_dtype`
+    parameters: np.ndarray  # of the effects that act every step, (P,)
+    # of the last step the force on the carriage [N], the number of constraints, their forces, (2 + nv,)
     memory: np.ndarray
-    effects: np.ndarray
-    scratch: np.ndarray
+    effects: np.ndarray  # what evolves of the effects, (S,)
+    scratch: np.ndarray  # room for forces, friction levels, friction, loads and inertia, (7 + 2 nv, nv)
 
 
 class Tape(NamedTuple):
-    """Inputs of one simulation over a call of many steps.
+    """Inputs of one simulation over a call of many steps."""
 
-    Attributes:
-        policy: whether `command` is that of a policy (thrust N, rate rad/s), held throughout, instead of one per step.
-        command: (1, 2) or (steps, nu).
-        speed: measured rotor speed, which thrust goes by, (steps, nu) rad/s; no rows when it is simulated.
-        throttle: by which motors are simulated, (steps, nu) 0..1; no rows when there is none.
-        push: generalized force added, (segments, nv) N, N m; no rows for none.
-        lead: velocities of driven joints in each step, (steps, nv); no rows when none is driven.
-        driven: inertia by which each joint is driven, (nv,); 0 for free ones.
-        steps: number of steps of the call.
-    """
-
+    # whether `command` is that of a policy (thrust N, rate rad/s), held throughout, instead of one per step
     policy: bool
-    command: np.ndarray
-    speed: np.ndarray
-    throttle: np.ndarray
-    push: np.ndarray
-    lead: np.ndarray
-    driven: np.ndarray
-    steps: int
+    command: np.ndarray  # (1, 2) or (steps, nu)
+    speed: np.ndarray  # measured rotor speed, which thrust goes by, (steps, nu) rad/s; no rows when it is simulated
+    throttle: np.ndarray  # by which motors are simulated, (steps, nu) 0..1; no rows when there is none
+    push: np.ndarray  # generalized force added, (segments, nv) N, N m; no rows for none
+    lead: np.ndarray  # velocities of driven joints in each step, (steps, nv); no rows when none is driven
+    driven: np.ndarray  # inertia by which each joint is driven, (nv,); 0 for free ones
+    steps: int  # number of steps of the call
 
 
 class Rig(NamedTuple):
-    """What all simulations of a twin share.
+    """What all simulations of a twin share."""
 
-    Attributes:
-        active: which effects are switched on, (E,) by their place in the catalogue.
-        dry: friction that the joints have without any effect, (nv,) N, N m.
-        carriage: index of the carriage's body, -1 without one.
-    """
-
-    active: np.ndarray
-    dry: np.ndarray
-    carriage: int
+    active: np.ndarray  # which effects are switched on, (E,) by their place in the catalogue
+    dry: np.ndarray  # friction that the joints have without any effect, (nv,) N, N m
+    carriage: int  # index of the carriage's body, -1 without one
 
 
 class Seen(NamedTuple):

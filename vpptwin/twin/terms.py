@@ -17,17 +17,11 @@ Value = Any
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A number that is known only when the text runs.
+    """A number that is known only when the text runs."""
 
-    Attributes:
-        text: its name, or where it is in memory.
-        kind: `REAL`, `WHOLE` or `TRUTH`.
-        lasting: it is in memory that nothing writes to, and read where it is wanted.
-    """
-
-    text: str
-    kind: str = REAL
-    lasting: bool = False
+    text: str  # its name, or where it is in memory
+    kind: str = REAL  # `REAL`, `WHOLE` or `TRUTH`
+    lasting: bool = False  # it is in memory that nothing writes to, and read where it is wanted
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +49,11 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """An array in memory that is read and written at places known only when the text runs.
+    """An array in memory that is read and written at places known only when the text runs."""
 
-    Attributes:
-        place: text of the row of an element, of its indices.
-        memory: name of the table that it lies in.
-        shape: its shape.
-        fixed: indices that are known, None for the others.
-    """
-
-    place: Callable[[str, int], str]
-    memory: str
-    shape: tuple[int, ...]
-    fixed: tuple[int | None, ...] = (None, None)
+    place: Callable[[str, int], str]  # text of an element, of its indices
+    shape: tuple[int, ...]  # its shape; the number of rows counts only where something asks for it
+    fixed: tuple[int | None, ...] = (None, None)  # indices that are known, None for the others
 
 
 class Record:
@@ -95,9 +81,9 @@ class Frame(dict[str, Value]):
 
 @dataclass(frozen=True)
 class Repeat:
-    """Numbers from 0 that a loop of the text counts through, instead of one that unrolls."""
+    """Numbers from 0 that a loop of the text counts through, up to a number or a name, instead of one that unrolls."""
 
-    times: int
+    times: int | str
 
 
 def common_kind(one: Value, two: Value) -> str:

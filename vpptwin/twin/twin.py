@@ -95,8 +95,8 @@ class Twin:
         self._live = {name: self._batch.bind(name) for name in names}
         places = self._kernel.pipeline.places
         self.switches = np.array([name in self.effects for name in places], dtype=np.bool_)
-        self._led = np.zeros(model.nv)
-        self._led[driven] = model.dof_armature[driven]
+        self.led = np.zeros(model.nv)
+        self.led[driven] = model.dof_armature[driven]
         self._numbers = robot.numbers
         self._scratch = np.zeros(self._kernel.scratch_shape(num_sims, int(model.nv)))
         self._context = np.zeros(1, CONTEXT)
@@ -172,6 +172,10 @@ class Twin:
         """All constants after the effects, name → (N, ...), to read only."""
         self._constants.refresh()
         return self._constants.table
+
+    def derived(self, name: str) -> np.ndarray | None:
+        """A field of the model that MuJoCo derives from what effects write, (N, ...); None where all share it."""
+        return self._constants.read_derived(name)
 
     def initial_state(
         self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0,
@@ -322,7 +326,7 @@ class Twin:
         rows = {
             "vehicle": self._numbers, "layer": state.actuators, "constants": self._constants.records,
             "parameters": self._constants.parameters, "memory": state.memory, "effects": state.effects,
-            "scratch": self._scratch, "active": self.switches, "dry": self.dry, "driven": self._led,
+            "scratch": self._scratch, "active": self.switches, "dry": self.dry, "driven": self.led,
             "counter": np.zeros(self.num_sims, np.int64), "stuck": stuck, "time": state.time, "state_qpos": state.qpos,
             "state_qvel": state.qvel, "warmstart": state.warmstart,
         }  # fmt: skip
@@ -333,11 +337,16 @@ class Twin:
         touching = np.arange(self.num_sims)
         if self._stepper is not None and (self._many or not policy):
             before = state.copy()
-            self._stepper.run(self._kernel.fly, context)
+            self._fly(state, context, held, stuck)
             touching = np.flatnonzero(stuck)
             state.write_rows(touching, before.take(touching))
         if len(touching):
             self._step(state, steps, context, touching)
+
+    def _fly(self, state: TwinState, context: np.ndarray, tape: dict[str, np.ndarray], stuck: np.ndarray) -> None:
+        """Run all simulations without MuJoCo, in place; tell in `stuck`, (N,), which stopped as they might touch."""
+        assert self._stepper is not None
+        self._stepper.run(self._kernel.fly, context)
 
     def _step(self, state: TwinState, steps: int, context: np.ndarray, ids: np.ndarray) -> None:
         """Run the simulations `ids` of a context in MuJoCo's steps."""

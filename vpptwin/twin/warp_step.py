@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from vpptwin.effects import Effect
 from vpptwin.engine.tree import FUNCTIONS, Pose, Shape
 from vpptwin.engine.view import View, foresee_actuators
-from vpptwin.errors import InputError, load_extra
+from vpptwin.errors import InputError
 from vpptwin.twin.fused import FIELDS, FLIGHT, list_room, list_statics
 from vpptwin.twin.kernel import CALLS, scratch_rows
 from vpptwin.twin.layout import PER_SIMULATION, make_pose, read_matrices
@@ -32,10 +31,10 @@ from vpptwin.twin.state import TwinState
 from vpptwin.twin.step import Rig, Row, Tape
 from vpptwin.twin.terms import REAL, WHOLE, Cells, Frame, Record, Repeat, Ring, Term, Unwritable
 from vpptwin.twin.twin import Twin
+from vpptwin.twin.warp_device import NEED, load_warp
+from vpptwin.twin.warp_rows import Rows
 
 EVERY = slice(None)
-NEED = "a twin on Warp"
-WAY_OUT = "write it so, or fly it on the processor (engine=numba), which compiles it with numba"
 UNDERSTOOD = "numbers, arithmetic, if, loops over what is known, and numpy's functions of numbers"
 SETTLED = 1e-6
 """Stands for `vpptwin.twin.friction.SETTLED` in float32, which holds seven digits."""
@@ -57,70 +56,10 @@ def expm1(x: Real):
 
 
 @wp.kernel
-def fly(s: wp.array2d(dtype=Real), c: wp.array2d(dtype=Real), command: wp.array2d(dtype=Real),
-        touched: wp.array(dtype=wp.int32)):
+def fly(s: wp.array2d(dtype=Real), c: wp.array2d(dtype=Real), {inputs}, touched: wp.array(dtype=wp.int32)):
     i = wp.tid()
 """
 # Warp's sign of zero is 1. expm1: Kahan's way, exact to rounding (Higham, Accuracy and Stability, 2002, section 1.14).
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Which rows of a table each array of numbers takes.
-
-    Attributes:
-        shapes: of the arrays of one simulation, by name.
-    """
-
-    shapes: Mapping[str, tuple[int, ...]]
-
-    @cached_property
-    def starts(self) -> dict[str, int]:
-        """The first row of each."""
-        firsts, total = {}, 0
-        for name, shape in self.shapes.items():
-            firsts[name] = total
-            total += math.prod(shape)
-        return firsts
-
-    @property
-    def count(self) -> int:
-        """Rows of the table."""
-        return sum(map(math.prod, self.shapes.values()))
-
-    def __getitem__(self, name: str) -> slice:
-        """The rows of an array."""
-        first = self.starts[name]
-        return slice(first, first + math.prod(self.shapes[name]))
-
-    def pack(self, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The table, (rows, N), of arrays (N, ...)."""
-        parts = [np.asarray(arrays[name], float).reshape(len(arrays[name]), -1).T for name in self.shapes]
-        return np.ascontiguousarray(np.concatenate(parts))
-
-    def unpack(self, table: np.ndarray) -> dict[str, np.ndarray]:
-        """The arrays, (N, ...), of a table."""
-        count = table.shape[1]
-        return {name: table[self[name]].T.reshape(count, *shape).copy() for name, shape in self.shapes.items()}
-
-    def terms(self, name: str, table: str) -> Cells:
-        """The numbers of an array as they lie in a column."""
-        first, shape = self.starts[name], self.shapes[name]
-        cells = np.empty(math.prod(shape), dtype=object)
-        cells[:] = [Term(f"{table}[{first + k}, i]", REAL, lasting=True) for k in range(cells.size)]
-        return Cells.of(cells.reshape(shape))
-
-
-def load_warp() -> Any:  # noqa: ANN401
-    """Warp, which says nothing but errors.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    wp = load_extra("warp", NEED)
-    wp.config.log_level = wp.LOG_ERROR
-    wp.init()
-    return wp
 
 
 class WarpStep:
@@ -132,6 +71,7 @@ class WarpStep:
         single: numbers are float32 instead of float64.
 
     Attributes:
+        effects: that are in the kernel, by id.
         state: rows of the table of what evolves, of `TwinState.arrays`.
         numbers: rows of the table of what differs by simulation.
         source: the kernel's text.
@@ -141,35 +81,63 @@ class WarpStep:
             file and the line.
     """
 
-    def __init__(self, twin: Twin, steps: int = 10, single: bool = False) -> None:
-        if twin.layout is None or twin.spec.robot.step != "step_drone":
-            found = f"{twin.spec.name}, a rig that only MuJoCo steps" if twin.layout is None else f"{twin.spec.name}"
-            raise InputError(f"{NEED}: {found}", "the drone on its rig", "fly it on the processor")
+    inputs = "command: wp.array2d(dtype=Real)"
+    """The kernel's arguments beside its tables."""
+    rigs: tuple[str, ...] = ("step_drone",)
+    """Inner steps that it has."""
+    known, way_out = "the drone on its rig", "fly it on the processor (engine=numba)"
+    """What rigs those are of, and what to do with others."""
+    lines = FLIGHT
+    """What the kernel does."""
+
+    def __init__(self, twin: Twin, steps: int | str = 10, single: bool = False) -> None:
         self.twin, self.single = twin, single
+        self._check_rig()
+        self.effects = self._list_effects()
         one = twin.initial_state(ids=np.zeros(1, int)).arrays()
         self.state = Rows({name: array.shape[1:] for name, array in one.items()})
-        self.numbers = Rows({name: array.shape[1:] for name, array in self._list_numbers().items()})
-        self.source = HEAD + "".join(f"    {line}\n" for line in self._write(steps))
+        self.numbers = Rows({name: array.shape[1:] for name, array in self._list_numbers(twin).items()})
+        head = HEAD.format(inputs=self.inputs)
+        self.source = head + "".join(f"    {line}\n" for line in self._write(steps))
 
-    def _list_numbers(self) -> dict[str, np.ndarray]:
+    def _check_rig(self) -> None:
+        twin = self.twin
+        if twin.layout is None or twin.spec.robot.step not in self.rigs:
+            found = f"{twin.spec.name}, a rig that only MuJoCo steps" if twin.layout is None else f"{twin.spec.name}"
+            raise InputError(f"{NEED}: {found}", self.known, self.way_out)
+
+    def _list_numbers(self, twin: Twin) -> dict[str, np.ndarray]:
         """What differs by simulation, by name, (N, ...): parameters and constants that effects write."""
-        table = self.twin.table
-        written = {name for effect in self.twin.effects.values() for name in effect.writes if name in table}
-        listed = {PER_SIMULATION.get(name, name): table[name] for name in sorted(written)}
-        if "body_imat" in listed:
-            listed["body_imat"] = read_matrices(listed["body_imat"])
-        for (effect, name), column in self.twin.pipeline.columns.items():
-            if effect in self.twin.effects:
-                listed[f"{effect}.{name}"] = self.twin.parameters[:, column]
+        listed = self._list_constants(twin, sorted({name for e in self.effects.values() for name in e.writes}))
+        for (effect, name), column in twin.pipeline.columns.items():
+            if effect in self.effects:
+                listed[f"{effect}.{name}"] = twin.parameters[:, column]
         return listed
 
-    def pack_numbers(self, ids: slice = EVERY) -> np.ndarray:
-        """The twin's parameters and constants of now as a table, (rows, N), or those of some simulations.
+    def _list_constants(self, twin: Twin, written: list[str]) -> dict[str, np.ndarray]:
+        """Constants that effects write, as the kernel calls them."""
+        layout, listed = twin.layout, dict[str, np.ndarray]()
+        assert layout is not None
+        for name in written:
+            own = PER_SIMULATION.get(name, name)
+            if name in twin.table:
+                listed[own] = read_matrices(twin.table[name]) if own == "body_imat" else twin.table[name]
+            elif own in layout.numbers:
+                listed[own] = np.broadcast_to(layout.numbers[own], (twin.num_sims, *layout.numbers[own].shape))
+        return listed
+
+    def pack_numbers(self, ids: slice = EVERY, twin: Twin | None = None) -> np.ndarray:
+        """Parameters and constants of now as a table, (rows, N), or those of some simulations.
 
         With nothing that differs it has one row, which nothing reads.
+
+        Args:
+            ids: simulations.
+            twin: another one of the same rig.
         """
-        listed = {name: array[ids] for name, array in self._list_numbers().items()}
-        return self.numbers.pack(listed) if listed else np.zeros((1, len(range(self.twin.num_sims)[ids])))
+        twin = twin or self.twin
+        listed = {name: array[ids] for name, array in self._list_numbers(twin).items()}
+        return self.numbers.pack(listed) if listed else np.zeros((1, len(range(twin.num_sims)[ids])))
 
     def pack_state(self, state: TwinState) -> np.ndarray:
         """A state as a table, (rows, N)."""
@@ -181,7 +149,7 @@ class WarpStep:
         arrays["actuators.newest"] = arrays["actuators.newest"].astype(np.int64)
         return TwinState.from_arrays(arrays)
 
-    def _write(self, steps: int) -> list[str]:
+    def _write(self, steps: int | str) -> list[str]:
         """The lines of the kernel's body."""
         twin, model = self.twin, self.twin.model
         file = f"<pipeline {hashlib.sha256(twin.pipeline.source.encode()).hexdigest()[:16]}>"
@@ -189,26 +157,31 @@ class WarpStep:
         names: dict[str, Any] = {"SWEEPS": Repeat(100)} | ({"SETTLED": SETTLED} if self.single else {})
         writer = Writer(self.single, names)
         frame = Frame(None, self._name_all(steps) | twin.pipeline.build(keep_plain, file), 0)
-        text = FLIGHT.format(nv=int(model.nv), nu=int(model.nu), step=CALLS["step_drone"])
-        kept = {name: frame[name] for name in ("clock", "qpos", "qvel", "warmstart", "row")}
+        text = self.lines.format(nv=int(model.nv), nu=int(model.nu), step=CALLS[twin.spec.robot.step])
+        ends = self._list_ends(frame)
         try:
             writer.run(ast.parse(text).body, frame)
         except Unwritable as error:
             raise self._refuse(error) from None
-        row = kept["row"]
-        ends = {"time": kept["clock"], "qpos": kept["qpos"], "qvel": kept["qvel"], "warmstart": kept["warmstart"]}
-        ends |= {"memory": row.memory, "effects": row.effects}
-        ends |= {f"actuators.{name}": cells for name, cells in row.layer.fields.items() if isinstance(cells, Cells)}
-        for name, cells in ends.items():
-            for k, place in enumerate(cells.index.ravel().tolist()):
-                value, where = cells.store[place], f"s[{self.state.starts[name] + k}, i]"
+        for places, cells in ends:
+            for where, place in zip(places, cells.index.ravel().tolist(), strict=True):
+                value = cells.store[place]
                 if not isinstance(value, Term) or where not in value.text:
                     writer.lines.append(f"{where} = {writer.write_out(value)}")
         touches = writer.write_out(frame["touches"], "wp.int32")
         return drop_unused([*writer.lines, f"touched[i] = {touches}"])
 
-    def _name_all(self, steps: int) -> dict[str, Any]:
-        """What the lines of `FLIGHT` find by name."""
+    def _list_ends(self, names: Mapping[str, Any]) -> list[tuple[list[str], Cells]]:
+        """What is written at the end, number by number, and where to."""
+        row = names["row"]
+        ends = {"time": names["clock"], "qpos": names["qpos"], "qvel": names["qvel"], "warmstart": names["warmstart"]}
+        ends |= {"memory": row.memory, "effects": row.effects}
+        ends |= {f"actuators.{name}": cells for name, cells in row.layer.fields.items() if isinstance(cells, Cells)}
+        rows = {name: range(self.state[name].start, self.state[name].stop) for name in ends}
+        return [([f"s[{k}, i]" for k in rows[name]], cells) for name, cells in ends.items()]
+
+    def _name_all(self, steps: int | str) -> dict[str, Any]:
+        """What the kernel's lines find by name."""
         twin, model = self.twin, self.twin.model
         layout, nv, nu = twin.layout, int(model.nv), int(model.nu)
         assert layout is not None
@@ -221,32 +194,46 @@ class WarpStep:
         }
         shared = {n: a for n, a in list_statics(layout, model).items() if "." not in n}
         room_of_pose: list[Any] = [Cells.of(array) for array in make_pose(int(model.nbody), nv)]
-        state: dict[str, Any] = {name: self.state.terms(name, "s") for name in self.state.shapes}
-        free: Any = Cells.of(np.zeros((scratch_rows(nv), nv)))
-        row = Row(
-            self._read_layer(state),
-            self._read_constants(),
-            self._read_parameters(),
-            state["memory"],
-            state["effects"],
-            free,
-        )
-        none = np.zeros((0, nu))
-        command: Any = Cells.of(
-            np.array([[Term(f"command[{k}, i]", REAL, lasting=True) for k in range(2)]], dtype=object)
-        )
-        return {
+        return self._name_row() | {
             **{name: cells for name, cells in room.items() if "." not in name}, **shared,
             **{name: own[name] for name in FIELDS if name not in Shape._fields},
             "tree": layout.tree, "reach": layout.reach, "at": Pose(*room_of_pose),
             "shape": Shape(**{n: own[n] for n in Shape._fields}),
-            "rig": Rig(twin.switches, twin.dry, twin.spec.robot.carriage), "row": row, "steps": Repeat(steps),
-            "tape": Tape(True, command, none, none, np.zeros((0, nv)), np.zeros((0, nv)), np.zeros(nv), 0),
-            "qpos": state["qpos"], "qvel": state["qvel"], "warmstart": state["warmstart"],
-            "clock": state["time"].reshape(1), "moment_flat": room["moment"].reshape(nu * nv),
-            "vehicle": twin.vehicle, "context": SimpleNamespace(qpos=0, rotor_speed=0), "dt": twin.dt, "View": View,
+            "steps": Repeat(steps), "moment_flat": room["moment"].reshape(nu * nv), "dt": twin.dt, "View": View,
             "nothing": np.zeros(nv), "foresee_actuators": foresee_actuators, **{f.__name__: f for f in FUNCTIONS},
         }  # fmt: skip
+
+    def _name_row(self) -> dict[str, Any]:
+        """What a simulation has of its own, what goes in, and what all share besides the model."""
+        twin, nv = self.twin, int(self.twin.model.nv)
+        state: dict[str, Any] = {name: self.state.terms(name, "s") for name in self.state.shapes}
+        free: Any = Cells.of(np.zeros((scratch_rows(nv), nv)))
+        row = Row(
+            self._read_layer(state), self._read_constants(), self._read_parameters(), state["memory"],
+            state["effects"], free,
+        )  # fmt: skip
+        return {
+            "rig": Rig(self._read_switches(), twin.dry, twin.spec.robot.carriage), "row": row,
+            "qpos": state["qpos"], "qvel": state["qvel"], "warmstart": state["warmstart"],
+            "clock": state["time"].reshape(1),
+            "vehicle": twin.vehicle if twin.spec.robot.step == "step_drone" else None, **self._name_inputs(),
+        }  # fmt: skip
+
+    def _list_effects(self) -> dict[str, Effect]:
+        """The effects in the kernel: those that are switched on."""
+        return self.twin.effects
+
+    def _read_switches(self) -> Any:  # noqa: ANN401
+        """Which effects act, (E,): they are known."""
+        return self.twin.switches
+
+    def _name_inputs(self) -> dict[str, Any]:
+        """What goes in beside the tables, and what is kept on the way: a policy's command, held, and nothing."""
+        nu, nv = int(self.twin.model.nu), int(self.twin.model.nv)
+        none = np.zeros((0, nu))
+        command: Any = Ring(lambda k, j: f"command[{j}, i]", (1, nu))
+        tape = Tape(True, command, none, none, np.zeros((0, nv)), np.zeros((0, nv)), np.zeros(nv), 0)
+        return {"tape": tape, "context": SimpleNamespace(qpos=0, rotor_speed=0)}
 
     def _read_layer(self, state: Mapping[str, Cells]) -> Record:
         """The actuators' state, whose commands on their way stay in memory."""
@@ -254,7 +241,7 @@ class WarpStep:
         first, shape = self.state.starts["actuators.history"], self.state.shapes["actuators.history"]
         where = self.state.starts["actuators.newest"]
         layer["newest"] = Cells.of(Term(f"wp.int32(s[{where}, i])", WHOLE, lasting=True))
-        ring = Ring(lambda row, column: f"{first + column} + {shape[1]} * {row}", "s", shape)
+        ring = Ring(lambda row, column: f"s[{first + column} + {shape[1]} * {row}, i]", shape)
         return Record(**layer | {"history": ring})
 
     def _read_constants(self) -> Record:
@@ -289,8 +276,23 @@ class WarpStep:
         code = function.__code__
         where = code.co_firstlineno + max(line, 1) - 1
         return InputError(
-            f"effect {effects[0]} {error} (line {where} of {Path(code.co_filename)})", UNDERSTOOD, WAY_OUT
-        )
+            f"effect {effects[0]} {error} (line {where} of {Path(code.co_filename)})", UNDERSTOOD,
+            f"write it so, or {self.way_out}, where numba compiles it",
+        )  # fmt: skip
+
+    def record(self, table: Any, numbers: Any, command: Any, touched: Any) -> Any:  # noqa: ANN401
+        """What steps simulations that lie in these arrays of Warp's, each time that its `launch(stream)` is called.
+
+        Args:
+            table: what evolves, (rows, N).
+            numbers: what differs by simulation, (rows, N).
+            command: of the policy, thrust [N] and rate [rad/s], (2, N); on other rigs controls, (nu, N).
+            touched: set to which have come near something and stopped, (N,).
+        """
+        wp, device = load_warp(), table.device
+        wp.load_module(self.kernel.module, device=device)
+        inputs = [table, numbers, command, touched]
+        return wp.launch(self.kernel, dim=table.shape[1], inputs=inputs, device=device, record_cmd=True)
 
     @cached_property
     def kernel(self) -> Any:  # noqa: ANN401

@@ -38,40 +38,24 @@ START = np.array([0.0, 1.4, 0.0])
 
 @dataclass(frozen=True)
 class Trace:
-    """One signal's departure.
+    """One signal's departure."""
 
-    Attributes:
-        name: of the signal, with its unit in brackets.
-        axis: degree of freedom that it belongs to; 3 for rotor 1.
-        departure: with the effect less without, (K,).
-        noise: what is hardly seen.
-    """
-
-    name: str
-    axis: int
-    departure: np.ndarray
-    noise: float
+    name: str  # of the signal, with its unit in brackets
+    axis: int  # degree of freedom that it belongs to; 3 for rotor 1
+    departure: np.ndarray  # with the effect less without, (K,)
+    noise: float  # what is hardly seen
 
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What an effect does over a flight, K stretches.
+    """What an effect does over a flight, K stretches."""
 
-    Attributes:
-        effect: the effect.
-        values: its parameters as shown.
-        time: of the stretches' starts, (K,) s.
-        trace: the signal that shows it best.
-        cause: what the effect follows, (K,).
-        cause_name: with its unit in brackets.
-    """
-
-    effect: Effect
-    values: dict[str, float]
-    time: np.ndarray
-    trace: Trace
-    cause: np.ndarray
-    cause_name: str
+    effect: Effect  # the effect
+    values: dict[str, float]  # its parameters as shown
+    time: np.ndarray  # of the stretches' starts, (K,) s
+    trace: Trace  # the signal that shows it best
+    cause: np.ndarray  # what the effect follows, (K,)
+    cause_name: str  # with its unit in brackets
 
 
 def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
@@ -181,7 +165,8 @@ def draw_fingerprint(print_: Fingerprint) -> bytes:
 
 
 def draw_catalogue(spec: TwinSpec, folder: Path) -> list[Path]:
-    """Write a picture of every effect of a drone's catalogue into a folder, `ID.png`."""
+    """Write a picture of every effect of a drone's catalogue that acts in flight into a folder, `ID.png`."""
+    flown = [effect for effect in spec.catalogue if not effect.touching]
     return write_files(
-        {folder / f"{effect.id}.png": draw_fingerprint(take_fingerprint(spec, effect)) for effect in spec.catalogue}
+        {folder / f"{effect.id}.png": draw_fingerprint(take_fingerprint(spec, effect)) for effect in flown}
     )

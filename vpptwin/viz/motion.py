@@ -40,17 +40,11 @@ class Rotors:
 
 @dataclass(frozen=True)
 class Motion:
-    """One craft or rig at the frames of an animation.
+    """One craft or rig at the frames of an animation."""
 
-    Attributes:
-        qpos: (T, nq) joint positions in the model's order [m, rad].
-        shown: (T,) false where nothing is known.
-        rotors: None for rigs without rotors and logs without rotor channels.
-    """
-
-    qpos: np.ndarray
-    shown: np.ndarray
-    rotors: Rotors | None = None
+    qpos: np.ndarray  # (T, nq) joint positions in the model's order [m, rad]
+    shown: np.ndarray  # (T,) false where nothing is known
+    rotors: Rotors | None = None  # None for rigs without rotors and logs without rotor channels
 
 
 @dataclass(frozen=True)

@@ -58,29 +58,18 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class PageText:
-    """What the page says and knows around the scene.
+    """What the page says and knows around the scene."""
 
-    Attributes:
-        title: name of the log.
-        legend: what the colours mean.
-        note: what is not drawn to scale.
-        start: log time of the first frame [s].
-        frames: number of frames of the animation.
-        duration: time of the last frame from the first [s].
-        views: name -> centre x, z and distance of the camera [m]; "craft" follows the craft.
-        log_node: scene path of the body whose pose is read out, empty for none.
-        twin_node: the same body of the twin, empty without a twin.
-    """
-
-    title: str
-    legend: tuple[LegendEntry, ...]
-    note: str
-    start: float
-    frames: int
-    duration: float
+    title: str  # name of the log
+    legend: tuple[LegendEntry, ...]  # what the colours mean
+    note: str  # what is not drawn to scale
+    start: float  # log time of the first frame [s]
+    frames: int  # number of frames of the animation
+    duration: float  # time of the last frame from the first [s]
+    # name -> centre x, z and distance of the camera [m]; "craft" follows the craft
     views: dict[str, tuple[float, float, float]]
-    log_node: tuple[str, ...] = ()
-    twin_node: tuple[str, ...] = ()
+    log_node: tuple[str, ...] = ()  # scene path of the body whose pose is read out, empty for none
+    twin_node: tuple[str, ...] = ()  # the same body of the twin, empty without a twin
 
 
 def describe_show(show: Show, title: str, caption: str) -> PageText:

@@ -34,25 +34,15 @@ SPINNING = 0.1
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a panel.
+    """One line of a panel."""
 
-    Attributes:
-        name: what the legend calls it.
-        time: (n,) s from the start of the log.
-        values: (n,); NaN breaks the line.
-        band: from and to around it, (2, n); None for none.
-        colour: "#RRGGBB"; `INK` for that of text.
-        dash: `-`, `--`, `:`.
-        steps: whether a value holds until the next.
-    """
-
-    name: str
-    time: np.ndarray
-    values: np.ndarray
-    colour: str
-    dash: str = "-"
-    steps: bool = False
-    band: np.ndarray | None = None
+    name: str  # what the legend calls it
+    time: np.ndarray  # (n,) s from the start of the log
+    values: np.ndarray  # (n,); NaN breaks the line
+    colour: str  # "#RRGGBB"; `INK` for that of text
+    dash: str = "-"  # `-`, `--`, `:`
+    steps: bool = False  # whether a value holds until the next
+    band: np.ndarray | None = None  # from and to around it, (2, n); None for none
 
 
 @dataclass(frozen=True)
@@ -66,21 +56,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Story:
-    """A flight, or a training run, in panels.
+    """A flight, or a training run, in panels."""
 
-    Attributes:
-        title: its name.
-        panels: in reading order.
-        triggers: times at which another angle was asked for, (k,) s.
-        across: label of the axis that panels share.
-        columns: panels side by side.
-    """
-
-    title: str
-    panels: list[Panel]
+    title: str  # its name
+    panels: list[Panel]  # in reading order
+    # times at which another angle was asked for, (k,) s
     triggers: np.ndarray = field(default_factory=lambda: np.empty(0))
-    across: str = "time [s]"
-    columns: int = 1
+    across: str = "time [s]"  # label of the axis that panels share
+    columns: int = 1  # panels side by side
 
     @property
     def rows(self) -> int:

@@ -61,7 +61,7 @@ def widen_to_decades(axes: Axes) -> None:
 
 def residual_against(
     x: np.ndarray, residual_before: np.ndarray, residual_after: np.ndarray | None, x_label: str, y_label: str,
-    subject: str = "residual",
+    subject: str = "residual", titles: tuple[str, str] = ("before", "after"),
 ) -> list[str]:  # fmt: skip
     """What the twin leaves unexplained against a quantity: samples, running median and the band of 80 % of them.
 
@@ -72,13 +72,14 @@ def residual_against(
         x_label: the quantity with its unit, e.g. "rail velocity [m/s]".
         y_label: the residual with its unit.
         subject: what it is about, which keeps figures of the same quantities on one page apart.
+        titles: of the two.
 
     Returns:
         One figure before and, where there is a twin with causes, one after, on the same axes.
     """
-    panels = [("before", residual_before, BEFORE)]
+    panels = [(titles[0], residual_before, BEFORE)]
     if residual_after is not None:
-        panels.append(("after", residual_after, AFTER))
+        panels.append((titles[1], residual_after, AFTER))
     limits = cover_bulk(np.concatenate([residual for _, residual, _ in panels]))
     figures = []
     for title, residual, colour in panels:

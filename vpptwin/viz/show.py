@@ -31,25 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Show:
-    """Everything to play.
+    """Everything to play."""
 
-    Attributes:
-        model: the rig.
-        rotorcraft: numbers of the rotors that are drawn; None where there are none.
-        followed: index of the body that the view and a trail follow; -1 for none.
-        frames: (T,) frame times [s of the log].
-        log: the log's motion at the frames.
-        twin: the prediction's motion at the frames.
-        target: the setpoint, if the log has one.
-    """
-
-    model: mujoco.MjModel
-    rotorcraft: Vehicle | None
-    followed: int
-    frames: np.ndarray
-    log: Motion
-    twin: Motion | None
-    target: Target | None
+    model: mujoco.MjModel  # the rig
+    rotorcraft: Vehicle | None  # numbers of the rotors that are drawn; None where there are none
+    followed: int  # index of the body that the view and a trail follow; -1 for none
+    frames: np.ndarray  # (T,) frame times [s of the log]
+    log: Motion  # the log's motion at the frames
+    twin: Motion | None  # the prediction's motion at the frames
+    target: Target | None  # the setpoint, if the log has one
 
     @property
     def time(self) -> np.ndarray:

@@ -13,23 +13,14 @@ HOLD = 2300  # three.js InterpolateDiscrete
 
 @dataclass(frozen=True)
 class Track:
-    """One animated property of one scene node.
+    """One animated property of one scene node."""
 
-    Attributes:
-        path: the node, absolute, such as "/rig/log/craft".
-        name: the property as three.js binds it: "position", "quaternion", "visible", "rotation[z]", "scale[z]".
-        kind: vector3, quaternion (x, y, z, w), number or bool.
-        time: (k,) key times [s] from the animation's start; the last is the animation's end.
-        values: (k,) or (k, n) the property at the keys.
-        hold: keep each value until the next key instead of interpolating.
-    """
-
-    path: str
-    name: str
-    kind: str
-    time: np.ndarray
-    values: np.ndarray
-    hold: bool = False
+    path: str  # the node, absolute, such as "/rig/log/craft"
+    name: str  # the property as three.js binds it: "position", "quaternion", "visible", "rotation[z]", "scale[z]"
+    kind: str  # vector3, quaternion (x, y, z, w), number or bool
+    time: np.ndarray  # (k,) key times [s] from the animation's start; the last is the animation's end
+    values: np.ndarray  # (k,) or (k, n) the property at the keys
+    hold: bool = False  # keep each value until the next key instead of interpolating
 
     def lower(self) -> dict[str, object]:
         """The track as three.js's AnimationClip.parse takes it, times in clip frames of 1 s."""

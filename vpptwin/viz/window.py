@@ -35,19 +35,12 @@ KEYS = "space: pause, left and right: a frame, up and down: faster and slower"
 
 @dataclass
 class Clock:
-    """Time of the flight [s], in a loop over its duration; keys steer it.
+    """Time of the flight [s], in a loop over its duration; keys steer it."""
 
-    Attributes:
-        duration: of the flight [s].
-        time: that is shown.
-        pace: seconds of flight a second.
-        running: not paused.
-    """
-
-    duration: float
-    time: float = 0.0
-    pace: float = 1.0
-    running: bool = True
+    duration: float  # of the flight [s]
+    time: float = 0.0  # that is shown
+    pace: float = 1.0  # seconds of flight a second
+    running: bool = True  # not paused
 
     def advance(self, passed: float) -> None:
         """Let seconds pass."""

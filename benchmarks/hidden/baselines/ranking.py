@@ -25,11 +25,7 @@ MATTERS = 0.05
 
 @dataclass(frozen=True)
 class Stretches:
-    """Windows: start time [s] (K,), warm and own commands (K, ., 2) rad, speed, start, and what was measured.
-
-    Attributes:
-        measured: x, z and θ times half the arm at 100 Hz after the start, (K, samples, 3) m.
-    """
+    """Windows: start time [s] (K,), warm and own commands (K, ., 2) rad, speed, start, and what was measured."""
 
     start: np.ndarray
     warm: np.ndarray
@@ -37,7 +33,7 @@ class Stretches:
     speed: np.ndarray
     pose: np.ndarray
     velocity: np.ndarray
-    measured: np.ndarray
+    measured: np.ndarray  # x, z and θ times half the arm at 100 Hz after the start, (K, samples, 3) m
 
 
 def name_by_ranking(flights: Sequence[Flight]) -> str:

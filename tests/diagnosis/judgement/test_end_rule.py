@@ -9,9 +9,11 @@ from typing import Any, cast
 import pytest
 
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.diagnose import Material, is_outweighed, keep_better
+from vpptwin.diagnosis.judgement.conclusion import is_outweighed, is_unfelt, order_causes
+from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
+from vpptwin.diagnosis.judgement.verdict import Cause
 
 KEY = ("rail_x.coulomb", "force")
 
@@ -68,3 +70,17 @@ def test_a_slip_may_cost_what_tests_allow(after: float, kept: bool) -> None:
 def test_what_explains_less_than_it_leaves_is_suggested(after: float, gain: float, outweighed: bool) -> None:
     """A small cause beside a large one of 4600 times the noise, of which 140 stay: it may be what mends the large."""
     assert is_outweighed(4600.0, after, gain) == outweighed
+
+
+@pytest.mark.parametrize(
+    ("before", "gain", "unfelt"), [(3.76, 0.0065, True), (427916.0, 1e-4, False), (2.2, 1.7, False)]
+)
+def test_a_cause_that_noise_hides_is_unfelt(before: float, gain: float, unfelt: bool) -> None:
+    """Below the sensors' noise evidence tells of the model of noise; a ten thousandth of a large error is much."""
+    assert is_unfelt(before, gain, CRITERIA) == unfelt
+
+
+def test_what_held_out_log_does_not_show_comes_last() -> None:
+    """Shares of 0.1, 0.3 and 0.2, of which held-out windows show the first and the last."""
+    causes = [Cause(name, 0.89, {}, gain, [], "") for name, gain in (("a", 0.1), ("b", 0.3), ("c", 0.2))]
+    assert [cause.effect for cause in order_causes(causes, {"b"})] == ["c", "a", "b"]

@@ -5,14 +5,26 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import yaml
 
 from tests.diagnosis.rigs import CARTS, DECAYS, write_rig
-from tests.quadrotor import fly, write_twin
+from tests.quadrotor import MASS, fly, write_twin
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_weak_inputs, list_inputs
+from vpptwin.diagnosis.judgement.diagnose import diagnose
+from vpptwin.diagnosis.judgement.logged_inputs import (
+    describe_input_error,
+    describe_turned,
+    describe_weak_inputs,
+    list_inputs,
+    turn_as_logged,
+)
+from vpptwin.diagnosis.report.twin_file import name_twin
+from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements
+from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.model import compile_model
 from vpptwin.twin.spec import load_twin
 
@@ -65,3 +77,59 @@ def test_inputs_that_do_not_explain_the_motion_are_told(tmp_path: Path) -> None:
     (said,) = describe_weak_inputs(spec, [replace(measured, command=other)], CRITERIA)
     assert all(f"% on quad {way}" in said for way in ("roll", "pitch"))
     assert "quad z" not in said
+
+
+def alias(flight: Flight, seed: int) -> Flight:
+    """The flight with motors that follow a far faster loop than is logged: each sample catches it somewhere."""
+    rng, motors = np.random.default_rng(seed), flight.joints["/motors"]
+    caught = {
+        n: Stream(m.time, {"effort": m["effort"] + 0.02 * rng.standard_normal(len(m))}) for n, m in motors.items()
+    }
+    return replace(flight, joints={"/motors": caught})
+
+
+def test_a_body_turns_as_logged_where_inputs_do_not_tell_what_turned_it(tmp_path: Path) -> None:
+    """Of motors a third of whose thrust is noise: where it goes is left, and all of them together.
+
+    Whatever is constant is no reason: a craft whose centre of mass is off turns as its motors say.
+    """
+    spec = load_twin(write_twin(tmp_path))
+    for hidden in ({}, {"quad.com": {"y": 0.002}}, {"m4.gain": {"gain": 0.85}}):
+        assert turn_as_logged(spec, [fly(hidden, 8.0, 3)]) is spec
+    turned = turn_as_logged(spec, [alias(fly({}, 8.0, 3), 1)])
+    assert turned.robot.signals.turned == ("quad",)
+    assert turn_as_logged(turned, [alias(fly({}, 8.0, 3), 1)]) is turned
+    assert describe_turned(turned)[0].startswith("quad turns as logged")
+    left, gone = ({u.effect.id for u in list_unknowns(s)} for s in (turned, spec))
+    assert left < gone
+    assert {name for e in turned.catalogue for name in e.look_alikes} <= gone
+    assert {"quad.mass", "quad.wind", "m1+m2+m3+m4.gain"} < left
+    assert not {"m1.gain", "quad.com", "quad.inertia", "quad.twist", "quad.misalignment", "imu.bias"} & left
+    measured = read_measurements(turned, fly({}, 8.0, 3))
+    assert (sorted(measured.positions), sorted(measured.velocities), list(measured.driven)) == ([0, 1, 2], [], [3])
+
+
+def test_weak_rotors_are_named_of_a_body_that_turns_as_logged(tmp_path: Path) -> None:
+    """A fifth less thrust of all of them, or as much more weight, which are one there."""
+    spec = load_twin(write_twin(tmp_path))
+    found = diagnose(spec, [alias(fly({"m1+m2+m3+m4.gain": {"gain": 0.8}}, 9.0, 500 + i), i) for i in range(2)])
+    (cause, *others) = found.verdict.causes
+    assert not [other for other in others if other.confidence > 0.9]
+    assert {cause.effect, *(r.effect for r in cause.also_explained_by)} >= {"m1+m2+m3+m4.gain", "quad.mass"}
+    (strength,) = cause.parameters.values()
+    least = 1.0 / (1.0 + strength.value / MASS) if cause.effect == "quad.mass" else strength.value
+    assert least == pytest.approx(0.8, abs=0.02)
+    assert "quad turns as logged" in found.verdict.warnings[0]
+    assert found.search.bench.spec.robot.signals.turned == ("quad",)
+
+
+def test_a_twin_that_turns_as_logged_is_written_with_what_it_had(tmp_path: Path) -> None:
+    """Effects that such logs cannot show too, and is read back."""
+    known = {"quad.inertia": {"x": 1.1}, "m1.gain": {"gain": 0.95}, "imu.bias": {"x": 0.01}}
+    spec = load_twin(write_twin(tmp_path))
+    spec = turn_as_logged(spec.with_effects({**spec.effects, **known}), [alias(fly({}, 8.0, 3), 1)])
+    (tmp_path / "again.yaml").write_text(yaml.safe_dump(name_twin(spec, tmp_path)))
+    again = load_twin(tmp_path / "again.yaml")
+    assert again.robot.signals.turned == ("quad",)
+    assert again.effects == spec.effects
+    assert all(again.effects[effect].items() >= values.items() for effect, values in known.items())

@@ -58,11 +58,10 @@ def test_cleared_intervals_hold_the_truth(moving: Search, verdict: tuple[list[Cl
 def test_limits_are_cleared_below_what_was_asked_for(
     moving: Search, verdict: tuple[list[Cleared], list[Unseen]]
 ) -> None:
-    """A motor that gave 97 % of the commands' 98th percentile saturates nowhere below that."""
+    """A motor that gave nearly the largest command saturates nowhere below that: a limit that cuts off 1/128 shows."""
     (limit,) = [s for s in verdict[0] if s.effect == "motor.saturation"]
     commands = np.abs(moving.bench.windows.command)
-    assert 0.0 < limit.low <= 0.97 * np.percentile(commands, 98.0) + 1e-9
-    assert limit.low >= 0.97 * np.percentile(commands, 50.0)
+    assert 0.97 * np.percentile(commands, 98.0) < limit.low < commands.max()
     assert limit.high == next(u.parameter.high for u in moving.unknowns if u.effect.id == "motor.saturation")
 
 

@@ -13,20 +13,25 @@ from tests.diagnosis.fakes import FRAME, guess
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.blocks import improvement
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.rivals import (
+    evidence_against_rival,
+    find_better,
+    find_simpler,
+    look_alike,
+    tell_nothing,
+    tell_roughness,
+    weigh_rivals,
+)
 from vpptwin.diagnosis.judgement.selection import (
     Selection,
     accept_cause,
+    choose_cause,
     confirms,
-    evidence_against_rival,
-    find_better,
+    find_near,
     fit_together,
     is_cause,
     is_faint,
-    leaves_as_little,
-    look_alike,
     select_causes,
-    tell_roughness,
-    weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
@@ -97,6 +102,10 @@ class Judges:
     def worsens(self, *_: Any) -> bool:  # noqa: ANN401
         """As made."""
         return self.worse
+
+    def is_farther(self, before: dict, after: dict, sticks: bool) -> bool:
+        """By chi²."""
+        return self.chi2(after) > self.chi2(before)
 
     def prefer(self, *_: Any) -> float:  # noqa: ANN401
         """As made."""
@@ -187,7 +196,6 @@ def test_evidence_against_a_rival() -> None:
         (3e5, 300.0, 331.0, OTHER_RIG, False),
         (350.0, 300.0, 304.0, OTHER_RIG, True),
         (350.0, 300.0, 306.0, OTHER_RIG, False),  # of the 50 that the cause removes it leaves more than a tenth
-        (3e5, 3.0, 3.0, OTHER_RIG, False),
         (3e5, 300.0, 300.0, SEARCH, False),
     ],
 )
@@ -202,7 +210,28 @@ def test_what_leaves_as_little_of_much_is_as_good(
     judges = Judges(0.0)
     judges.left = {0: there, 2: left, 1: other}
     fits = fit(300.0), fit(100.0, a_coulomb=1.0, a_bias=1.0), fit(180.0, a_viscous=1.0)
-    assert leaves_as_little(search, judges, *fits) is as_good  # type: ignore[arg-type]
+    assert tell_nothing(search, judges, *fits, 80.0) == (np.inf if as_good else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("spread", "left", "other", "counts"),
+    [
+        (6.0, 3.0, 3.1, 1.5625),  # standard errors: 32/24.8, squared, less by one degree of freedom
+        (1.0, 3.0, 3.1, 32.0 / CRITERIA.temper),
+        (6.0, 3.0, 3.3, 32.0 / CRITERIA.temper),  # it leaves a tenth more error
+        (6.0, 1.0, 1.05, 1.5625),
+    ],
+)
+def test_evidence_that_scatters_tells_little(spread: float, left: float, other: float, counts: float) -> None:
+    """Sixteen windows favour a cause by 2 each and scatter about that: so much is left of 32, over the temper."""
+    drops = 2.0 + spread * np.tile([1.0, -1.0], 8)
+    search, judges, cause, rival = search_of(False), Judges(0.0), fit(100.0, a_coulomb=1.0), fit(132.0, a_bias=1.0)
+    search.cost_by_window = lambda fit: drops if fit is rival else 0.0 * drops
+    search.bench.windows = SimpleNamespace(start=2.0 * np.arange(16.0), flight=np.zeros(16, int))
+    judges.chi2 = lambda values: {0: 300.0}.get(len(values), other if rival.values is values else left)  # type: ignore
+    nothing = tell_nothing(search, judges, fit(400.0), cause, rival, 32.0)  # type: ignore[arg-type]
+    told = (32.0 - max(nothing, 0.0)) / CRITERIA.temper
+    assert told == pytest.approx(counts, rel=0.1)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -258,6 +287,8 @@ def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, favour:
     ("drop", "gain", "favour", "named"),
     [
         (0.4 * STRONG, 4.0, 0.1, True),
+        (0.4 * STRONG, 1.7, 0.1, True),  # 40 together, two fifths of the way from two to one standard error: 1.58
+        (0.4 * STRONG, 1.5, 0.1, False),
         (0.4 * STRONG, 4.0, -0.9, True),
         (0.4 * STRONG, 4.0, -1.1, False),
         (1.1 * STRONG, 4.0, -1.1, True),
@@ -313,6 +344,39 @@ def test_what_falls_behind_is_heard_where_no_other_is_left() -> None:
         found, accepted = accept_cause(asking, Half(10.0, favour=3.0), step, {})  # type: ignore[arg-type]
         assert accepted == heard
         assert set(found.tried) == {"a.coulomb"} | ({"a.bias"} if heard else set())
+
+
+def test_all_windows_together_choose_where_errors_have_the_last_word() -> None:
+    """Fitted ones like a dead band better, held-out ones dry friction, by more; the drone's go by the fitted ones."""
+    before = fit(500.0)
+    step = Step(before, {"a.coulomb": fit(390.0, a_coulomb=1.0), "a.bias": fit(360.0, a_bias=1.0)})
+
+    class Favour(Judges):
+        def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
+            gain = {frozenset[str](): 0.0, frozenset({"a.coulomb"}): 80.0, frozenset({"a.bias"}): 40.0}
+            return gain[after[0].effects] - gain[before[0].effects], 5.0
+
+    for search, chosen in ((OTHER_RIG, "a.coulomb"), (SEARCH, "a.bias")):
+        assert choose_cause(search, Favour(0.0, favour=1.0), step, {}) == chosen  # type: ignore[arg-type]
+    assert find_near(OTHER_RIG, step, "a.bias") == {"a.coulomb"}  # type: ignore[arg-type]
+    assert find_near(SEARCH, step, "a.bias") == frozenset()  # type: ignore[arg-type]
+
+
+def test_errors_do_not_outvote_chi2() -> None:
+    """They are the last word where the error of the pose does not say otherwise."""
+    one, other = fit(300.0, a_bias=1.0), fit(310.0, a_spring=1.0, a_coulomb=1.0)
+    judges = Judges(0.0, favour=-5.0)
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) == -25.0  # type: ignore[arg-type]
+    judges.left = {1: 1.7, 2: 7.9}
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) > 0.0  # type: ignore[arg-type]
+
+
+def test_of_two_that_nothing_tells_apart_the_simpler_is_named() -> None:
+    """A spring with a place of rest and a constant force, where far more is left than noise makes."""
+    evidence, alike = {"a.spring": {"a.bias": 30.0, "a.stiction": -2.0}}, {"a.bias": np.inf, "a.stiction": np.inf}
+    assert find_simpler(OTHER_RIG, evidence, {"a.spring": alike}) == ("a.spring", "a.bias")  # type: ignore[arg-type]
+    assert find_simpler(OTHER_RIG, evidence, {"a.spring": dict.fromkeys(alike, 3.0)}) is None  # type: ignore[arg-type]
+    assert find_simpler(OTHER_RIG, {"a.bias": {"a.spring": 1.0}}, {"a.bias": {"a.spring": np.inf}}) is None  # type: ignore[arg-type]
 
 
 def test_kin_of_a_cause_must_bring_a_good_part_of_it() -> None:
@@ -432,7 +496,8 @@ class Script:
         return found
 
     def extend(
-        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", values: object = None
+        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", values: object = None,
+        near: frozenset[str] = frozenset(),
     ) -> Step:  # fmt: skip
         """Every other suspect beside a fit; none in the place of a cause."""
         if against:
@@ -441,7 +506,7 @@ class Script:
         self.tried += names[:1]
         return Step(fit, {name: self.of(fit.effects | {name}) for name in names})
 
-    def drop_superfluous(self, fit: Fit) -> Fit:
+    def drop_superfluous(self, fit: Fit, weigh: object = None) -> Fit:
         """What lasts."""
         return self.of(fit.effects & self.lasting)
 
@@ -499,6 +564,23 @@ def test_a_cause_that_fades_beside_a_later_one_goes() -> None:
 
     drops = {"a.bias": 900.0, "b.coulomb": 500.0}
     assert select_from(Fading(drops, set(drops)), StrictJudges()).fit.effects == {"b.coulomb"}
+
+
+@pytest.mark.parametrize(("doubt", "named"), [(0.1, "a.bias"), (0.9, "a.coulomb")])
+def test_a_rival_that_would_fade_takes_no_place(doubt: float, named: str) -> None:
+    """Likelier than a cause, but so uncertain that it would be dropped as faint next, and nothing be named."""
+
+    class Tempting(Script):
+        def extend(self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", **_: object) -> Step:
+            if against != "a.coulomb":
+                return super().extend(fit, barred | {"a.bias"}, against)
+            rival = self.of(frozenset({"a.bias"}))
+            return Step(fit, {"a.bias": replace(rival, std=dict.fromkeys(rival.values, doubt))})
+
+    judges = StrictJudges()
+    judges.favour = 0.0
+    found = select_from(Tempting({"a.coulomb": 500.0, "a.bias": 900.0}, {"a.coulomb", "a.bias"}), judges)
+    assert found.fit.effects == {named}
 
 
 def test_causes_that_predict_other_logs_worse_are_left_out() -> None:

@@ -193,6 +193,10 @@ def test_a_misfit_comes_with_what_would_help() -> None:
     """One sentence: an effect of one's own where something follows a quantity, else the log; without a misfit none."""
     assert summarise(VERDICT, NOISE, {}).remedy == ""
     assert "check unit, sign, scale, zero and stamps of elbow" in summarise(FAR, NOISE, {}).remedy
+    built = replace(MISFIT, within=["quad.com", "m3.gain", "m2.gain", "m4.gain", "m1.gain"])
+    told = summarise(replace(FAR, misfit=built), NOISE, {}).remedy
+    assert "quad.com, m3.gain, m2.gain and m4.gain may be off by" in told
+    assert "no one of them is accused" in told
     soon = replace(FAR, misfit=replace(MISFIT, horizon_s=HORIZONS_S[0]))
     assert "shows so soon" in summarise(soon, NOISE, {}).remedy
     left = Unexplained(True, 0.4, "elbow", ["elbow velocity"], 7.0, 0.03)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import mujoco
 import numpy as np
 
 from vpptwin.actuators.layer import SUPPLY
@@ -18,7 +19,7 @@ from vpptwin.estimation.correct import correct_measurements, is_perfect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, fly_windows, trace_past
-from vpptwin.twin.manifold import find_place
+from vpptwin.twin.manifold import conjugate, find_place, turn_to_world
 from vpptwin.twin.recall import Past, evolves
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
@@ -32,6 +33,8 @@ FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 Key = tuple[str, str]
 """Effect id and parameter name."""
+MakeTwin = Callable[[TwinSpec, int, Iterable[str]], Twin]
+"""Makes the simulations that a bench drives, of a twin, their number, and the effects that are switched on."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,25 @@ class Track:
         return Track(self.pose * starts, self.velocity * starts, self.push * pushes)
 
 
+def resist_turning(twin: Twin) -> np.ndarray:
+    """How hard every simulation's bodies are to turn, as a share of nominal, (N, nv); 1 for what does not turn.
+
+    A track's pulses turn a body as they turned the nominal one, whatever its inertia: if they did not, a craft that has
+    less of everything, thrust too, would fly the same under weaker gusts, and be likelier for that alone.
+    """
+    model, moments = twin.spec.model, twin.table.get("body_inertia")
+    found = np.ones((twin.num_sims, model.nv))
+    if moments is None:
+        return found
+    for dof in np.flatnonzero(twin.spec.robot.rotary):
+        body, joint = model.dof_bodyid[dof], model.dof_jntid[dof]
+        hinged = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        axis = model.jnt_axis[joint] if hinged else np.eye(3)[(dof - model.jnt_dofadr[joint]) % 3]
+        share = turn_to_world(conjugate(model.body_iquat[body]), axis) ** 2
+        found[:, dof] = moments[:, body] @ share / (model.body_inertia[body] @ share)
+    return found
+
+
 def pick(motion: Motion, run: int) -> Motion:
     """One run of many, arrays (K, steps + 1, ...)."""
     speed = motion.rotor_speed
@@ -89,6 +111,7 @@ class Bench:
         causal: those states are estimated without looking ahead.
         progress: called with the number of simulated steps as they are done.
         criteria: thresholds of the diagnosis that works on it.
+        make_twin: makes what is driven through the windows, of a twin, a number of simulations, and effects.
 
     Attributes:
         track: about which all is simulated; None for states as estimated, and no force.
@@ -102,11 +125,11 @@ class Bench:
     def __init__(
         self, spec: TwinSpec, windows: Windows, channels: Sequence[Channel], segments: int,
         flights: Sequence[Measurements] = (), causal: bool = False, progress: Callable[[int], None] | None = None,
-        criteria: Criteria = CRITERIA,
+        criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
     ) -> None:  # fmt: skip
         self.spec, self.windows, self.channels, self.segments = spec, windows, list(channels), segments
         self.flights, self.causal = list(flights), causal
-        self.criteria = criteria
+        self.criteria, self.make_twin = criteria, make_twin
         self._progress = progress
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._starts: dict[tuple[float, ...], Windows] = {}
@@ -325,7 +348,7 @@ class Bench:
         if key not in self._twins:
             if len(self._twins) > 24:
                 self._twins.clear()
-            self._twins[key] = Twin(self.spec, rows, active)
+            self._twins[key] = self.make_twin(self.spec, rows, active)
         return self._twins[key]
 
     def _simulate_rows(
@@ -356,7 +379,8 @@ class Bench:
             disturbance = pushes[which]
         if self.track is not None:
             moved = moved[0] + self.track.pose[window], moved[1] + self.track.velocity[window]
-            disturbance = self.track.push[window] + (0.0 if disturbance is None else disturbance)
+            pushed = self.track.push[window] + (0.0 if disturbance is None else disturbance)
+            disturbance = pushed * resist_turning(twin)[:, None]
         shifted = taken.shift(self.spec.model, *moved)
         past = None
         if self.flights and not self._evolving.isdisjoint(twin.effects):

@@ -28,34 +28,20 @@ MISSING = 1e6
 
 @dataclass(frozen=True)
 class Channel:
-    """One measured quantity in K windows of B bins.
+    """One measured quantity in K windows of B bins."""
 
-    Attributes:
-        name: what it is.
-        unit: SI unit.
-        kind: `position`, `velocity` or `specific force`.
-        axis: degree of freedom, or 0 and 1 for body x and z of a specific force.
-        delayed: comes from the motion capture.
-        value: mean over each bin, (K, B).
-        std: noise of that mean, (K, B); huge where the bin is empty.
-        offset: time of each sample after the window's start, (K, B, S) s.
-        weight: 1/samples in the bin, 0 beyond them, (K, B, S).
-        sensor_std: noise of one sample.
-        turn: first of the three degrees of freedom of a body's rotation; -1 for a coordinate.
-        measured: the attitude of each sample then, (K, B, S, 4): compared is the rotation from it, whose mean is 0.
-    """
-
-    name: str
-    unit: str
-    kind: str
-    axis: int
-    delayed: bool
-    value: np.ndarray
-    std: np.ndarray
-    offset: np.ndarray
-    weight: np.ndarray
-    sensor_std: float
-    turn: int = -1
+    name: str  # what it is
+    unit: str  # SI unit
+    kind: str  # `position`, `velocity` or `specific force`
+    axis: int  # degree of freedom, or 0 and 1 for body x and z of a specific force
+    delayed: bool  # comes from the motion capture
+    value: np.ndarray  # mean over each bin, (K, B)
+    std: np.ndarray  # noise of that mean, (K, B); huge where the bin is empty
+    offset: np.ndarray  # time of each sample after the window's start, (K, B, S) s
+    weight: np.ndarray  # 1/samples in the bin, 0 beyond them, (K, B, S)
+    sensor_std: float  # noise of one sample
+    turn: int = -1  # first of the three degrees of freedom of a body's rotation; -1 for a coordinate
+    # the attitude of each sample then, (K, B, S, 4): compared is the rotation from it, whose mean is 0
     measured: np.ndarray | None = None
 
     def take(self, ids: np.ndarray) -> Channel:

@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.bench import Bench, MakeTwin
 from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
 from vpptwin.diagnosis.evidence.forces import measure_growth, measure_turning
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.strikes import mark_strikes
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
 
 HORIZONS_S = (0.05, 0.1, 0.25, 0.5, 1.0)
 """How far ahead predictions are judged [s]."""
@@ -24,6 +26,8 @@ SEGMENT = 0.1
 """Length of a gust pulse [s]."""
 MANY_PULSES = 3
 """Degrees of freedom beyond which pulses are twice as long."""
+FEWEST_PULSES = 5
+"""Of them in a window then: a gust that stays the same throughout is no noise, but one more law."""
 SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
@@ -54,6 +58,7 @@ class Split:
 def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple[TwinSpec, list[Measurements]]:
     """The twin with windows short enough for these logs, and the logs, which warn if that is shorter than usual.
 
+    They know where the rig strikes something, too, and warn of that: windows there are left out.
     Where motion is unstable errors grow past all linear thought within a second: windows end before.
 
     Raises:
@@ -67,13 +72,14 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
                 f"at least {robot.shortest_log:g} s",
                 "log a longer flight",
             )
+    measurements = [mark_strikes(spec.model, flight) for flight in measurements]
     usual = robot.window if robot.disturbance.known else find_steady(spec, measurements)
     shorter = range(max(round((usual - robot.shortest_window) / SEGMENT), 0) + 1)
     lengths = [round(usual - SEGMENT * i, 6) for i in shorter]
     judges = (count_judges(measurements, length, length < usual) for length in lengths)
     chosen = next((length for length, n in zip(lengths, judges) if n >= MIN_JUDGES), lengths[-1])
     if chosen == usual:
-        return spec.with_robot(window=usual), list(measurements)
+        return spec.with_robot(window=usual), measurements
     told = (
         f"so short that windows of {chosen:g} s take the place of {usual:g} s: what acts strongly all the time "
         "shows; what is weak, slow, rare or only elsewhere does not, the gain is known roughly, and errors further "
@@ -174,6 +180,7 @@ def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) ->
 def build_bench(
     spec: TwinSpec, measurements: Sequence[Measurements], starts: Sequence[np.ndarray], length: float, causal: bool,
     progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, fine: bool = False,
+    make_twin: MakeTwin = Twin,
 ) -> Bench:  # fmt: skip
     """Windows and channels of several flights on one bench, in bins of `BIN` where they are `fine` or sensors known."""
     fine = fine or spec.robot.disturbance.known
@@ -200,10 +207,10 @@ def build_bench(
             "the same topics in every log",
             "diagnose logs of one kind together",
         )
-    pulse = SEGMENT if spec.model.nv <= MANY_PULSES else 2.0 * SEGMENT
-    segments = max(round(length / pulse), 1)
+    many = spec.model.nv > MANY_PULSES
+    segments = max(round(length / (2.0 * SEGMENT if many else SEGMENT)), FEWEST_PULSES if many else 1)
     joined = join_windows(windows), join_channels(channels)
-    return Bench(spec, *joined, segments, measurements, causal, progress, criteria)
+    return Bench(spec, *joined, segments, measurements, causal, progress, criteria, make_twin)
 
 
 def long_starts(starts: Sequence[np.ndarray], window: float) -> list[np.ndarray]:

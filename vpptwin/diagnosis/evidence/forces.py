@@ -31,27 +31,16 @@ SLIGHT = 1e-3
 
 @dataclass(frozen=True)
 class Forces:
-    """Generalised forces at n instants of the logs.
+    """Generalised forces at n instants of the logs."""
 
-    Attributes:
-        flight: index of the log, (n,).
-        time: s since its start, (n,).
-        pose: (n, nq) m, rad.
-        velocity: (n, nv) m/s, rad/s.
-        control: inputs, mean around the instant, (n, nu).
-        inertial: mass times acceleration, (n, nv) N, N m.
-        actuator: what the inputs make of it in the twin, (n, nv).
-        missing: what motion asks for beyond what the twin's model has for it, (n, nv).
-    """
-
-    flight: np.ndarray
-    time: np.ndarray
-    pose: np.ndarray
-    velocity: np.ndarray
-    control: np.ndarray
-    inertial: np.ndarray
-    actuator: np.ndarray
-    missing: np.ndarray
+    flight: np.ndarray  # index of the log, (n,)
+    time: np.ndarray  # s since its start, (n,)
+    pose: np.ndarray  # (n, nq) m, rad
+    velocity: np.ndarray  # (n, nv) m/s, rad/s
+    control: np.ndarray  # inputs, mean around the instant, (n, nu)
+    inertial: np.ndarray  # mass times acceleration, (n, nv) N, N m
+    actuator: np.ndarray  # what the inputs make of it in the twin, (n, nv)
+    missing: np.ndarray  # what motion asks for beyond what the twin's model has for it, (n, nv)
 
 
 def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
@@ -119,6 +108,7 @@ def measure_turning(spec: TwinSpec, measurements: Sequence[Measurements]) -> flo
     """
     bodies = (joint for joint in spec.robot.list_free() if spec.model.jnt_type[joint] == FREE)
     turning = [int(spec.model.jnt_dofadr[joint]) + 3 + i for joint in bodies for i in range(3)]
+    turning = [dof for dof in turning if dof not in spec.robot.driven]
     if not turning:
         return float("inf")
     forces = measure_forces(spec, measurements)

@@ -16,17 +16,11 @@ POSITION, ANGLE = "position_rmse_m", "angle_rmse_rad"
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Root mean square errors of a perfect twin.
+    """Root mean square errors of a perfect twin."""
 
-    Attributes:
-        rmse: key of a score (velocities by name) → error, in SI units.
-        units: name of a velocity → its unit.
-        known: the sensors are known; else noise is a cautious guess, which a good twin may well go below.
-    """
-
-    rmse: dict[str, float]
-    units: dict[str, str]
-    known: bool = True
+    rmse: dict[str, float]  # key of a score (velocities by name) → error, in SI units
+    units: dict[str, str]  # name of a velocity → its unit
+    known: bool = True  # the sensors are known; else noise is a cautious guess, which a good twin may well go below
 
     @property
     def label(self) -> str:

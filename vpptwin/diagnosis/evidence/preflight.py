@@ -32,38 +32,22 @@ class StreamCheck:
 
 @dataclass(frozen=True)
 class Preflight:
-    """One flight before it is diagnosed.
+    """One flight before it is diagnosed."""
 
-    Attributes:
-        name: file the flight came from.
-        duration: length of the common span [s].
-        usable: share of it that no gap spoils.
-        streams: quantity → how it was recorded.
-        lag: of the motion capture behind the gyro at the start [s]; None where nothing tells.
-        lag_drift: by which that lag grows [s/s].
-        clock_drift: by which the motion capture's stamps run fast against the IMU's, by log times [s/s].
-        saturated: actuator → share of time at its limits.
-        moving: joint → share of time in which it moves.
-        reversals: joint → how often its motion turned round.
-        inverted: share of time upside down; None for rigs of which that can't be said.
-        ranges: quantity → least and greatest value, in SI units.
-        units: joint → unit of its position.
-        window: length of the windows that it is cut into, where it is too short for the usual one [s]; else None.
-    """
-
-    name: str
-    duration: float
-    usable: float
-    streams: dict[str, StreamCheck]
-    lag: float | None
-    lag_drift: float | None
-    clock_drift: float | None
-    saturated: dict[str, float]
-    moving: dict[str, float]
-    reversals: dict[str, int]
-    inverted: float | None
-    ranges: dict[str, tuple[float, float]]
-    units: dict[str, str]
+    name: str  # file the flight came from
+    duration: float  # length of the common span [s]
+    usable: float  # share of it that no gap spoils
+    streams: dict[str, StreamCheck]  # quantity → how it was recorded
+    lag: float | None  # of the motion capture behind the gyro at the start [s]; None where nothing tells
+    lag_drift: float | None  # by which that lag grows [s/s]
+    clock_drift: float | None  # by which the motion capture's stamps run fast against the IMU's, by log times [s/s]
+    saturated: dict[str, float]  # actuator → share of time at its limits
+    moving: dict[str, float]  # joint → share of time in which it moves
+    reversals: dict[str, int]  # joint → how often its motion turned round
+    inverted: float | None  # share of time upside down; None for rigs of which that can't be said
+    ranges: dict[str, tuple[float, float]]  # quantity → least and greatest value, in SI units
+    units: dict[str, str]  # joint → unit of its position
+    # length of the windows that it is cut into, where it is too short for the usual one [s]; else None
     window: float | None = None
 
     def as_dict(self) -> dict[str, object]:

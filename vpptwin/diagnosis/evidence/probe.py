@@ -25,23 +25,14 @@ again.
 
 @dataclass(frozen=True)
 class Shares:
-    """Generalised forces at n instants of the logs.
+    """Generalised forces at n instants of the logs."""
 
-    Attributes:
-        forces: what moved the joints.
-        made: cause → force that it makes in the fitted twin, (n, nv) N, N m.
-        steady: cause → how much of that is left of it in the mean over `OFFSETS`, 0..1, (nv,).
-        left: what motion asks for beyond what the fitted twin has for it, (n, nv) N, N m.
-        moved: mass times acceleration in the fitted twin, (n, nv) N, N m.
-        changing: how fast that changes, (n, nv) N/s, N m/s.
-    """
-
-    forces: Forces
-    made: dict[str, np.ndarray]
-    steady: dict[str, np.ndarray]
-    left: np.ndarray
-    moved: np.ndarray
-    changing: np.ndarray
+    forces: Forces  # what moved the joints
+    made: dict[str, np.ndarray]  # cause → force that it makes in the fitted twin, (n, nv) N, N m
+    steady: dict[str, np.ndarray]  # cause → how much of that is left of it in the mean over `OFFSETS`, 0..1, (nv,)
+    left: np.ndarray  # what motion asks for beyond what the fitted twin has for it, (n, nv) N, N m
+    moved: np.ndarray  # mass times acceleration in the fitted twin, (n, nv) N, N m
+    changing: np.ndarray  # how fast that changes, (n, nv) N/s, N m/s
 
 
 def share_forces(

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.bench import Key, MakeTwin
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
     build_bench,
@@ -22,35 +22,31 @@ from vpptwin.diagnosis.evidence.flights import (
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
-from vpptwin.diagnosis.judgement.contradiction import weigh_causes
+from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.judgement.leftover import judge_leftover, share_left
-from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_weak_inputs
-from vpptwin.diagnosis.judgement.power import judge_power
+from vpptwin.diagnosis.judgement.leftover import judge_leftover
+from vpptwin.diagnosis.judgement.logged_inputs import (
+    turn_as_logged,
+)
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
-from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Experiment, Misfit, Unexplained, Verdict
+from vpptwin.diagnosis.judgement.verdict import Cause, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.search import Search
-from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
+from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
+from vpptwin.twin.manifold import FREE
 from vpptwin.twin.spec import TwinSpec
-
-CONTRADICTED = (
-    "left out {}: the logs that were fitted ask for it, held-out log is predicted worse with it; one set of parameters "
-    "may not fit all of these logs: diagnose them one by one"
-)
+from vpptwin.twin.twin import Twin
 
 MMAP_THRESHOLD = -3
 """M_MMAP_THRESHOLD of malloc.h."""
-UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
-OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
 
 Stage = Callable[[str], None]
 
@@ -83,6 +79,7 @@ class Diagnosis:
 def diagnose(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage = lambda text: None,
     progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, causes: Sequence[str] | None = None,
+    make_twin: MakeTwin = Twin,
 ) -> Diagnosis:  # fmt: skip
     """Find what a twin gets wrong.
 
@@ -93,6 +90,7 @@ def diagnose(
         progress: told how many inner steps were simulated.
         criteria: thresholds that decide.
         causes: effects to fit and judge whatever the evidence, as if they were known; None looks for them.
+        make_twin: makes the simulations, as `Bench` says.
 
     Raises:
         InputError: if a log is too short, lacks what the twin needs, or never moves.
@@ -103,7 +101,7 @@ def diagnose(
     return_memory()
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria)
+        material = prepare(spec, flights, stage, progress, criteria, make_twin)
         spec = material.search.bench.spec
         if causes is None:
             selection = select_causes(material.search, material.held_out, stage)
@@ -142,9 +140,10 @@ class Material:
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA,
+    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
 ) -> Material:  # fmt: skip
     """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
+    spec = turn_as_logged(spec, flights, criteria)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     spec, measurements = choose_window(spec, measurements)
@@ -154,16 +153,25 @@ def prepare(
     judges: set[int] = set()
     if len(flights) > 1:
         stage("choosing the flights that judge")
-        judges = choose_judges(measure_information(spec, measurements, unknowns, progress, criteria), criteria)
+        told = measure_information(spec, measurements, unknowns, progress, criteria, make_twin)
+        judges = choose_judges(told, criteria)
     split = split_flights(measurements, window, judges, spec.robot.is_short)
     stage("linearising the twin about the flights")
     fitted = thin_out(spec, split.fitted)
-    bench = build_bench(spec, measurements, fitted, window, False, progress, criteria)
-    if not bench.guessed:
+    bench = build_bench(spec, measurements, fitted, window, False, progress, criteria, make_twin=make_twin)
+    if is_followed(spec):
         bench.followed = spec.robot.rotary, spec.robot.rotary
         bench.track = follow_motion(bench, {}).of(*bench.followed)
     search = Search(bench, unknowns)
-    return Material(measurements, search, open_held_out(spec, measurements, split.held_out, progress, criteria))
+    held_out = open_held_out(spec, measurements, split.held_out, progress, criteria, make_twin)
+    return Material(measurements, search, held_out)
+
+
+def is_followed(spec: TwinSpec) -> bool:
+    """Whether windows are simulated about the motion that is likeliest: of the drone, of bodies that turn freely."""
+    model, driven = spec.model, set(spec.robot.driven)
+    flies = any(model.jnt_dofadr[joint] + 3 not in driven for joint in np.flatnonzero(model.jnt_type == FREE))
+    return spec.robot.disturbance.known or flies
 
 
 def judge(
@@ -173,7 +181,7 @@ def judge(
     search, held_out, fit = material.search, material.held_out, selection.fit
     stage("judging on held-out windows")
     leftover = judge_leftover(held_out, search, fit)
-    verdict = conclude(spec, flights, material, selection, leftover.unexplained)
+    verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained)
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that tells rivals apart")
         verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
@@ -192,107 +200,19 @@ def suggest_experiment(
 
 def open_held_out(
     spec: TwinSpec, measurements: Sequence[Measurements], starts: list[np.ndarray],
-    progress: Callable[[int], None] | None, criteria: Criteria = CRITERIA,
+    progress: Callable[[int], None] | None, criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
 ) -> HeldOut:  # fmt: skip
     """Benches of the held-out windows."""
-    window = spec.robot.window
-    short = build_bench(spec, measurements, thin_out(spec, starts, True), window, True, progress, criteria)
-    if not short.guessed:
+    window, few = spec.robot.window, thin_out(spec, starts, True)
+    short = build_bench(spec, measurements, few, window, True, progress, criteria, make_twin=make_twin)
+    if is_followed(spec):
         # Judged without looking ahead, starts are rough: they move too.
         short.followed = np.ones(spec.model.nv), spec.robot.rotary
         short.track = follow_motion(short, {}).of(*short.followed)
-    long = build_bench(spec, measurements, long_starts(starts, window), HORIZONS_S[-1], True, progress, criteria, True)
-    return HeldOut(short, long)
-
-
-def conclude(
-    spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, unexplained: Unexplained,
-) -> Verdict:  # fmt: skip
-    """Put the verdict together."""
-    search, held_out, fit = material.search, material.held_out, selection.fit
-    nominal: dict[Key, float] = {}
-    before, after = held_out.score(nominal), held_out.score(fit.values)
-    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
-    least = search.criteria.sober
-    sober = 1.0 - (1.0 - least) * min(2.0 * left, 1.0)
-    doubtful = unexplained.significant or (
-        share_left(held_out, fit) > search.criteria.explained
-        if search.bench.guessed
-        else unexplained.sigma > search.criteria.doubted
-    )
-    most = search.criteria.suggested if doubtful else 1.0
-    # Gusts that are known to blow make errors, too.
-    missed = after.chi2 > search.criteria.missed and (search.bench.guessed or unexplained.significant)
-    contradicted = bool(fit.effects) and held_out.worsens(nominal, fit.values)
-    denied = {}
-    if search.bench.guessed:
-        seen = weigh_causes(spec, material.measurements, fit.values, search.criteria)
-        denied = {s.effect: s.tell(search.criteria) for s in seen if s.contradicts(search.criteria)}
-    causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
-    for effect in sorted(fit.effects):
-        rest = {key: value for key, value in fit.values.items() if key[0] != effect}
-        gain, interval = held_out.share_removed(rest, fit.values, nominal)
-        own = [u for u in search.unknowns if u.effect.id == effect]
-        if search.bench.guessed and is_outweighed(before.chi2, after.chi2, gain):
-            doubts[effect] = OUTWEIGHED
-        sure = search.criteria.suggested if effect in doubts else most
-        confidence = min((least if contradicted else sober) * selection.confidence(effect), sure)
-        confidence = min(confidence, least) if effect in denied else confidence
-        found = {u.parameter.name: estimate(u, fit) for u in own}
-        doubt, summary = confidence / max(selection.confidence(effect), 1e-12), own[0].effect.summary
-        rivals = [replace(r, confidence=doubt * r.confidence) for r in selection.rivals[effect]]  # theirs, too
-        causes.append(Cause(effect, confidence, found, gain, rivals, summary, interval))
-    causes.sort(key=lambda cause: -cause.gain)
-    alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
-    cleared, unseen = judge_power(search, fit, fit.effects | alike)
-    return Verdict(
-        logs=[str(flight.path) for flight in flights],
-        twin=spec.name,
-        windows=len(search.bench.windows),
-        held_out_windows=len(held_out.short.windows),
-        before=before,
-        after=after,
-        gap=bool(causes) or unexplained.significant or missed,
-        causes=causes,
-        unexplained=unexplained,
-        cleared=cleared,
-        unseen=unseen,
-        improvement=held_out.change(nominal, fit.values) if causes else {},
-        misfit=find_misfit(held_out, fit.values, after.chi2) if missed else None,
-        warnings=list(denied.values())
-        + [doubts[effect].format(effect) for effect in sorted(doubts)]
-        + (
-            describe_weak_inputs(spec, material.measurements, search.criteria)
-            if missed and search.bench.guessed
-            else []
-        )
-        + [CONTRADICTED.format(" and ".join(sorted(selection.left_out)))] * bool(selection.left_out)
-        + [
-            told
-            for effect in sorted(fit.effects)
-            if (told := describe_input_error(spec, find_effect(spec.catalogue, effect)))
-        ]
-        + [
-            f"{flight.path.name}: {warning}"
-            for flight, measured in zip(flights, material.measurements)
-            for warning in (*flight.warnings, *measured.warnings)
-        ],
-    )
-
-
-def is_outweighed(before: float, after: float, gain: float) -> bool:
-    """Whether more of held-out chi² above the noise stays `after` than a cause explains, `gain` of that `before`."""
-    return after - 1.0 > gain * (before - 1.0)
-
-
-def find_misfit(held_out: HeldOut, values: dict[Key, float], chi2: float) -> Misfit:
-    """How far the extended twin is off, which is far above what the sensors make."""
-    return Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(values))
-
-
-def estimate(unknown: Unknown, fit: Fit) -> Estimate:
-    """A fitted parameter with its unit and uncertainty."""
-    return Estimate(fit.values[unknown.key], unknown.parameter.unit, fit.stated_std(unknown), float(unknown.nominal))
+    far, horizon = long_starts(starts, window), HORIZONS_S[-1]
+    return HeldOut(
+        short, build_bench(spec, measurements, far, horizon, True, progress, criteria, True, make_twin)
+    )  # fmt: skip
 
 
 def rank_first(selection: Selection, search: Search) -> list[tuple[str, float]]:

@@ -77,7 +77,7 @@ class Part:
         for channel, columns in zip(self.bench.channels, self.bench.columns):
             if (channel.kind, channel.axis) == (kind, dof):
                 valid = np.array_split(self.bench.valid[:, columns], segments, axis=1)
-                missed = np.array_split(self.residual[:, columns], segments, axis=1)
+                missed = np.array_split(self.missed[:, columns], segments, axis=1)
                 return np.stack([m.sum(axis=1) / np.maximum(v.sum(axis=1), 1) for m, v in zip(missed, valid)], axis=1)
         return np.zeros((len(self.bench.windows), segments))
 
@@ -271,7 +271,7 @@ def list_quantities(part: Part, values: Mapping[Key, float]) -> list[tuple[str, 
 
     Positions and velocities are the measured ones where there are any: the twin, which lacks the force, goes elsewhere.
     """
-    bench = part.bench
+    bench = part.bench.about(part.track)
     pose, velocity, _ = bench.simulate([bench.without_sensors(Variation(dict(values)))], values)
     model, windows = bench.spec.model, bench.windows
     named: list[tuple[str, np.ndarray]] = []

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.rivals import (
+    compare,
+    evidence_against_rival,
+    find_better,
+    find_simpler,
+    handicap,
+    is_powerless,
+    look_alike,
+    tell_nothing,
+    tell_roughness,
+    trusts_errors,
+    weigh_rivals,
+)
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.search import Search, Step
-from vpptwin.effects import Effect
-from vpptwin.effects import Stage as EffectStage
 
 Stage = Callable[[str], None]
 
@@ -50,61 +63,177 @@ class Selection:
 
 def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
-    fit, barred, swaps, steps, criteria = search.start, frozenset[str](), 0, 0, search.criteria
-    left_out = frozenset[str]()
-    earlier_drops: dict[str, float] = {}
-    first: Step | None = None
-    while True:
-        named = ", ".join(sorted(fit.effects)) or "nothing yet"
-        stage(f"trying suspects (named: {named})")
-        step = search.extend(fit, barred)
-        first, steps = first or step, steps + 1
-        step, accepted = accept_cause(search, held_out, step, earlier_drops)
-        if accepted is not None and len(fit.effects) < criteria.most_causes and steps < criteria.most_steps:
-            best, earlier_drops[accepted] = step.tried[accepted], step.drop(accepted)
-            fit = search.drop_superfluous(settle(search, best))
-            # What made way does not come back, nor what did not last: it would be taken in again and again.
-            barred |= (step.before.effects | {accepted}) - fit.effects
-            continue
-        if fit.effects and held_out.is_worse({}, fit.values, search.sticks(fit.effects)):
-            lesser = drop_harmful(search, held_out, fit)
-            left_out |= fit.effects - lesser.effects
-            barred, fit = barred | left_out, lesser
-            continue
-        if faint := {e for e in fit.effects if trusts_errors(search) and is_faint(search, fit, e)}:
-            for effect in sorted(faint):
-                fit = search.without(fit, effect)
-            fit, barred = search.reframe(fit) if fit.effects else search.start, barred | faint
-            continue
-        stage("checking rivals")
-        replaced = {effect: replace_cause(search, fit, effect) for effect in sorted(fit.effects)}
-        evidence = {
-            effect: {rival: evidence_against_rival(search, held_out, fit, tried) for rival, tried in step.tried.items()}
-            for effect, step in replaced.items()
+    return Choosing(search, held_out, stage).choose()
+
+
+class Choosing:
+    """The causes chosen so far, and what was learnt of the suspects on the way.
+
+    Attributes:
+        fit: the causes fitted together.
+        barred: effects that don't come in again: they made way, did not last, or held-out windows spoke against them.
+        left_out: the last of these.
+        drops: cause → drop in cost when it was added, or of what it took the place of.
+        near: cause → suspects that came near it then, or made way for it.
+        seen: sets of causes.
+        first: the first step of the search.
+        steps, swaps: how many suspects were looked for, and how many causes were exchanged.
+    """
+
+    def __init__(self, search: Search, held_out: HeldOut, stage: Stage) -> None:
+        self.search, self.held_out, self.stage = search, held_out, stage
+        self.fit = search.start
+        self.barred, self.left_out = frozenset[str](), frozenset[str]()
+        self.drops: dict[str, float] = {}
+        self.near = defaultdict[str, frozenset[str]](frozenset)
+        self.seen: set[frozenset[str]] = set()
+        self.first: Step | None = None
+        self.steps = self.swaps = 0
+
+    def choose(self) -> Selection:
+        """The causes for which nothing better is found."""
+        while True:
+            self.seen.add(self.fit.effects)
+            if self.add() or self.drop_harmful() or self.drop_faint():
+                continue
+            self.stage("checking rivals")
+            replaced = {
+                effect: replace_cause(self.search, self.fit, effect, self.near[effect])
+                for effect in sorted(self.fit.effects)
+            }
+            weigh = partial(evidence_against_rival, self.search, self.held_out, self.fit)
+            evidence = {e: {r: weigh(tried) for r, tried in step.tried.items()} for e, step in replaced.items()}
+            lasting = self.list_lasting(replaced, evidence)
+            if self.swap(replaced, lasting):
+                continue
+            beside = {effect: self.fit.evidence_against(step.before) for effect, step in replaced.items()}
+            rough = self.tell_roughness(replaced, evidence, beside)
+            simpler = find_simpler(self.search, lasting, rough) if self.may_swap() else None
+            if simpler is not None and exchange(self.fit, *simpler) not in self.seen:
+                self.put(*simpler, replaced)
+                continue
+            return self.conclude(replaced, evidence, beside, rough)
+
+    def add(self) -> bool:
+        """Take in the best suspect that passes for a cause, and leave out what it makes superfluous."""
+        criteria, fit = self.search.criteria, self.fit
+        self.stage(f"trying suspects (named: {', '.join(sorted(fit.effects)) or 'nothing yet'})")
+        step = self.search.extend(fit, self.barred)
+        self.first, self.steps = self.first or step, self.steps + 1
+        step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
+        if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
+            return False
+        self.drops[accepted] = step.drop(accepted)
+        self.near[accepted] = find_near(self.search, step, accepted)
+        self.fit = prune(self.search, self.held_out, step.tried[accepted], self.near)
+        # What made way does not come back, nor what did not last: it would be taken in again and again.
+        self.barred |= (step.before.effects | {accepted}) - self.fit.effects
+        return True
+
+    def drop_harmful(self) -> bool:
+        """Leave out the cause that held-out windows can best do without, if all together make them worse."""
+        fit = self.fit
+        if not fit.effects or not self.held_out.is_worse({}, fit.values, self.search.sticks(fit.effects)):
+            return False
+        lesser = [self.search.without(fit, effect) for effect in sorted(fit.effects)]
+        best = min(lesser, key=lambda other: self.held_out.chi2(other.values))
+        self.fit = self.search.reframe(best) if best.effects else self.search.start
+        self.left_out |= fit.effects - self.fit.effects
+        self.barred |= self.left_out
+        return True
+
+    def drop_faint(self) -> bool:
+        """Leave out causes that came near nothing beside the others, where errors have the last word."""
+        faint = {e for e in self.fit.effects if trusts_errors(self.search) and is_faint(self.search, self.fit, e)}
+        for effect in self.fit.effects - faint:
+            self.near[effect] |= faint
+        for effect in sorted(faint):
+            self.fit = self.search.without(self.fit, effect)
+        if faint:
+            self.fit = self.search.reframe(self.fit) if self.fit.effects else self.search.start
+        self.barred |= faint
+        return bool(faint)
+
+    def list_lasting(
+        self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]]
+    ) -> Mapping[str, Mapping[str, float]]:
+        """The evidence against rivals that pass for causes in a cause's place, where errors have the last word."""
+        if not trusts_errors(self.search):
+            return evidence
+        passes = partial(is_cause, self.search, self.held_out)
+        return {
+            effect: {r: found for r, found in row.items() if passes(replaced[effect], r, self.drops)}
+            for effect, row in evidence.items()
         }
-        # Where what made way is barred no swap comes back, so that the best is reached.
-        most = criteria.most_steps if trusts_errors(search) else criteria.most_swaps
-        better = find_better(search, evidence, earlier_drops) if swaps < most else None
-        other = exchange_causes(search, held_out, fit, barred, stage) if better is None else None
-        if other is not None and steps + swaps < criteria.most_steps:
-            fit, swaps = search.drop_superfluous(settle(search, other)), swaps + 1
-            continue
-        if better is None:
-            beside = {effect: fit.evidence_against(step.before) for effect, step in replaced.items()}
-            rough = {e: {r: tell_roughness(search, e, r, beside) for r in row} for e, row in evidence.items()}
-            for effect, step in replaced.items():
-                as_good = {r for r, t in step.tried.items() if leaves_as_little(search, held_out, step.before, fit, t)}
-                rough[effect] |= dict.fromkeys(as_good, np.inf)
-            rivals = {e: weigh_rivals(row, criteria, rough[e]) for e, row in evidence.items()}
-            instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
-            unconfirmed = {e for e, step in replaced.items() if not confirms(search, held_out, step.before, fit)}
-            return Selection(fit, first, rivals, instead, beside, left_out - fit.effects, frozenset(unconfirmed))
-        cause, rival = better
-        if trusts_errors(search):  # what they voted out does not come back on evidence
-            barred |= {cause}
-        earlier_drops[rival] = earlier_drops.get(cause, 0.0)
-        fit = search.drop_superfluous(settle(search, replaced[cause].tried[rival]))
-        swaps += 1
+
+    def may_swap(self) -> bool:
+        """Whether one cause may yet take the place of another."""
+        criteria = self.search.criteria
+        return self.swaps < (criteria.most_steps if trusts_errors(self.search) else criteria.most_swaps)
+
+    def swap(self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]]) -> bool:
+        """Put a better rival in the place of a cause, or a better set of causes that differs in two."""
+        better = find_better(self.search, evidence, self.drops) if self.may_swap() else None
+        if better is not None and trusts_errors(self.search) and exchange(self.fit, *better) in self.seen:
+            better = None  # evidence and errors rank in a circle
+        if better is not None:
+            self.put(*better, replaced)
+            return True
+        other = exchange_causes(self.search, self.held_out, self.fit, self.barred, self.stage)
+        if other is None or self.steps + self.swaps >= self.search.criteria.most_steps:
+            return False
+        self.fit, self.swaps = prune(self.search, self.held_out, other, self.near), self.swaps + 1
+        return True
+
+    def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> None:
+        """Put a rival in the place of a cause."""
+        if trusts_errors(self.search):  # what they voted out does not come back on evidence
+            self.barred |= {cause}
+        self.drops[rival] = self.drops.get(cause, 0.0)
+        self.near[rival] = self.near[cause] | {cause}
+        self.fit = prune(self.search, self.held_out, replaced[cause].tried[rival], self.near)
+        self.swaps += 1
+
+    def tell_roughness(
+        self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]], beside: Mapping[str, float]
+    ) -> dict[str, dict[str, float]]:
+        """How much of the evidence for every cause against every rival tells nothing."""
+        rough = {e: {r: tell_roughness(self.search, e, r, beside) for r in row} for e, row in evidence.items()}
+        for effect, step in replaced.items():
+            for rival, tried in step.tried.items():
+                told = step.before, self.fit, tried, evidence[effect][rival]
+                nothing = tell_nothing(self.search, self.held_out, *told)
+                rough[effect][rival] = max(rough[effect][rival], nothing)
+        return rough
+
+    def conclude(
+        self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]], beside: dict[str, float],
+        rough: Mapping[str, Mapping[str, float]],
+    ) -> Selection:  # fmt: skip
+        """The causes with their rivals."""
+        assert self.first is not None
+        rivals = {e: weigh_rivals(row, self.search.criteria, rough[e]) for e, row in evidence.items()}
+        instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
+        before = {effect: step.before for effect, step in replaced.items()}
+        unconfirmed = {e for e, fit in before.items() if not confirms(self.search, self.held_out, fit, self.fit)}
+        left_out = self.left_out - self.fit.effects
+        return Selection(self.fit, self.first, rivals, instead, beside, left_out, frozenset(unconfirmed))
+
+
+def exchange(fit: Fit, effect: str, rival: str) -> frozenset[str]:
+    """The effects of a fit with a rival in the place of one."""
+    return fit.effects - {effect} | {rival}
+
+
+def prune(search: Search, held_out: HeldOut, fit: Fit, near: dict[str, frozenset[str]]) -> Fit:
+    """A fit in a frame of its own without what it can do without, on all windows, which is near what stays."""
+    if not trusts_errors(search):
+        return search.drop_superfluous(settle(search, fit))
+    weigh = partial(evidence_against_rival, search, held_out)
+    lesser = search.drop_superfluous(settle(search, fit), weigh)
+    for effect in lesser.effects:
+        near[effect] |= fit.effects - lesser.effects
+    return lesser
 
 
 def settle(search: Search, fit: Fit) -> Fit:
@@ -136,13 +265,6 @@ def fit_together(search: Search, effects: Sequence[str]) -> Fit:
     return fit
 
 
-def drop_harmful(search: Search, held_out: HeldOut, fit: Fit) -> Fit:
-    """A fit without the cause that held-out windows can best do without."""
-    lesser = [search.without(fit, effect) for effect in sorted(fit.effects)]
-    best = min(lesser, key=lambda other: held_out.chi2(other.values))
-    return search.reframe(best) if best.effects else search.start
-
-
 def exchange_causes(
     search: Search, held_out: HeldOut, fit: Fit, barred: frozenset[str], stage: Stage
 ) -> Fit | None:  # fmt: skip
@@ -172,12 +294,28 @@ def accept_cause(
     Of two effects that hide each other either alone may bring less than a wrong one which held-out log contradicts:
     where errors have the last word, those that fall behind are heard too if no other is left.
     """
-    accepted = next((e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops)), None)
+    accepted = choose_cause(search, held_out, step, earlier_drops)
     if accepted is not None or not (step.behind and trusts_errors(search)):
         return step, accepted
     late = search.judge_behind(replace(step, tried={}))
-    accepted = next((e for e in late.ordered if is_cause(search, held_out, late, e, earlier_drops)), None)
+    accepted = choose_cause(search, held_out, late, earlier_drops)
     return replace(late, tried=step.tried | late.tried), accepted
+
+
+def choose_cause(search: Search, held_out: HeldOut, step: Step, earlier_drops: Mapping[str, float]) -> str | None:
+    """The suspect of a step that fitted windows like best of those that pass for a cause; None if none does.
+
+    Where errors have the last word it makes way for another that is better on all windows together.
+    """
+    passing = (e for e in step.ordered if is_cause(search, held_out, step, e, earlier_drops))
+    best = next(passing, None)
+    if best is None or not trusts_errors(search):
+        return best
+    for other in passing:
+        against = evidence_against_rival(search, held_out, step.tried[best], step.tried[other])
+        if against + handicap(search, best, other, {best: step.drop(best)}) < 0.0:
+            best = other
+    return best
 
 
 def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier_drops: Mapping[str, float]) -> bool:
@@ -187,7 +325,8 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     exact, and what one leaves over another of its kind would mop up. `earlier_drops` are each of the frame in
     which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
     Where errors have the last word, they outvote gains that contradict, and veto by one standard error, or two where
-    evidence of fitted and held-out windows together is overwhelming.
+    evidence of fitted and held-out windows together is overwhelming; held-out windows need not show by two standard
+    errors what both together show.
     """
     tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
     kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
@@ -202,7 +341,8 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
         gain = max(gain, 0.0) if favour > criteria.sigmas_held_out else gain
         together = drop + float(np.clip(gain, 0.0, drop))
     strong = together > criteria.bars_strong * criteria.bar
-    agreed = gain > (-criteria.sigmas_against if strong else criteria.sigmas_held_out) * error
+    shown = ask_of_held_out(together, criteria) if trusts_errors(search) else criteria.sigmas_held_out
+    agreed = gain > (-criteria.sigmas_against if strong else shown) * error
     agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
     undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
     few = trusts_errors(search) and held_out.count < criteria.judges
@@ -212,6 +352,15 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
         return False
     even = criteria.sigmas_held_out if strong else criteria.sigmas_against
     return not agreed or favour > -even
+
+
+def ask_of_held_out(evidence: float, criteria: Criteria) -> float:
+    """Standard errors by which held-out windows must show a cause for which both speak together by `evidence`.
+
+    From two at the bar to one where it is strong: a few windows that scatter never show by two what acts in some only.
+    """
+    span = [times * criteria.bar for times in (criteria.bars_together, criteria.bars_strong)]
+    return float(np.interp(evidence, span, [criteria.sigmas_held_out, criteria.sigmas_against]))
 
 
 def is_faint(search: Search, fit: Fit, effect: str) -> bool:
@@ -234,142 +383,15 @@ def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool
     return shown and (held_out.count < search.criteria.judges or held_out.prefer(before.values, after.values) > 0.0)
 
 
-def is_powerless(held_out: HeldOut, before: Fit, after: Fit) -> bool:
-    """Whether two fits predict so much the same for held-out windows that these cannot judge between them."""
-    likelihood = held_out.likelihood({}, after.likelihood.gust)
-    changed = likelihood.whiten(held_out.residual(before.likeliest) - held_out.residual(after.likeliest))
-    return bool((changed**2).sum() < after.frame.criteria.powerless)
-
-
-def trusts_errors(search: Search) -> bool:
-    """Whether errors on held-out flights have the last word.
-
-    How gusts push on rigs other than the drone is assumed, not known, and evidence stands and falls with that.
-    """
-    return search.bench.guessed
-
-
-def compare(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> tuple[float, float]:
-    """Drop in held-out surprise from one fit to another, and its standard error."""
-    fits = [(fit, search.sticks(fit.effects)) for fit in (before, after)]
-    return held_out.weigh(fits[0], fits[1])
-
-
-def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> float:
-    """Evidence for a fit against a rival: on the fitted windows, and on the held-out ones beyond a standard error.
-
-    Where errors have the last word, it is theirs if they differ by `sigmas_held_out` standard errors; and a rival that
-    makes them grow is never better.
-    """
-    gain, error = compare(search, held_out, rival, fit)
-    evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
+def find_near(search: Search, step: Step, effect: str) -> frozenset[str]:
+    """Suspects that brought a good part of what a cause did, where linearisation may promise nothing of them."""
     if not trusts_errors(search):
-        return evidence
-    sigmas = held_out.prefer(rival.values, fit.values)
-    if abs(sigmas) > search.criteria.sigmas_held_out:
-        evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
-    return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
+        return frozenset()
+    least = search.criteria.rival_hope * step.drop(effect)
+    return frozenset(other for other in step.tried if other != effect and step.drop(other) > least)
 
 
-def leaves_as_little(search: Search, held_out: HeldOut, without: Fit, fit: Fit, rival: Fit) -> bool:
-    """Whether far more held-out error is left than noise makes, and a rival leaves no more of it than a cause does.
-
-    What a model of noise says of so large a rest tells nothing between the two, where errors have the last word.
-
-    Args:
-        search: of all fits.
-        held_out: the windows that judge.
-        without: the fit without that cause.
-        fit: all causes.
-        rival: another in the place of that cause.
-    """
-    if not trusts_errors(search) or (left := held_out.chi2(fit.values) - 1.0) <= search.criteria.missed:
-        return False
-    there, other = (held_out.chi2(each.values) - 1.0 for each in (without, rival))
-    return other < left + search.criteria.worse * min(left, there - left)
-
-
-def look_alike(search: Search, first: str, second: str) -> bool:
-    """Whether two effects are hard to tell apart: by the catalogue, or as two kinds of dry friction on one joint."""
-    effects = {u.effect.id: u.effect for u in search.unknowns}
-    one, other = effects[first], effects[second]
-    return rub_together(one, other) or second in one.look_alikes or first in other.look_alikes
-
-
-def rub_together(one: Effect, other: Effect) -> bool:
-    """Whether two effects are laws of dry friction of one joint."""
-    return one.stage is other.stage is EffectStage.FRICTION and one.target == other.target
-
-
-def replace_cause(search: Search, fit: Fit, effect: str) -> Step:
-    """The fit without a cause, and every shortlisted suspect tried in its place."""
-    return search.extend(search.rederive(search.without(fit, effect)), against=effect, values=fit.values)
-
-
-def find_better(
-    search: Search, evidence: Mapping[str, Mapping[str, float]], earlier_drops: Mapping[str, float]
-) -> tuple[str, str] | None:
-    """The cause that a rival should take the place of, and that rival; None if the evidence prefers none."""
-    behind = [
-        (found + handicap(search, effect, rival, earlier_drops), effect, rival)
-        for effect, row in evidence.items()
-        for rival, found in row.items()
-    ]
-    least, effect, rival = min(behind, default=(0.0, "", ""))
-    return (effect, rival) if least < 0.0 else None
-
-
-def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str, float]) -> float:
-    """Evidence by which a rival must be better to take the place of a cause.
-
-    How a slider sticks makes the evidence rough: of two laws of a joint's dry friction that differ by less than such
-    laws are inexact, it is the one with fewer parameters that is named.
-    """
-    effects = {u.effect.id: u.effect for u in search.unknowns}
-    better = search.criteria.better
-    richer = len(effects[rival].parameters) - len(effects[effect].parameters)
-    if richer == 0 or not rub_together(effects[effect], effects[rival]):
-        return better
-    inexact = max(better, search.criteria.kinship * earlier_drops.get(effect, 0.0))
-    return inexact if richer > 0 else -inexact
-
-
-def tell_roughness(search: Search, effect: str, rival: str, drops: Mapping[str, float]) -> float:
-    """Evidence that tells nothing between a cause and a rival.
-
-    What shapes dry friction, as lopsidedness does, may be the same law as a force beside that friction: how a slider
-    sticks tells them apart by no more than laws of dry friction are inexact, of which the evidence for the friction
-    itself is the measure.
-
-    Args:
-        search: that knows the effects.
-        effect: the cause.
-        rival: what is tried in its place.
-        drops: cause → drop in cost that it brings beside the others.
-    """
-    effects = {u.effect.id: u.effect for u in search.unknowns}
-    pair = effects[effect], effects[rival]
-    shaping = [each for each in pair if each.stage is EffectStage.FRICTION and each.modifies]
-    if not shaping or rub_together(*pair):
-        return 0.0
-    shaped = [drop for cause, drop in drops.items() if cause == effect or rub_together(effects[cause], shaping[0])]
-    return search.criteria.kinship * max(shaped)
-
-
-def weigh_rivals(
-    evidence: Mapping[str, float], criteria: Criteria, rough: Mapping[str, float] | None = None
-) -> list[Rival]:
-    """Rivals that these flights cannot tell from a cause, with probabilities, the most probable first.
-
-    Args:
-        evidence: rival → evidence for the cause against it.
-        criteria: how far evidence is believed, and which rivals are near.
-        rough: rival → how much of that tells nothing; None for all of it does.
-    """
-    rough = rough or {}
-    gaps = {name: max(found - rough.get(name, 0.0), 0.0) / criteria.temper for name, found in evidence.items()}
-    close = {name: gap for name, gap in gaps.items() if gap < criteria.rival_sigma**2}
-    weights = {name: float(np.exp(-0.5 * gap)) for name, gap in close.items()}
-    total = 1.0 + sum(weights.values())
-    ordered = sorted(close, key=lambda name: close[name])
-    return [Rival(name, weights[name] / total, float(np.sqrt(close[name]))) for name in ordered]
+def replace_cause(search: Search, fit: Fit, effect: str, near: frozenset[str]) -> Step:
+    """The fit without a cause, and every shortlisted suspect, or one of those near it, tried in its place."""
+    without = search.rederive(search.without(fit, effect))
+    return search.extend(without, against=effect, values=fit.values, near=near)

@@ -73,6 +73,7 @@ class Misfit:
         horizon_s: from which on it stands out there; None if at none.
         rmse: the error there at the last horizon, in `unit`.
         unit: of the joint.
+        within: effects that together take it away without leaving their build tolerance, those that move most first.
     """
 
     times: float
@@ -80,6 +81,7 @@ class Misfit:
     horizon_s: float | None
     rmse: float
     unit: str
+    within: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

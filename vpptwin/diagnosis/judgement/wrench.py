@@ -16,12 +16,12 @@ from vpptwin.twin.manifold import FREE, chart
 
 @dataclass(frozen=True)
 class WrenchPlot:
-    """A missing force against what it follows, before and after the twin was extended.
+    """A missing force against what it follows, of a twin without something and with it.
 
     Attributes:
         quantity: (n,) what it is plotted against.
-        before: missing force [N or N m], (n,).
-        after: the same with the extended twin.
+        before: missing force without it [N or N m], (n,).
+        after: the same with it.
         x_label: quantity with unit.
         y_label: force with unit.
     """
@@ -43,17 +43,18 @@ def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np
 
 
 def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) -> WrenchPlot:
-    """The missing force that an effect makes, on the joint it acts on or, for the craft, where it changes most."""
+    """The force that is missing without an effect, and with it, on its joint or where that changes most."""
     bench = held_out.short
     model = bench.spec.model
-    found = [(held_out.response(v), held_out.miss(v)) for v in ({}, values)]
+    others = {key: value for key, value in values.items() if key[0] != effect.id}
+    found = [(held_out.response(v), held_out.miss(v)) for v in (others, values)]
     before, after = (missing_wrench(bench, response, response.restore(*missed)) for response, missed in found)
     joints = {model.joint(i).name: int(model.jnt_dofadr[i]) for i in range(model.njnt) if model.jnt_type[i] != FREE}
     drop = (before**2 - after**2).mean(axis=(0, 1)) / gust_std(bench) ** 2
     dof = joints.get(effect.target, int(np.argmax(drop)))
     joint = bench.spec.robot.name_dof(dof)
     rotary = bool(bench.spec.robot.rotary[dof])
-    quantity, x_label = quantity_of_segments(bench, effect, dof, joint, rotary)
+    quantity, x_label = quantity_of_segments(bench, values, effect, dof, joint, rotary)
     kind, unit = ("torque", "N m") if rotary else ("force", "N")
     return WrenchPlot(
         quantity,
@@ -64,7 +65,9 @@ def plot_wrench(held_out: HeldOut, values: Mapping[Key, float], effect: Effect) 
     )
 
 
-def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rotary: bool) -> tuple[np.ndarray, str]:
+def quantity_of_segments(
+    bench: Bench, values: Mapping[Key, float], effect: Effect, dof: int, joint: str, rotary: bool
+) -> tuple[np.ndarray, str]:
     """What an effect's force follows, averaged over each gust segment of each window, (K segments,), and its label.
 
     Where there are no commands, what would follow them is shown against the position.
@@ -72,7 +75,7 @@ def quantity_of_segments(bench: Bench, effect: Effect, dof: int, joint: str, rot
     windows = bench.windows
     follows = effect.follows if windows.command.shape[2] or effect.follows == "velocity" else "position"
     if follows in ("velocity", "position"):
-        motion = bench.simulate([Variation()])
+        motion = bench.simulate([Variation(values)])
         placed = chart(bench.spec.model, motion.pose[0, :, 1:])
         track = motion.velocity[0, :, 1:, dof] if follows == "velocity" else placed[..., dof]
         unit = "rad" if rotary else "m"

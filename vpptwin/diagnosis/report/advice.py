@@ -35,19 +35,12 @@ class Step:
 
 @dataclass(frozen=True)
 class Session:
-    """What was diagnosed, and how the results are called.
+    """What was diagnosed, and how the results are called."""
 
-    Attributes:
-        spec: the twin that was diagnosed.
-        logs: as the command line names them.
-        options: of the command line that other commands share, such as `--topic-map`.
-        out: folder of the results; None if they are not written.
-    """
-
-    spec: TwinSpec
-    logs: Sequence[str]
-    options: Sequence[str]
-    out: Path | None
+    spec: TwinSpec  # the twin that was diagnosed
+    logs: Sequence[str]  # as the command line names them
+    options: Sequence[str]  # of the command line that other commands share, such as `--topic-map`
+    out: Path | None  # folder of the results; None if they are not written
 
     def type(self, command: str, *words: str) -> str:
         """A command with its options as one types it."""

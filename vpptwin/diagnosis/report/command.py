@@ -17,7 +17,7 @@ from vpptwin.logs.flight import Flight
 
 def diagnose_logs(
     logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
-    effects: Sequence[Path] = (), force: bool = False, rrd: bool = False,
+    effects: Sequence[Path] = (), force: bool = False, rrd: bool = False, device: str | None = None,
 ) -> Result:  # fmt: skip
     """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
 
@@ -30,9 +30,11 @@ def diagnose_logs(
         effects: Python files with effects of the user's own.
         force: overwrite files in `out` that vpptwin did not write, too.
         rrd: write the predictions for Rerun as well.
+        device: where simulations run, as `diagnose` has it.
 
     Raises:
-        InputError: on bad logs, a bad twin, or a folder that cannot be written; old results are left as they were.
+        InputError: on bad logs, a bad twin or device, or a folder that cannot be written; old results are left as they
+            were.
     """
     if json is not None:
         check_target(json)
@@ -42,7 +44,7 @@ def diagnose_logs(
     read = [Path(log) for log in flown if not isinstance(log, Flight)]
     files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
     with stage_results(out, files, list_stale(out), force) as folder:
-        result = diagnose(flown, twin, topic_map, effects)
+        result = diagnose(flown, twin, topic_map, effects, device=device)
         result.write(folder, out, rrd)
     if json is not None:
         give_json(result.verdict.as_dict(), json)

@@ -13,6 +13,7 @@ from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_s
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.logged_inputs import describe_turned, turn_as_logged
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.diagnosis.report.output import check_target, give_json
 from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin
@@ -38,12 +39,14 @@ class Scored:
         windows: stretches of log that were predicted.
         score: errors over the horizon.
         noise: what sensor noise alone makes.
+        warnings: of what follows the log instead of being predicted.
     """
 
     twin: str
     windows: int
     score: Score
     noise: NoiseFloor
+    warnings: list[str]
 
     def tabulate(self) -> list[ErrorTable]:
         """Errors over the horizon as text."""
@@ -112,6 +115,7 @@ def compare(
 
 def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Scored:
     """One twin's errors."""
+    spec = turn_as_logged(spec, flights)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     chosen, measurements = choose_window(spec, measurements)
@@ -119,7 +123,8 @@ def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Sco
     with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare", disable=not progress) as bar:
         held_out = open_held_out(chosen, measurements, starts, bar.update)
         score = held_out.score({})
-    return Scored(spec.name, len(held_out.short.windows), score, find_noise_floor(measurements))
+    noise = find_noise_floor(measurements)
+    return Scored(spec.name, len(held_out.short.windows), score, noise, describe_turned(spec))
 
 
 def compare_logs(
@@ -143,6 +148,8 @@ def compare_logs(
             print_errors(console, f"prediction error of twin {first.twin}", first.tabulate())
             chi2 = f"{first.score.chi2:.3g}"
         console.print(CHI2.format(chi2))
+        for warning in dict.fromkeys(warning for one in comparison.twins for warning in one.warnings):
+            console.print(f"warning: {warning}")
     if json is not None:
         give_json(comparison.as_dict(), json)
     return comparison

@@ -25,22 +25,14 @@ class ErrorRow:
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Errors of one quantity over the horizon.
+    """Errors of one quantity over the horizon."""
 
-    Attributes:
-        quantity: what is wrong by that much.
-        unit: of all figures.
-        rows: one for each horizon.
-        noise: what the noise of the sensors alone makes; empty where nobody knows.
-        noise_label: what to call that.
-        changed: whether it changed by more than `CHANGED` at some horizon; true where there is nothing to compare.
-    """
-
-    quantity: str
-    unit: str
-    rows: list[ErrorRow]
-    noise: str
-    noise_label: str = "sensor noise"
+    quantity: str  # what is wrong by that much
+    unit: str  # of all figures
+    rows: list[ErrorRow]  # one for each horizon
+    noise: str  # what the noise of the sensors alone makes; empty where nobody knows
+    noise_label: str = "sensor noise"  # what to call that
+    # whether it changed by more than `CHANGED` at some horizon; true where there is nothing to compare
     changed: bool = True
 
 

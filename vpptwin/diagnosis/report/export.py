@@ -31,19 +31,12 @@ POSE_COLUMNS = {"x": "x", "z": "z", "θ": "theta"}
 
 @dataclass(frozen=True)
 class Topic:
-    """Messages of one topic.
+    """Messages of one topic."""
 
-    Attributes:
-        name: its name.
-        time: (n,) s on the log's clock.
-        values: column → (n,), of a topic in the form of SPEC 3.
-        joints: joint → column → (n,), of a JointState.
-    """
-
-    name: str
-    time: np.ndarray
-    values: Mapping[str, np.ndarray] | None = None
-    joints: Mapping[str, Mapping[str, np.ndarray]] | None = None
+    name: str  # its name
+    time: np.ndarray  # (n,) s on the log's clock
+    values: Mapping[str, np.ndarray] | None = None  # column → (n,), of a topic in the form of SPEC 3
+    joints: Mapping[str, Mapping[str, np.ndarray]] | None = None  # joint → column → (n,), of a JointState
 
     def write(self, writer: FlightWriter, row: int, offset: float) -> None:
         """Write one message, recorded `offset` [s] after its stamp."""

@@ -50,7 +50,8 @@ def choose_windows(bench: Bench) -> Bench:
     share = moved / np.maximum(moved.max(axis=0), 1e-12)
     ids = np.sort(np.argsort(-share.sum(axis=1), kind="stable")[:WINDOWS])
     channels = [channel.take(ids) for channel in bench.channels]
-    return Bench(bench.spec, bench.windows.take(ids), channels, bench.segments, criteria=bench.criteria)
+    windows, same = bench.windows.take(ids), (bench.criteria, bench.make_twin)
+    return Bench(bench.spec, windows, channels, bench.segments, (), False, None, *same)
 
 
 def switch_on(bench: Bench, effect: Effect) -> tuple[Key, float]:

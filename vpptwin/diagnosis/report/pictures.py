@@ -29,27 +29,17 @@ VISIBLE = 0.1
 
 @dataclass(frozen=True)
 class Pictures:
-    """SVG elements, several for one subject where it takes several panels.
+    """SVG elements, several for one subject where it takes several panels."""
 
-    Attributes:
-        sketch: the rig, what is accused lit; "" for a rig without shapes.
-        forces: cause → the missing force before and after.
-        errors: quantity → its error by horizon.
-        flight: measured quantity → log with twin, and residual.
-        same: names in `errors` and `flight` of what the extended twin predicts as the other did, drawn once.
-        flight_name: the log that `flight` shows.
-        leftover: the force that is still missing.
-        prints: effect → what it would do to these logs.
-    """
-
-    sketch: str
-    forces: dict[str, list[str]]
-    errors: dict[str, list[str]]
-    flight: dict[str, list[str]]
+    sketch: str  # the rig, what is accused lit; "" for a rig without shapes
+    forces: dict[str, list[str]]  # cause → the missing force before and after
+    errors: dict[str, list[str]]  # quantity → its error by horizon
+    flight: dict[str, list[str]]  # measured quantity → log with twin, and residual
+    # names in `errors` and `flight` of what the extended twin predicts as the other did, drawn once
     same: frozenset[str]
-    flight_name: str
-    leftover: list[str]
-    prints: dict[str, str]
+    flight_name: str  # the log that `flight` shows
+    leftover: list[str]  # the force that is still missing
+    prints: dict[str, str]  # effect → what it would do to these logs
 
 
 def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction], noise: NoiseFloor) -> Pictures:
@@ -103,12 +93,13 @@ def draw_force(diagnosis: Diagnosis, effect_id: str) -> list[str]:
     effect = find_effect(diagnosis.held_out.short.spec.catalogue, effect_id)
     if effect.writes and set(effect.writes) <= set(PERFECT):
         return []
-    return draw_wrench(plot_wrench(diagnosis.held_out, diagnosis.values, effect), effect_id)
+    found = plot_wrench(diagnosis.held_out, diagnosis.values, effect)
+    return draw_wrench(found, effect_id, ("without it", "with it"))
 
 
-def draw_wrench(plot: WrenchPlot, subject: str) -> list[str]:
+def draw_wrench(plot: WrenchPlot, subject: str, titles: tuple[str, str] = ("before", "after")) -> list[str]:
     """A missing force before and after."""
-    return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label, subject)
+    return plots.residual_against(plot.quantity, plot.before, plot.after, plot.x_label, plot.y_label, subject, titles)
 
 
 def cut_flight(prediction: FlightPrediction) -> list[Track]:

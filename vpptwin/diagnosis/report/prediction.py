@@ -21,27 +21,16 @@ RESTART = 0.5
 
 @dataclass(frozen=True)
 class Track:
-    """One measured quantity of a flight.
+    """One measured quantity of a flight."""
 
-    Attributes:
-        name: what it is, e.g. `x` or `pitch rate`.
-        unit: SI unit.
-        kind: `position` or `velocity`.
-        dof: degree of freedom it measures.
-        time: stamps (n,) [s since the log's first].
-        measured: (n,).
-        noise: sensor noise of one sample, 1 sigma.
-        predicted: (twins, n) what each twin says; NaN where none could be simulated.
-    """
-
-    name: str
-    unit: str
-    kind: str
-    dof: int
-    time: np.ndarray
-    measured: np.ndarray
-    noise: float
-    predicted: np.ndarray
+    name: str  # what it is, e.g. `x` or `pitch rate`
+    unit: str  # SI unit
+    kind: str  # `position` or `velocity`
+    dof: int  # degree of freedom it measures
+    time: np.ndarray  # stamps (n,) [s since the log's first]
+    measured: np.ndarray  # (n,)
+    noise: float  # sensor noise of one sample, 1 sigma
+    predicted: np.ndarray  # (twins, n) what each twin says; NaN where none could be simulated
 
     @property
     def residual(self) -> np.ndarray:
@@ -51,17 +40,11 @@ class Track:
 
 @dataclass(frozen=True)
 class FlightPrediction:
-    """A flight beside one or several twins.
+    """A flight beside one or several twins."""
 
-    Attributes:
-        flight: the log.
-        tracks: everything measured, positions first.
-        restarts: when the twins were put back to the log [s].
-    """
-
-    flight: Flight
-    tracks: list[Track]
-    restarts: np.ndarray
+    flight: Flight  # the log
+    tracks: list[Track]  # everything measured, positions first
+    restarts: np.ndarray  # when the twins were put back to the log [s]
 
 
 def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPrediction:

@@ -16,21 +16,13 @@ from vpptwin import __version__
 
 @dataclass(frozen=True)
 class Provenance:
-    """What it takes to get the same results again.
+    """What it takes to get the same results again."""
 
-    Attributes:
-        command: what to type.
-        date: when, ISO 8601.
-        twin: name of the diagnosed twin.
-        versions: package → version.
-        logs: log → SHA-256 of its file; of a folder that of the hashes of its files, sorted by name.
-    """
-
-    command: str
-    date: str
-    twin: str
-    versions: dict[str, str]
-    logs: dict[str, str]
+    command: str  # what to type
+    date: str  # when, ISO 8601
+    twin: str  # name of the diagnosed twin
+    versions: dict[str, str]  # package → version
+    logs: dict[str, str]  # log → SHA-256 of its file; of a folder that of the hashes of its files, sorted by name
 
 
 def trace_origin(arguments: Sequence[str], twin: str, logs: Sequence[Path]) -> Provenance:

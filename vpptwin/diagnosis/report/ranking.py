@@ -15,23 +15,14 @@ OPEN = 30.0
 
 @dataclass(frozen=True)
 class Suspect:
-    """A suspect's line.
+    """A suspect's line."""
 
-    Attributes:
-        effect: id.
-        meaning: the same in words.
-        drop: drop in misfit that it brings alone.
-        share: of the strongest suspect's.
-        fate: `named`, `rival`, `cleared`, `unseen` or nothing.
-        told: the fate in words.
-    """
-
-    effect: str
-    meaning: str
-    drop: float
-    share: float
-    fate: str
-    told: str
+    effect: str  # id
+    meaning: str  # the same in words
+    drop: float  # drop in misfit that it brings alone
+    share: float  # of the strongest suspect's
+    fate: str  # `named`, `rival`, `cleared`, `unseen` or nothing
+    told: str  # the fate in words
 
 
 def rank_suspects(ranking: Sequence[tuple[str, float]], verdict: Verdict, meanings: Mapping[str, str]) -> list[Suspect]:

@@ -32,6 +32,7 @@ from vpptwin.files import write_json, write_whole
 from vpptwin.logs.flight import Flight
 from vpptwin.progress import open_bar, tell_stage
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.warp_replay import choose_maker
 
 VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
 LINES, COLUMNS = 10, 160
@@ -64,6 +65,7 @@ class Result:
     _ranking: list[Suspect]
     _pictures: Pictures
     _preflight: list[str]
+    _apart: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
         """The verdict in at most ten lines."""
@@ -130,7 +132,8 @@ class Result:
 
     def _trace(self, more: Sequence[str]) -> Provenance:
         logs, name = map(str, self._logs), self._spec.name
-        return trace_origin(["diagnose", *logs, "--twin", name, *self._options, *more], name, self._logs)
+        given = [*self._options, *self._apart, *more]
+        return trace_origin(["diagnose", *logs, "--twin", name, *given], name, self._logs)
 
     def _render(self, origin: Provenance, out: Path | None) -> str:
         """The report, as it lies in the folder `out`, or in none."""
@@ -145,6 +148,7 @@ class Result:
 def diagnose(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec = "nominal",
     topic_map: str | PathLike[str] | None = None, effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
+    device: str | None = None,
 ) -> Result:  # fmt: skip
     """Find what a twin gets wrong: what the command `vpptwin diagnose` does, its files aside.
 
@@ -154,22 +158,36 @@ def diagnose(
         topic_map: YAML that renames topics of other people's bags.
         effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
         progress: whether a bar is shown on standard error.
+        device: where simulations run: `cuda`, a card, or `cpu`, both through Warp; None for the processor's cores.
 
     Raises:
-        InputError: on bad logs or a bad twin.
+        InputError: on bad logs or a bad twin, a device that is not there, or a rig that none steps.
     """
     spec = open_twin(twin, effects)
+    make_twin = choose_maker(spec, device)
     flights = open_flights(logs, topic_map, spec.robot.signals.entries)
     options = ["--topic-map", str(topic_map)] if topic_map is not None else []
     options += [part for file in effects for part in ("--effects", str(file))]
     with open_bar(desc="diagnose", disable=not progress) as bar:
-        diagnosis = judge(spec, flights, partial(tell_stage, bar), bar.update)
+        told = partial(tell_stage, bar), bar.update
+        diagnosis = judge(spec, flights, *told, make_twin=make_twin)
         tell_stage(bar, "drawing")
-        return collect_result(spec, flights, diagnosis, options)
+        spec = spec.with_robot(signals=diagnosis.search.bench.spec.robot.signals)  # of what follows its log, too
+        return collect_result(spec, flights, diagnosis, options, ["--device", device] if device else [])
 
 
-def collect_result(spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, options: Sequence[str]) -> Result:
-    """A diagnosis with its pictures and sentences; `options` are those of the command that does the same."""
+def collect_result(
+    spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, options: Sequence[str], apart: Sequence[str] = ()
+) -> Result:
+    """A diagnosis with its pictures and sentences.
+
+    Args:
+        spec: the twin that was diagnosed.
+        flights: that it was diagnosed on.
+        diagnosis: what came out.
+        options: of the command that does the same, which other commands have too.
+        apart: those that it has alone.
+    """
     verdict = diagnosis.verdict
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
     twins = [spec, extended] if verdict.causes else [spec]
@@ -178,7 +196,7 @@ def collect_result(spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnos
     return Result(
         verdict, extended, summarise(verdict, noise, name_meanings(spec)), spec, list(options), predictions,
         rank_suspects(diagnosis.ranking, verdict, name_meanings(spec)), draw_pictures(diagnosis, predictions, noise),
-        [flight.describe() for flight in diagnosis.preflight],
+        [flight.describe() for flight in diagnosis.preflight], list(apart),
     )  # fmt: skip
 
 

@@ -38,6 +38,8 @@ FLOOR = 1.5
 """Held-out chi² up to which an error may be called noise; a right explanation leaves 1.05 to 1.15 on the drone."""
 WHOLE = 0.95
 """Shares of what drives a joint from which a force is as strong as that."""
+MOST_WITHIN = 4
+"""Effects within their tolerance that are told of at most."""
 NOTHING = 0.005
 """Shares of the error up to this are written as no gain at all."""
 SHARE = (
@@ -58,29 +60,17 @@ SIZE_FITS = re.compile(
 
 @dataclass(frozen=True)
 class Summary:
-    """What a verdict says, in sentences.
+    """What a verdict says, in sentences."""
 
-    Attributes:
-        headline: the sentence to read if one reads no other.
-        remedy: what would help against an error far above the sensors' noise; "" where there is none.
-        others: one sentence for each cause that the headline is not about.
-        certainty: for each cause how sure it is, then what else it could be.
-        share: what shares of the error are shares of; "" where none is named.
-        error: the error before and after.
-        tables: errors by horizon.
-        unexplained: what is left.
-        experiment: what to fly next; None if nothing is to be decided.
-    """
-
-    headline: str
-    remedy: str
-    others: list[str]
-    certainty: list[str]
-    share: str
-    error: str
-    tables: list[ErrorTable]
-    unexplained: str
-    experiment: str | None
+    headline: str  # the sentence to read if one reads no other
+    remedy: str  # what would help against an error far above the sensors' noise; "" where there is none
+    others: list[str]  # one sentence for each cause that the headline is not about
+    certainty: list[str]  # for each cause how sure it is, then what else it could be
+    share: str  # what shares of the error are shares of; "" where none is named
+    error: str  # the error before and after
+    tables: list[ErrorTable]  # errors by horizon
+    unexplained: str  # what is left
+    experiment: str | None  # what to fly next; None if nothing is to be decided
 
 
 def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) -> Summary:
@@ -163,6 +153,12 @@ def describe_remedy(verdict: Verdict) -> str:
     """What would help against a misfit; "" without one."""
     if verdict.misfit is None:
         return ""
+    if verdict.misfit.within:
+        few = join_words(verdict.misfit.within[:MOST_WITHIN])
+        return (
+            f"What would help: {few} may be off by their build tolerance, as the twin believes it, and together that "
+            "explains it, so that no one of them is accused: measure one, or log a motion that tells them apart."
+        )
     joint = verdict.misfit.joint or "the joints"
     check = f"check unit, sign, scale, zero and stamps of {joint} in the log and of what drives it"
     if verdict.unexplained.depends_on:

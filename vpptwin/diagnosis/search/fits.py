@@ -9,7 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
 from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
-from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, tune_gust
+from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, find_storms, tune_gust
 from vpptwin.diagnosis.search.motion import choose_track
 from vpptwin.diagnosis.search.responses import Regime, Responses
 from vpptwin.diagnosis.search.shortlist import advance
@@ -24,6 +24,8 @@ ROUNDS, CALM = 4, 0.25
 """Times at most that gusts and parameters are fitted in turn; change of the log of the gusts under which that ends."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
+SMALL = 0.1
+"""Share of its typical size by which a parameter is moved for a derivative about a motion that is followed."""
 
 
 @dataclass(frozen=True)
@@ -225,11 +227,19 @@ class Fitter:
         """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
         deviation = self._tolerate(about, effects).deviation
         left = response.restore(about.missed, about.track) - np.einsum("p,pkm->km", deviation, about.slopes)
-        return couple_gusts(self.bench, response, tune_gust(self.bench, response, left, about.frame.scale))
+        gust = tune_gust(self.bench, response, left, about.frame.scale)
+        storm = find_storms(self.bench, response, left, gust, about.frame.scale) if self.bench.guessed else None
+        return couple_gusts(self.bench, response, gust, storm)
 
     def _tolerate(self, about: Linearisation, effects: frozenset[str]) -> Solution:
         """Freed parameters held where they are, the others at their best within tolerance."""
         return solve_hypothesis(about, self.unknowns, effects, frozen=True)
+
+    def cost_by_window(self, fit: Fit) -> np.ndarray:
+        """What every window costs of a fit, (K,), what tolerances and freedom cost left out."""
+        residual = fit.about.residual - self._tolerate(fit.about, fit.effects).deviation @ fit.about.columns
+        square = (residual.reshape(len(self.bench.windows), -1) ** 2).sum(axis=1)
+        return np.asarray(square / fit.frame.scale + fit.likelihood.logdet)
 
     def _sum_up(self, effects: frozenset[str], about: Linearisation, point: dict[Key, float], cost: float) -> Fit:
         solution = solve_hypothesis(about, self.unknowns, effects)
@@ -288,12 +298,21 @@ class Fitter:
         """All unknowns in a twin with `values`, (P,)."""
         return np.array([values.get(u.key, u.nominal) for u in self.unknowns])
 
+    def _share_of_step(self, unknown: Unknown) -> float:
+        """Share of a typical size that a secant spans: a small one of what acts smoothly where motion is followed.
+
+        Pulses of a track leave of a parameter what is alike in all windows: about the same motion, which a typical size
+        would turn by a third of a radian.
+        """
+        rough = unknown.is_limit or unknown.effect.placed or unknown.effect.stage in (Stage.FRICTION, Stage.SLIP)
+        return 1.0 if self.bench.followed is None or rough else SMALL
+
     def _differentiate(
         self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial], track: Track | None
     ) -> Derivatives:
         """Of a twin with `values` about a track: see `Derivatives`; slopes are those by the unknowns `wanted`."""
         at = self._place(values)
-        steps = np.array([self.unknowns[i].step_from(at[i]) for i in wanted])
+        steps = np.array([self._share_of_step(self.unknowns[i]) * self.unknowns[i].step_from(at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
             moved = self.unknowns[i].parameter.clip(at[i] + step)  # rounding may lead past a bound

@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
-from vpptwin.diagnosis.evidence.bench import Variation
+from vpptwin.diagnosis.evidence.bench import MakeTwin, Variation
 from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
 from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.twin import Twin
 
 SAMPLE = 16
 """Windows of every flight that are looked at."""
@@ -19,13 +20,13 @@ SAMPLE = 16
 
 def measure_information(
     spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...],
-    progress: Callable[[int], None] | None, criteria: Criteria,
+    progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin = Twin,
 ) -> np.ndarray:  # fmt: skip
     """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
     window = spec.robot.window
     starts = list_starts(measurements, window)
     sample = [s[np.linspace(0, len(s) - 1, min(SAMPLE, len(s))).astype(int)] for s in starts]
-    bench = build_bench(spec, measurements, sample, window, False, progress, criteria)
+    bench = build_bench(spec, measurements, sample, window, False, progress, criteria, make_twin=make_twin)
     effects = list(dict.fromkeys(u.effect.id for u in unknowns))
     variations, rows = [Variation()], []
     for unknown in unknowns:

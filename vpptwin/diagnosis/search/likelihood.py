@@ -20,6 +20,8 @@ FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
 MOST_COUPLED = 432
 """Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
+STORMS = np.geomspace(1.0, 1e4, 81)
+"""By which gusts' variance may be larger in a window."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -146,13 +148,25 @@ def list_stretches(bench: Bench) -> list[np.ndarray]:
     return [piece for part in whole for piece in np.array_split(part, -(-len(part) // most))]
 
 
-def couple_gusts(bench: Bench, response: Response, gust: np.ndarray) -> Likelihood:
-    """The likelihood of a twin whose windows respond so, under gusts `gust` times as strong as assumed, (nv,)."""
+def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.ndarray | None = None) -> Likelihood:
+    """The likelihood of a twin whose windows respond so, under gusts `gust` times as strong as assumed, (nv,).
+
+    Args:
+        bench: K windows.
+        response: what starting states and pulses do in them.
+        gust: (nv,).
+        storm: by how much more than in others the variance of gusts is in every window, (K,), which has its price.
+    """
     size = response.triangles.shape[1]
     time, stretches = middles_of_segments(bench), []
     logdet = 2.0 * np.log(np.diagonal(response.sensor_factor, axis1=1, axis2=2)).sum(axis=1)
+    if storm is not None:
+        logdet += price_of_storm(storm, size, bench.criteria.tails)
     for part in list_stretches(bench):
         prior = np.kron(likeness_of_gusts(bench, time[part].ravel()), np.diag(gust**2))
+        if storm is not None:
+            stronger = np.repeat(np.sqrt(storm[part]), size)
+            prior *= stronger[:, None] * stronger
         rows = np.zeros((len(part) * size, len(part) * size))
         for i, k in enumerate(part):
             rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
@@ -177,20 +191,52 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     one = np.eye(response.triangles.shape[1])
 
     def surprise(log_gust: np.ndarray) -> float:
-        strength = np.diag(np.exp(2.0 * log_gust))
-        prior = np.einsum("kij,ab->kiajb", alike, strength).reshape(len(alike), len(one), len(one))
-        covariance = one + response.triangles @ prior @ np.swapaxes(response.triangles, 1, 2)
-        factor = np.linalg.cholesky(covariance)
+        factor = np.linalg.cholesky(one + spread_pulses(response, alike, np.exp(2.0 * log_gust)))
         white = np.linalg.solve(factor, along[..., None])[..., 0]
         logdet = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
         square = (white**2).sum(axis=1) / scale
-        # Student-t of 4 degrees of freedom for every value: a window that goes astray must not make a storm.
-        heavy = 5.0 * len(one) * np.log1p(square / (4.0 * len(one)))
+        # Student's t: a window that goes astray must not make a storm.
+        heavy = (criteria.tails + 1.0) * len(one) * np.log1p(square / (criteria.tails * len(one)))
         return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
 
     low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)
     found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
+
+
+def find_storms(bench: Bench, response: Response, residual: np.ndarray, gust: np.ndarray, scale: float) -> np.ndarray:
+    """By how much more than in others gusts' variance probably is in every window, (K,), 1 or more; see `tune_gust`.
+
+    Somebody lends a hand, a cable catches: a window with a push of its own must not decide how hard all others are
+    pushed, and so which effect is likely.
+    """
+    along = response.along(residual) / np.sqrt(scale)
+    alike = likeness_of_gusts(bench, middles_of_segments(bench))
+    size = response.triangles.shape[1]
+    strength, ways = np.linalg.eigh(spread_pulses(response, alike, gust**2))
+    square = np.einsum("kgi,kg->ki", ways, along) ** 2
+    spread = 1.0 + STORMS[:, None, None] * np.maximum(strength, 0.0)
+    price = price_of_storm(STORMS, size, bench.criteria.tails)
+    cost = (square / spread + np.log(spread)).sum(axis=2) + price[:, None]
+    found: np.ndarray = STORMS[np.argmin(cost, axis=0)]
+    return found
+
+
+def spread_pulses(response: Response, alike: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Covariance of what pulses do in every window by itself, along the basis, (K, G, G).
+
+    Args:
+        response: what pulses do.
+        alike: correlation between the segments of a window, (K, segments, segments).
+        variance: square of the gusts' strength as a multiple of what is assumed, (nv,).
+    """
+    prior = np.einsum("kij,ab->kiajb", alike, np.diag(variance)).reshape(response.triangles.shape)
+    return response.triangles @ prior @ np.swapaxes(response.triangles, 1, 2)
+
+
+def price_of_storm(storm: np.ndarray, size: int, tails: float) -> np.ndarray:
+    """Twice the negative log of how probable stronger gusts are, of `size` pulses: with it, they have Student's t."""
+    return tails * size * (np.log(storm) + 1.0 / storm - 1.0)
 
 
 def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Response:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -72,7 +72,7 @@ class Search(Fitter):
 
     def extend(
         self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "",
-        values: Mapping[Key, float] | None = None,
+        values: Mapping[Key, float] | None = None, near: frozenset[str] = frozenset(),
     ) -> Step:  # fmt: skip
         """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
 
@@ -84,6 +84,7 @@ class Search(Fitter):
             barred: suspects that are not tried.
             against: a cause in whose place the others stand; those that fall far behind it are not tried.
             values: its parameters.
+            near: those that came near it when it was found, which are tried whatever they promise.
         """
         starts: dict[str, list[Start]] = {}
         for start in self.rank(fit, barred):
@@ -92,6 +93,7 @@ class Search(Fitter):
         if against in starts:
             least = max(least, self.criteria.rival_hope * starts.pop(against)[0].drop)
         names, found = self._choose(starts, least, fit, against), dict[str, Fit]()
+        names += [name for name in starts if name in near and name not in names]
         brief = len(names) > LONG and self.bench.guessed
         number, iterations = (1, BRIEF) if brief else (self.criteria.starts, ITERATIONS)
         for name in names:
@@ -292,11 +294,12 @@ class Search(Fitter):
         """The fit without one of its effects, under its own likelihood."""
         return self.judge_alone(self.fit(fit.effects - {effect}, fit.values, fit.about))
 
-    def drop_superfluous(self, fit: Fit) -> Fit:
-        """Leave out every effect without which the rest explains the data as well."""
+    def drop_superfluous(self, fit: Fit, weigh: Callable[[Fit, Fit], float] = Fit.evidence_against) -> Fit:
+        """Leave out every effect without which the rest explains the data as well, by the evidence for all of them."""
         while len(fit.effects) > 1:
-            weakened = find_cheapest([self.without(fit, effect) for effect in sorted(fit.effects)])
-            if fit.evidence_against(weakened) > self.criteria.bar:
+            found = [(weigh(fit, lesser), lesser) for e in sorted(fit.effects) for lesser in (self.without(fit, e),)]
+            evidence, weakened = min(found, key=lambda each: each[0])
+            if evidence > self.criteria.bar:
                 return fit
             fit = self.reframe(weakened)
         return fit

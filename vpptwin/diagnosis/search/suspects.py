@@ -19,6 +19,8 @@ MANY = 40
 """Suspects beyond which each is tried at one of them only."""
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
+CUT = tuple(0.5**halved for halved in range(7, 0, -1))
+"""What limits that are tried on a rig that nobody knows cut off an input, as shares of its root mean square."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,9 @@ class Unknown:
 
 
 def list_unknowns(spec: TwinSpec) -> tuple[Unknown, ...]:
-    """All parameters of all effects that this rig can have."""
-    return tuple(Unknown(e, p, spec.value(e, p.name)) for e in spec.catalogue for p in e.parameters)
+    """All parameters of all effects that this rig can have and a log can show."""
+    suspects = (effect for effect in spec.catalogue if not spec.robot.hides(effect))
+    return tuple(Unknown(e, p, spec.value(e, p.name)) for e in suspects for p in e.parameters)
 
 
 @dataclass(frozen=True)
@@ -149,11 +152,28 @@ def grid_of_shape(shape: Unknown, alone: bool) -> np.ndarray:
 
 
 def list_limits(limit: Unknown, bench: Bench) -> list[float]:
-    """Limits that the logged commands would run into, from hardly to badly."""
+    """Limits that the logged commands would run into, from hardly to badly.
+
+    On a rig that nobody knows those of its own actuator: what drives another joint may be a thousand times as large.
+    """
+    command, parameter = bench.windows.command, limit.parameter
+    if bench.guessed and (own := bench.spec.robot.locate(limit.effect).actuator) >= 0:
+        command = command[..., own]
     if limit.effect.follows == "command change":
-        span = float(np.ptp(np.percentile(bench.windows.command, [2.0, 98.0])))
-        found = span / np.array([0.03, 0.06, 0.12, 0.25, 0.5])
+        found = float(np.ptp(np.percentile(command, [2.0, 98.0]))) / np.array([0.03, 0.06, 0.12, 0.25, 0.5])
+    elif bench.guessed:
+        found = cut_off(command)
     else:
-        found = np.percentile(np.abs(bench.windows.command), [98.0, 90.0, 75.0, 50.0]) * 0.97
-    inside = (found >= limit.parameter.low) & (found <= limit.parameter.high)
-    return [float(value) for value in found[inside]]
+        found = np.percentile(np.abs(command), [98.0, 90.0, 75.0, 50.0]) * 0.97
+    return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
+
+
+def cut_off(command: np.ndarray) -> np.ndarray:
+    """Limits beyond which commands of any shape have the shares `CUT` of their root mean square, highest first.
+
+    One that is run into now and then cuts as little as one that shaves off every peak, wherever that is.
+    """
+    size = np.sort(np.abs(command), axis=None)[::-1]
+    squares = np.cumsum(size**2)
+    beyond = squares - 2.0 * size * np.cumsum(size) + np.arange(1, len(size) + 1) * size**2
+    return np.interp(CUT, np.sqrt(np.maximum(beyond, 0.0) / max(squares[-1], 1e-300)), size)

@@ -1,0 +1,155 @@
+"""A verdict from the causes that were selected: how sure each is, what is doubtful about it, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.judgement.contradiction import weigh_causes
+from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.judgement.leftover import share_left
+from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
+from vpptwin.diagnosis.judgement.power import judge_power
+from vpptwin.diagnosis.judgement.selection import Selection
+from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Unexplained, Verdict
+from vpptwin.diagnosis.search.fits import Fit
+from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.suspects import Unknown
+from vpptwin.effects import find_effect
+from vpptwin.estimation.measurements import Measurements
+from vpptwin.logs.flight import Flight
+from vpptwin.twin.spec import TwinSpec
+
+CONTRADICTED = (
+    "left out {}: the logs that were fitted ask for it, held-out log is predicted worse with it; one set of parameters "
+    "may not fit all of these logs: diagnose them one by one"
+)
+UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
+UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
+OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
+
+
+def conclude(
+    spec: TwinSpec, flights: Sequence[Flight], measurements: Sequence[Measurements], search: Search, held_out: HeldOut,
+    selection: Selection, unexplained: Unexplained,
+) -> Verdict:  # fmt: skip
+    """Put the verdict together.
+
+    Args:
+        spec: the twin.
+        flights: that it was diagnosed on.
+        measurements: what they tell.
+        search: with the fitted windows.
+        held_out: those that judge.
+        selection: the causes.
+        unexplained: what they leave.
+    """
+    fit, criteria, guessed = selection.fit, search.criteria, search.bench.guessed
+    before, after = held_out.score({}), held_out.score(fit.values)
+    # Gusts that are known to blow make errors, too.
+    missed = after.chi2 > criteria.missed and (guessed or unexplained.significant)
+    denied: dict[str, str] = {}
+    if guessed:
+        seen = weigh_causes(spec, measurements, fit.values, criteria)
+        denied = {s.effect: s.tell(criteria) for s in seen if s.contradicts(criteria)}
+    left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
+    sober = 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
+    if fit.effects and held_out.worsens({}, fit.values):
+        sober = criteria.sober
+    most = criteria.suggested if is_doubtful(search, held_out, fit, unexplained, after.chi2) else 1.0
+    causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
+    for effect in sorted(fit.effects):
+        rest = {key: value for key, value in fit.values.items() if key[0] != effect}
+        gain, interval = held_out.share_removed(rest, fit.values, {})
+        if guessed and is_unfelt(before.chi2, gain, criteria):
+            doubts.setdefault(effect, UNFELT)
+        if guessed and is_outweighed(before.chi2, after.chi2, gain):
+            doubts[effect] = OUTWEIGHED
+        selected = selection.confidence(effect)
+        confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
+        confidence = min(confidence, criteria.sober) if effect in denied else confidence
+        causes.append(tell_cause(search, selection, effect, confidence, gain, interval))
+    causes = order_causes(causes, selection.unconfirmed)
+    alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
+    cleared, unseen = judge_power(search, fit, fit.effects | alike)
+    warnings = [*describe_turned(spec), *denied.values(), *(doubts[e].format(e) for e in sorted(doubts))]
+    if missed and guessed:
+        warnings += describe_weak_inputs(spec, measurements, criteria)
+    if selection.left_out:
+        warnings.append(CONTRADICTED.format(" and ".join(sorted(selection.left_out))))
+    warnings += filter(None, (describe_input_error(spec, find_effect(spec.catalogue, e)) for e in sorted(fit.effects)))
+    for flight, measured in zip(flights, measurements):
+        warnings += [f"{flight.path.name}: {warning}" for warning in (*flight.warnings, *measured.warnings)]
+    return Verdict(
+        logs=[str(flight.path) for flight in flights],
+        twin=spec.name,
+        windows=len(search.bench.windows),
+        held_out_windows=len(held_out.short.windows),
+        before=before,
+        after=after,
+        gap=bool(causes) or unexplained.significant or missed,
+        causes=causes,
+        unexplained=unexplained,
+        cleared=cleared,
+        unseen=unseen,
+        improvement=held_out.change({}, fit.values) if causes else {},
+        misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
+        warnings=warnings,
+    )
+
+
+def is_doubtful(search: Search, held_out: HeldOut, fit: Fit, unexplained: Unexplained, chi2: float) -> bool:
+    """Whether so much is left, held-out `chi2`, that no cause is more than suggested."""
+    criteria = search.criteria
+    if unexplained.significant or chi2 > criteria.far_off:
+        return True
+    if search.bench.guessed:
+        return share_left(held_out, fit) > criteria.explained
+    return unexplained.sigma > criteria.doubted
+
+
+def tell_cause(
+    search: Search, selection: Selection, effect: str, confidence: float, gain: float, interval: tuple[float, float]
+) -> Cause:
+    """A cause with its parameters, and its rivals, which are doubted as much as it is."""
+    own = [u for u in search.unknowns if u.effect.id == effect]
+    doubt = confidence / max(selection.confidence(effect), 1e-12)
+    rivals = [replace(rival, confidence=doubt * rival.confidence) for rival in selection.rivals[effect]]
+    found = {u.parameter.name: estimate(u, selection.fit) for u in own}
+    return Cause(effect, confidence, found, gain, rivals, own[0].effect.summary, interval)
+
+
+def order_causes(causes: Sequence[Cause], unconfirmed: Collection[str]) -> list[Cause]:
+    """What explains most first; what held-out log does not show comes last, whatever it takes away there by chance."""
+    return sorted(causes, key=lambda cause: (cause.effect in unconfirmed, -cause.gain))
+
+
+def is_outweighed(before: float, after: float, gain: float) -> bool:
+    """Whether more of held-out chi² above the noise stays `after` than a cause explains, `gain` of that `before`."""
+    return after - 1.0 > gain * (before - 1.0)
+
+
+def is_unfelt(before: float, gain: float, criteria: Criteria) -> bool:
+    """Whether a cause, which explains `gain` of held-out chi² above the noise `before`, takes less away than noise."""
+    return gain * (before - 1.0) < criteria.felt
+
+
+def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:
+    """How far the extended twin is off, which is far above what the sensors make."""
+    found = Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(fit.values))
+    if held_out.chi2(fit.likeliest) - 1.0 > search.criteria.explained * (chi2 - 1.0):
+        return found
+    moved: dict[str, float] = {}
+    for unknown in search.unknowns:
+        off = abs(fit.tolerated.get(unknown.key, unknown.nominal) - unknown.nominal)
+        tolerance = max(unknown.parameter.tolerance, 1e-12)
+        moved[unknown.effect.id] = max(moved.get(unknown.effect.id, 0.0), off / tolerance)
+    return replace(found, within=[e for e in sorted(moved, key=lambda e: -moved[e]) if moved[e] > 1.0])
+
+
+def estimate(unknown: Unknown, fit: Fit) -> Estimate:
+    """A fitted parameter with its unit and uncertainty."""
+    return Estimate(fit.values[unknown.key], unknown.parameter.unit, fit.stated_std(unknown), float(unknown.nominal))

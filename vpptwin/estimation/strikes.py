@@ -1,0 +1,101 @@
+"""When a rig strikes something: an end stop, the floor, a wall. No twin tells how it rebounds, no slope leads there.
+
+What a window that holds a blow misses is hundreds of times the noise, whatever the twin, and differs from hypothesis
+to hypothesis by more than all other windows together.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from vpptwin.estimation.gaps import LOOK_BACK, touch
+from vpptwin.estimation.series import Measurements
+
+STEP, SPAN = 0.01, 3
+"""Poses are looked at so often [s]; how fast they change is told over so many steps, and so long a blow is felt."""
+NEAR = 0.03
+"""Share of the rig's extent within which bodies are looked at: none moves farther in a step."""
+VISIBLE = 5.0
+"""Standard deviations by which a distance must change over `SPAN`: what rests on something does not strike it."""
+WINDOW, RARE = 1.0, 0.25
+"""Windows as long as the last horizon [s]: who strikes something in more than that share of them moves like that."""
+LIMIT = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+SIDES = (LIMIT, mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
+
+
+def mark_strikes(model: mujoco.MjModel, measured: Measurements) -> Measurements:
+    """The measurements with the spans in which the rig strikes something, and a warning of them."""
+    strikes, told = find_strikes(model, measured)
+    return replace(measured, strikes=strikes, warnings=(*measured.warnings, *told))
+
+
+def find_strikes(model: mujoco.MjModel, measured: Measurements) -> tuple[np.ndarray, list[str]]:
+    """Spans in which a rig of hinges and slides strikes something, (n, 2) s, and what is said of that, in one line.
+
+    It does where it would be inside of something a step on, if it went on, or had come, as its poses tell.
+
+    Args:
+        model: that has the end stops, and the geoms that collide.
+        measured: positions of all its joints; where one is not known nothing is found.
+    """
+    nothing = np.zeros((0, 2)), list[str]()
+    tracks = measured.positions | measured.driven
+    solid = model.jnt_limited.any() or (model.geom_contype.any() and model.geom_conaffinity.any()) or model.npair
+    if not solid or model.nq != model.nv or set(tracks) != set(range(model.nv)):
+        return nothing
+    time, reach = np.arange(measured.start, measured.end, STEP), SPAN * STEP
+    pose = np.stack([np.interp(time, tracks[dof].time, tracks[dof].value) for dof in range(model.nv)], axis=1)
+    struck = find_struck(model, pose, np.array([tracks[dof].std for dof in range(model.nv)]))
+    if not struck:
+        return nothing
+    rows = np.array(list(struck))
+    breaks = np.flatnonzero(np.diff(rows) > 2 * SPAN) + 1
+    runs = np.split(time[rows], breaks)
+    spans = np.array([(run[0] - reach, run[-1] + reach) for run in runs])
+    starts = np.arange(measured.start + LOOK_BACK, measured.end - WINDOW, STEP)
+    if not len(starts) or touch(spans, starts - LOOK_BACK, starts + WINDOW).mean() > RARE:
+        return nothing
+    what, when = ", ".join(sorted(set().union(*struck.values()))), ", ".join(f"{run[0]:.1f}" for run in runs)
+    return spans, [f"strikes {what} at {when} s: windows there are left out"]
+
+
+def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dict[int, set[str]]:
+    """What is struck in which rows of poses (n, nv), `STEP` apart, of noise `std` (nv,): row → names, in order."""
+    model = look_ahead(model)
+    data, found = mujoco.MjData(model), dict[int, set[str]]()
+    moved = (pose[SPAN:] - pose[:-SPAN]) / SPAN
+    for row in range(SPAN, len(pose) - SPAN):
+        data.qpos[:] = pose[row]
+        mujoco.mj_fwdPosition(model, data)
+        sides = np.flatnonzero(np.isin(data.efc_type, SIDES))
+        clear, slope = data.efc_pos[sides], data.efc_J.reshape(-1, model.nv)[sides]
+        noise = np.sqrt(2.0 * ((slope * std) ** 2).sum(axis=1)) / SPAN
+        # Of the way there, as before, and of the way back, as after.
+        opening = np.stack([slope @ moved[row - SPAN], -slope @ moved[row]])
+        hit = ((opening < -VISIBLE * noise) & (clear + opening <= 0.0)).any(axis=0)
+        if hit.any():
+            found[row] = {name_side(model, data, side) for side in sides[hit]}
+    return found
+
+
+def look_ahead(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of the model to which end stops, and without friction contacts, are constraints before they are met."""
+    model = copy(model)
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model.geom_condim[:], model.pair_dim[:] = 1, 1
+    model.geom_margin[:], model.pair_margin[:] = NEAR * model.stat.extent, NEAR * model.stat.extent
+    model.jnt_margin[:] = np.ptp(model.jnt_range, axis=1)
+    return model
+
+
+def name_side(model: mujoco.MjModel, data: mujoco.MjData, row: int) -> str:
+    """What a constraint keeps a joint in, or bodies from: of two the one that does not move, if one doesn't."""
+    index = int(data.efc_id[row])
+    if data.efc_type[row] == LIMIT:
+        return f"the end stop of {model.joint(index).name}"
+    geom = min(data.contact.geom[index], key=lambda geom: model.body_weldid[model.geom_bodyid[geom]])
+    return model.geom(geom).name or model.body(model.geom_bodyid[geom]).name
