@@ -82,7 +82,7 @@ def make_diagnosis() -> Diagnosis:
     ranking = [(effect.id, 2000.0 * 0.6**i) for i, effect in enumerate(suspects)]
     friction = find_effect(spec.catalogue, "rail_x.coulomb")
     plot = plot_wrench(held_out, VALUES, friction)
-    return Diagnosis(verdict, VALUES, ranking, None, None, held_out, plot)  # type: ignore[arg-type]
+    return Diagnosis(verdict, VALUES, ranking, held_out, plot)
 
 
 MEMORY: dict[str, object] = {}

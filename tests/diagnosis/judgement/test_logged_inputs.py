@@ -120,7 +120,7 @@ def test_weak_rotors_are_named_of_a_body_that_turns_as_logged(tmp_path: Path) ->
     least = 1.0 / (1.0 + strength.value / MASS) if cause.effect == "quad.mass" else strength.value
     assert least == pytest.approx(0.8, abs=0.02)
     assert "quad turns as logged" in found.verdict.warnings[0]
-    assert found.search.bench.spec.robot.signals.turned == ("quad",)
+    assert found.held_out.short.spec.robot.signals.turned == ("quad",)
 
 
 def test_a_twin_that_turns_as_logged_is_written_with_what_it_had(tmp_path: Path) -> None:

@@ -26,13 +26,10 @@ from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
-from vpptwin.diagnosis.judgement.logged_inputs import (
-    turn_as_logged,
-)
+from vpptwin.diagnosis.judgement.logged_inputs import turn_as_logged
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
-from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.search import Search
@@ -59,9 +56,7 @@ class Diagnosis:
         verdict: the verdict.
         values: parameters of the extended twin's new effects.
         ranking: effect → drop in cost when it was tried first of all, best first.
-        search: the search, with the fitted windows.
-        fit: its last fit.
-        held_out: the judging windows.
+        held_out: the judging windows, with the twin as it was judged: what of it follows its log too.
         leftover_plot: the missing force that remains, against what it follows; None if nothing remains.
         preflight: what each log could show, in the order of the logs.
     """
@@ -69,8 +64,6 @@ class Diagnosis:
     verdict: Verdict
     values: dict[Key, float]
     ranking: list[tuple[str, float]]
-    search: Search
-    fit: Fit
     held_out: HeldOut
     leftover_plot: WrenchPlot | None = None
     preflight: list[Preflight] = field(default_factory=list)
@@ -187,7 +180,7 @@ def judge(
         verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
     preflight = [inspect_flight(spec, measured) for measured in material.measurements]
     ranking = rank_first(selection, search)
-    return Diagnosis(verdict, fit.values, ranking, search, fit, held_out, leftover.plot, preflight)
+    return Diagnosis(verdict, fit.values, ranking, held_out, leftover.plot, preflight)
 
 
 def suggest_experiment(

@@ -172,7 +172,7 @@ def diagnose(
         told = partial(tell_stage, bar), bar.update
         diagnosis = judge(spec, flights, *told, make_twin=make_twin)
         tell_stage(bar, "drawing")
-        spec = spec.with_robot(signals=diagnosis.search.bench.spec.robot.signals)  # of what follows its log, too
+        spec = spec.with_robot(signals=diagnosis.held_out.short.spec.robot.signals)  # of what follows its log, too
         return collect_result(spec, flights, diagnosis, options, ["--device", device] if device else [])
 
 
