@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from vpptwin.diagnosis.criteria import CRITERIA
@@ -25,6 +26,7 @@ def select(before: float, after: float, sticks: bool = False) -> tuple[Selection
         """Held-out windows on which these are known."""
 
         criteria = CRITERIA
+        short = cast(Any, SimpleNamespace(guessed=False))
 
         def __init__(self) -> None:
             pass
@@ -62,6 +64,35 @@ def test_a_twin_that_predicts_as_well_is_kept(before: float, after: float) -> No
 def test_a_slip_may_cost_what_tests_allow(after: float, kept: bool) -> None:
     """Two percent where the twin sticks, as tests/sessions.py allows; no more."""
     assert bool(select(2.0, after, sticks=True)[1].fit.effects) == kept
+
+
+@pytest.mark.parametrize(
+    ("after", "farther"),
+    [
+        ([1.5, 2.0, 4.2, 9.0], True),
+        ([1.0, 2.0, 4.0, 19.0], False),
+        ([0.3, 2.5, 4.5, 8.0], False),
+        ([0.5, 1.5, 3.5, 7.5], False),
+    ],
+)
+@pytest.mark.parametrize("guessed", [True, False])
+def test_one_window_that_is_disturbed_is_no_veto(after: list[float], farther: bool, guessed: bool) -> None:
+    """Where disturbances are assumed: of ten held-out windows one alone was asked for, and a saturation left out."""
+
+    class Judges(HeldOut):
+        """Four windows of which this is known; without effects they cost 1, 2, 4 and 8."""
+
+        criteria = CRITERIA
+        short = cast(Any, SimpleNamespace(guessed=guessed))
+
+        def __init__(self) -> None:
+            pass
+
+        def chi2_by_window(self, values: Mapping[Any, float]) -> tuple[np.ndarray, np.ndarray]:
+            """Of one degree of freedom each."""
+            return np.array(after if values else [1.0, 2.0, 4.0, 8.0]), np.ones(4)
+
+    assert Judges().is_farther({}, {KEY: 0.3}, False) == (farther if guessed else sum(after) > 15.0)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,9 @@ from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
+ALONE = 1.0 + 1e-6
+"""Standard errors that a sum over windows has where one alone differs from zero, and rounding."""
+
 
 @dataclass(frozen=True)
 class Score:
@@ -148,8 +151,15 @@ class HeldOut:
         """Whether a twin with `after` has the larger chi²; below 1, the sensors' noise, none is.
 
         Where it sticks, when a slider slips that another twin lets glide makes chi² up to `even` larger by chance.
+        Where disturbances are but assumed, so does a single window that one disturbs: all of them must show it.
         """
-        return self.chi2(after) > max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0)
+        if self.chi2(after) <= max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0):
+            return False
+        if not self.short.guessed:
+            return True
+        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
+        drop, error = improvement(given, extended, self.criteria.most_drop)
+        return drop < -self.criteria.sigmas_against * error * ALONE
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`."""
