@@ -32,9 +32,11 @@ def linear(
     """A linear experiment, given whitened, in a frame in which noise has variance `scale`."""
     tried = np.empty((0, len(residual))) if tried is None else tried
     frame = Frame(np.ones(len(residual)), scale, np.zeros(len(residual)))
+    likelihood = SimpleNamespace(whiten=lambda raw: raw)
     return Linearisation(
-        frame, None, at, columns[:, None], residual[None], None, tried[:, None], columns, residual, tried
-    )  # type: ignore[arg-type]
+        frame, likelihood, at, columns[:, None], residual[None], None, tried[:, None], columns, residual,
+        columns @ columns.T,
+    )  # type: ignore[arg-type]  # fmt: skip
 
 
 FRAME = Frame(np.ones(1), 1.0, np.zeros(1))

@@ -284,6 +284,20 @@ def test_warm_up_moves_the_actuators_alone(twin: Twin) -> None:
     assert start.actuators["output"].max() == 0.0
 
 
+def test_equal_actuators_are_warmed_up_once(twin: Twin) -> None:
+    """Simulations of one number whose constants are equal too get what each would get by itself; others their own."""
+    start, drawn = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (2, 40, 2))
+    number = np.array([0, 1, 1, 0])
+    alone = twin.warm_up(start.actuators, drawn[number])
+    np.testing.assert_array_equal(twin.warm_up(start.actuators, drawn[number], number), alone)
+    assert len(np.unique(alone["output"][:, 0])) == 4  # four delays
+    spec = load_twin()
+    same = Twin(spec, 4)
+    layer = same.warm_up(same.initial_state().actuators, drawn[number], number)
+    np.testing.assert_array_equal(layer["blade"][number == 0], layer["blade"][[0, 0]])
+    np.testing.assert_array_equal(layer, same.warm_up(same.initial_state().actuators, drawn[number]))
+
+
 def test_advancing_in_place_is_stepping(twin: Twin, flown: TwinState) -> None:
     """`advance_policy` makes a state what `step_policy` returns, in the very arrays that it was made of."""
     wanted, state = command(twin, 10), flown.copy()

@@ -216,7 +216,8 @@ def fly_windows(
     layer["history"] = windows.warm[:, :1]
     if windows.spin is not None:
         layer["rotor_speed"] = windows.spin
-    start = replace(start, actuators=twin.warm_up(layer, windows.warm))
+    number = np.unique(np.stack([windows.flight, windows.start]), axis=1, return_inverse=True)[1]
+    start = replace(start, actuators=twin.warm_up(layer, windows.warm, number))
     if past is not None:
         start = replace(start, effects=start.effects + past)
     _, qpos, qvel, rotor_speed = twin.replay_commands(

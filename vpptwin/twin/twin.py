@@ -252,13 +252,22 @@ class Twin:
         _ = self.vehicle
         return {"command": np.array(np.broadcast_to(command, (self.num_sims, 2)), dtype=float)}
 
-    def warm_up(self, layer: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first."""
+    def warm_up(self, layer: np.ndarray, commands: np.ndarray, number: np.ndarray | None = None) -> np.ndarray:
+        """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first.
+
+        Simulations of one `number`, (N,), have equal commands and layers: of those whose constants are equal too one is
+        run for all.
+        """
         expected = (self.num_sims, commands.shape[1] if commands.ndim > 1 else 0, self.spec.model.nu)
         if commands.shape != expected or layer.shape != (self.num_sims,):
             raise ValueError(f"commands have shape {commands.shape}, the layer {layer.shape}; expected {expected}")
         self._constants.refresh()
-        return warm_up(layer, self._constants.records, commands, self.dt)
+        records = self._constants.records
+        if number is None:
+            return warm_up(layer, records, commands, self.dt)
+        kinds = np.unique(records.view(f"V{records.itemsize}"), return_inverse=True)[1]
+        _, first, back = np.unique(np.stack([kinds, number]), axis=1, return_index=True, return_inverse=True)
+        return warm_up(layer[first], records[first], commands[first], self.dt)[back]
 
     @property
     def remembers(self) -> bool:

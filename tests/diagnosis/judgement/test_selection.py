@@ -37,6 +37,7 @@ from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.diagnosis.search.search import Step
+from vpptwin.diagnosis.search.shortlist import Start
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.body import FreeBody, effects_for_body
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
@@ -489,6 +490,10 @@ class Script:
         self.unknowns, self.criteria, self.bench = UNKNOWNS, CRITERIA, OTHER_RIG.bench
         self.start = self.of(frozenset())
         self.refine = self.reframe = self.rederive = lambda fit: fit
+
+    def rank(self, fit: Fit) -> list[Start]:
+        """Linearisation promises nothing."""
+        return []
 
     def of(self, effects: frozenset[str]) -> Fit:
         """The fit of a set."""

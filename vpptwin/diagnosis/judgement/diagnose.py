@@ -179,8 +179,7 @@ def judge(
         stage("looking for the manoeuvre that tells rivals apart")
         verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
     preflight = [inspect_flight(spec, measured) for measured in material.measurements]
-    ranking = rank_first(selection, search)
-    return Diagnosis(verdict, fit.values, ranking, held_out, leftover.plot, preflight)
+    return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight)
 
 
 def suggest_experiment(
@@ -206,15 +205,6 @@ def open_held_out(
     return HeldOut(
         short, build_bench(spec, measurements, far, horizon, True, progress, criteria, True, make_twin)
     )  # fmt: skip
-
-
-def rank_first(selection: Selection, search: Search) -> list[tuple[str, float]]:
-    """Every suspect's drop in cost as the only cause, best first: refitted where it was, by linearisation elsewhere."""
-    first = selection.first
-    found: dict[str, float] = {}
-    for start in search.rank(first.before):
-        found.setdefault(start.effect, first.drop(start.effect) if start.effect in first.tried else start.drop)
-    return sorted(found.items(), key=lambda item: -item[1])
 
 
 def check_moving(measurements: Sequence[Measurements]) -> None:

@@ -37,7 +37,7 @@ class Selection:
 
     Attributes:
         fit: the causes fitted together.
-        first: the first step of the search, which ranks every suspect as the only cause.
+        first: every suspect's drop in cost as the only cause, best first, as `rank_first` has it.
         rivals: cause → effects that explain the fitted windows nearly as well in its place.
         instead: cause → the fits with those effects in its place, in the same order.
         evidence: cause → drop in cost that it brings beside the others.
@@ -46,7 +46,7 @@ class Selection:
     """
 
     fit: Fit
-    first: Step
+    first: list[tuple[str, float]]
     rivals: dict[str, list[Rival]]
     instead: dict[str, list[Fit]]
     evidence: dict[str, float]
@@ -76,7 +76,7 @@ class Choosing:
         drops: cause → drop in cost when it was added, or of what it took the place of.
         near: cause → suspects that came near it then, or made way for it.
         seen: sets of causes.
-        first: the first step of the search.
+        first: every suspect's drop in cost as the only cause.
         steps, swaps: how many suspects were looked for, and how many causes were exchanged.
     """
 
@@ -87,7 +87,7 @@ class Choosing:
         self.drops: dict[str, float] = {}
         self.near = defaultdict[str, frozenset[str]](frozenset)
         self.seen: set[frozenset[str]] = set()
-        self.first: Step | None = None
+        self.first: list[tuple[str, float]] = []
         self.steps = self.swaps = 0
 
     def choose(self) -> Selection:
@@ -119,7 +119,7 @@ class Choosing:
         criteria, fit = self.search.criteria, self.fit
         self.stage(f"trying suspects (named: {', '.join(sorted(fit.effects)) or 'nothing yet'})")
         step = self.search.extend(fit, self.barred)
-        self.first, self.steps = self.first or step, self.steps + 1
+        self.first, self.steps = self.first or rank_first(self.search, step), self.steps + 1
         step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
         if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
             return False
@@ -211,13 +211,20 @@ class Choosing:
         rough: Mapping[str, Mapping[str, float]],
     ) -> Selection:  # fmt: skip
         """The causes with their rivals."""
-        assert self.first is not None
         rivals = {e: weigh_rivals(row, self.search.criteria, rough[e]) for e, row in evidence.items()}
         instead = {e: [replaced[e].tried[r.effect] for r in found] for e, found in rivals.items()}
         before = {effect: step.before for effect, step in replaced.items()}
         unconfirmed = {e for e, fit in before.items() if not confirms(self.search, self.held_out, fit, self.fit)}
         left_out = self.left_out - self.fit.effects
         return Selection(self.fit, self.first, rivals, instead, beside, left_out, frozenset(unconfirmed))
+
+
+def rank_first(search: Search, first: Step) -> list[tuple[str, float]]:
+    """Every suspect's drop in cost as the only cause, best first: refitted where it was, by linearisation elsewhere."""
+    found: dict[str, float] = {}
+    for start in search.rank(first.before):
+        found.setdefault(start.effect, first.drop(start.effect) if start.effect in first.tried else start.drop)
+    return sorted(found.items(), key=lambda item: -item[1])
 
 
 def exchange(fit: Fit, effect: str, rival: str) -> frozenset[str]:
@@ -244,7 +251,7 @@ def settle(search: Search, fit: Fit) -> Fit:
 
 def impose_causes(search: Search, effects: Sequence[str]) -> Selection:
     """Fit exactly these effects, whatever the evidence for them: what somebody who knows the truth would find."""
-    first = search.extend(search.start)
+    first = rank_first(search, search.extend(search.start))
     fit = fit_together(search, effects)
     return Selection(fit, first, {e: [] for e in effects}, {e: [] for e in effects}, dict.fromkeys(effects, np.inf))
 

@@ -53,7 +53,7 @@ class Linearisation:
         trials: change of the prediction by every trial, (T, K, M).
         columns: whitened derivative, (P, K M).
         residual: whitened residual, (K M,).
-        tried: whitened change of the prediction by every trial, (T, K M).
+        gram: inner products of the columns, (P, P).
         turned: effects by whose parameters derivatives were taken at just this point; None if at another.
     """
 
@@ -66,13 +66,13 @@ class Linearisation:
     trials: np.ndarray
     columns: np.ndarray
     residual: np.ndarray
-    tried: np.ndarray
+    gram: np.ndarray
     turned: frozenset[str] | None = None
 
     @cached_property
-    def gram(self) -> np.ndarray:
-        """Inner products of the columns, (P, P)."""
-        return self.columns @ self.columns.T
+    def tried(self) -> np.ndarray:
+        """Whitened change of the prediction by every trial, (T, K M): few linearisations are asked for it."""
+        return self.frame.whiten(self.trials, self.likelihood)
 
     @cached_property
     def slope(self) -> np.ndarray:
@@ -88,10 +88,15 @@ class Linearisation:
         self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray, track: Track | None
     ) -> Linearisation:
         """About another point: derivatives by the unknowns `wanted` anew, (n, K, M); the others, and trials, stay."""
-        moved, columns = self.slopes.copy(), self.columns.copy()
-        moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
         residual = self.frame.whiten_missed(missed[None], track, self.likelihood)[0]
-        return replace(self, at=at, slopes=moved, missed=missed, track=track, columns=columns, residual=residual)
+        there = replace(self, at=at, missed=missed, track=track, residual=residual)
+        if not wanted:
+            return there
+        moved, columns, gram = self.slopes.copy(), self.columns.copy(), self.gram.copy()
+        moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
+        gram[wanted] = columns[wanted] @ columns.T
+        gram[:, wanted] = gram[wanted].T
+        return replace(there, slopes=moved, columns=columns, gram=gram)
 
     def foretell(self, at: np.ndarray) -> np.ndarray:
         """What a twin with the parameters `at` and no track would miss by this linearisation, (K, M)."""
@@ -105,9 +110,9 @@ Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, Track | None, np.ndarray
 def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Linearisation:
     """A linearisation from its derivatives."""
     at, slopes, missed, track, trials = derivatives
-    columns, tried = (frame.whiten(rows, likelihood) for rows in (slopes, trials))
+    columns = frame.whiten(slopes, likelihood)
     residual = frame.whiten_missed(missed[None], track, likelihood)[0]
-    return Linearisation(frame, likelihood, at, slopes, missed, track, trials, columns, residual, tried)
+    return Linearisation(frame, likelihood, at, slopes, missed, track, trials, columns, residual, columns @ columns.T)
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray, times: float) -> np.ndarray:

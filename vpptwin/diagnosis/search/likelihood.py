@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -26,31 +27,52 @@ STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Response:
-    """What starting states and unmodelled forces do to K windows of a twin, sensors whitened.
+    """What starting states and unmodelled forces do to K windows of a twin; factors are computed once they are asked.
 
     Attributes:
-        sensor_factor: lower Cholesky factors of R + J_x P J_xᵀ, (K, M, M).
-        basis: U, orthonormal columns of what force pulses do in every window, (K, M, G) with G = segments nv.
-        triangles: the pulses in that basis, in units of their standard deviation, (K, G, G).
-        freedom: measured values less fitted starting states, over all windows.
         state: derivative by the starting state, (K, M, 2 nv).
         state_std: prior of the starting state, (2 nv,).
-        push: derivative by force pulses in units of their standard deviation, (K, M, G).
+        push: derivative by force pulses in units of their standard deviation, (K, M, G) with G = segments nv.
+        std: of the sensors' noise and of what nothing is believed beyond, (K, M).
+        freedom: measured values less fitted starting states, over all windows.
         assumed: standard deviation of a pulse per degree of freedom, (nv,) N or N m.
         sticking: ids of the effects of dry friction in that twin.
     """
 
-    sensor_factor: np.ndarray
-    basis: np.ndarray
-    triangles: np.ndarray
-    freedom: int
     state: np.ndarray
     state_std: np.ndarray
     push: np.ndarray
+    std: np.ndarray
+    freedom: int
     assumed: np.ndarray
     sticking: frozenset[str] = frozenset()
+
+    @cached_property
+    def sensor_factor(self) -> np.ndarray:
+        """Lower Cholesky factors of R + J_x P J_xᵀ, (K, M, M)."""
+        scaled = self.state * self.state_std
+        sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
+        diagonal = np.arange(sensor.shape[1])
+        sensor[:, diagonal, diagonal] += self.std**2
+        return np.linalg.cholesky(sensor)
+
+    @cached_property
+    def _pushed(self) -> tuple[np.ndarray, np.ndarray]:
+        white = whiten_with(self.sensor_factor, np.moveaxis(self.push, -1, 0))
+        basis, triangles = np.linalg.qr(np.moveaxis(white, 0, -1))
+        return basis, triangles
+
+    @property
+    def basis(self) -> np.ndarray:
+        """U, orthonormal columns of what force pulses do in every window once sensors are whitened, (K, M, G)."""
+        return self._pushed[0]
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """The pulses in that basis, in units of their standard deviation, (K, G, G)."""
+        return self._pushed[1]
 
     def restore(self, missed: np.ndarray, track: Track | None) -> np.ndarray:
         """What a twin without a track would have missed, to first order, from what one with it missed, (..., K, M)."""
@@ -269,29 +291,9 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
     state, push = slopes[: 2 * nv], slopes[2 * nv :]
     pose = np.where(rotary, criteria.start_angle, criteria.start_pose)
     prior = np.concatenate([pose, np.where(rotary, criteria.start_rate, criteria.start_velocity)])
-    return assemble(bench, np.moveaxis(state, 0, -1), prior, np.moveaxis(push, 0, -1))
-
-
-def assemble(
-    bench: Bench, state: np.ndarray, state_std: np.ndarray, push: np.ndarray, floor: np.ndarray | float = 0.0
-) -> Response:
-    """A response from its derivatives.
-
-    Args:
-        bench: K windows.
-        state: derivative by the starting state, (K, M, 2 nv).
-        state_std: its prior, (2 nv,).
-        push: derivative by force pulses in units of their standard deviation, (K, M, G).
-        floor: standard deviation added to the sensors' noise, which broadcasts to (K, M).
-    """
-    scaled = state * state_std
-    sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
-    diagonal = np.arange(sensor.shape[1])
-    sensor[:, diagonal, diagonal] += bench.std**2 + np.square(floor)
-    factor = np.linalg.cholesky(sensor)
-    basis, triangles = np.linalg.qr(np.moveaxis(whiten_with(factor, np.moveaxis(push, -1, 0)), 0, -1))
     freedom = int(bench.valid.sum()) - 2 * bench.windows.free_dofs * len(bench.windows)
-    return Response(factor, basis, triangles, freedom, state, state_std, push, gust_std(bench))
+    state, push = np.moveaxis(state, 0, -1), np.moveaxis(push, 0, -1)
+    return Response(state, prior, push, bench.std, freedom, gust_std(bench))
 
 
 def build_likelihood(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:

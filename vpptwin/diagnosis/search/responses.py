@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key
-from vpptwin.diagnosis.search.likelihood import Response, assemble, measure_response
+from vpptwin.diagnosis.search.likelihood import Response, measure_response
 
 Regime = tuple[frozenset[str], frozenset[tuple[str, int]]]
 """Ids of the effects of dry friction, and what `Bench.regime` says of the large ones."""
@@ -49,8 +49,7 @@ class Responses:
             self._measured[key] = measure_response(self._bench, values, gust)
         if key not in self._floored:
             found = self._measured[key]
-            floored = assemble(self._bench, found.state, found.state_std, found.push, floor)
-            self._floored[key] = replace(floored, sticking=sticking)
+            self._floored[key] = replace(found, std=np.hypot(found.std, floor), sticking=sticking)
         return self._floored[key]
 
     def without_dry_friction(self, floor: np.ndarray, values: Mapping[Key, float]) -> Response:
