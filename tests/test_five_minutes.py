@@ -21,7 +21,7 @@ MASS, INERTIA = (0.29, 1.1), (0.0008, 0.0025)  # kg, kg m²
 ARMATURE, FRICTION, HIDDEN = 0.005, 0.1, 0.6  # kg m², N m, N m more on R1
 KP, KV, GRAVITY = 50.0, 5.0, 9.81
 SLOW = 0.005  # rad/s, at which the arm's friction turns
-STEP, EVERY, DURATION = 1e-4, 50, 15.0
+STEP, EVERY, DURATION = 1e-4, 50, 10.0
 COUNTS = 4096 / 360.0  # a degree
 MJCF = f"""<mujoco model="dynamixel_2r"><compiler angle="radian" autolimits="true"/><option timestep="0.001"/>
 <default><joint axis="0 1 0" frictionloss="{FRICTION}" armature="{ARMATURE}"/><position kp="{KP}" kv="{KV}"/></default>
