@@ -62,6 +62,10 @@ DELAYED = np.interp(TIME - 0.08, TIME, SWING)
         ({"angle": SWING}, False, ["no velocity tests it"]),
         ({"arm_pos": np.zeros_like(SWING)}, False, ["constant"]),
         ({"arm_pos": SWING, "arm_vel": np.full_like(SWING, np.nan)}, False, ["constant", "too little motion"]),
+        ({"arm_deg": np.rad2deg(SWING)}, True, ["arm_deg: its name", "arm_deg is in deg"]),
+        ({"arm_deg": np.rad2deg(SWING), "arm_dps": np.rad2deg(RATE)}, True, ["arm_dps is 1.00 of the slope"]),
+        ({"arm": SWING, "arm_dot": RATE}, True, ["arm_dot is 1.00 of the slope of arm (r 1.00)"]),
+        ({"theta": SWING, "dtheta": RATE}, True, ["dtheta is 1.00 of the slope of theta"]),
         ({"arm_temperature": SWING}, False, ["no position in the log looks like it"]),
     ],
 )
@@ -75,6 +79,19 @@ def test_joints_are_tested_against_physics(
     assert guess.sure == sure, (guess.reasons, guess.doubts)
     for part in parts:
         assert part in "; ".join([*guess.reasons, *guess.doubts])
+
+
+def test_an_angle_of_one_turn_is_tested_as_it_goes_on(tmp_path: Path) -> None:
+    """Its velocity is the slope of what turns on; a voltage drives it, by how much nobody says."""
+    model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-99.0, 99.0)}, "motor")))
+    turns = np.rad2deg(8.0 * SWING)
+    columns = {"stamp": TIME, "arm_deg": (turns + 180.0) % 360.0 - 180.0, "arm_rad_s": 8.0 * RATE, "voltage": RATE}
+    arm, motor = guess_signals(model, survey(write_log(tmp_path / "log.csv", columns))[1])
+    assert arm.sure
+    assert arm.units == {"position": "deg"}
+    assert any("arm_rad_s is 1.00 of the slope of arm_deg" in reason for reason in arm.reasons)
+    assert motor.fields["effort"].label == "voltage"
+    assert not motor.sure
 
 
 @pytest.mark.parametrize(

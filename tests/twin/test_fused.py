@@ -38,13 +38,16 @@ def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
     return twin
 
 
-@pytest.mark.slow
-def test_servos_equal_mujoco(tmp_path: Path) -> None:
-    """An arm with position servos, limits of their force and a payload that differ by simulation."""
+@pytest.mark.parametrize("integrator", ["implicitfast", pytest.param("Euler", marks=pytest.mark.slow)])
+def test_servos_equal_mujoco(tmp_path: Path, integrator: str) -> None:
+    """An arm with position servos, their damping, limits of their force and a payload that differ by simulation."""
     file = servo_arm.write_twin(tmp_path)
     mjcf = tmp_path / "servo_arm.xml"
-    mjcf.write_text(mjcf.read_text().replace("implicitfast", "Euler"))
+    text = mjcf.read_text()
+    assert "implicitfast" in text
+    mjcf.write_text(text.replace("implicitfast", integrator))
     spec, rng = load_twin(str(file)), np.random.default_rng(5)
+    assert spec.model.actuator_biasprm[:, 2].all()
     active = {"forearm.payload": ("mass", 0.0, 0.2), "shoulder_servo.force_limit": ("limit", 0.1, 1.0)}
     twin = Twin(spec, ROWS, active=active, num_threads=2)
     for effect, (name, low, high) in active.items():
@@ -158,7 +161,7 @@ PLAIN = {
 }  # fmt: skip
 OTHER = {
     "air": {"option": '<option density="1.2"/>'},
-    "implicit": {"option": '<option integrator="implicitfast"/>'},
+    "implicit": {"option": '<option integrator="implicit"/>'},
     "undamped Euler": {"option": '<option><flag eulerdamp="disable"/></option>'},
     "ball": {"joint": '<joint name="turn" type="ball"/>'},
     "gravity compensated": {"body": 'gravcomp="0.5"'},

@@ -174,18 +174,51 @@ def find_idle(view: View, i: int) -> float:
 
 
 @register_jitable(forceinline=True)
-def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
-    """Add to `exerted`, (nv,), what actuator i will exert by itself."""
+def find_control(view: View, i: int) -> float:
+    """The control of actuator i within its range."""
     control = view.ctrl[i]
     if view.ctrl_limited[i]:
         control = min(max(control, view.ctrl_range[i, 0]), view.ctrl_range[i, 1])
+    return control
+
+
+@register_jitable(forceinline=True)
+def find_force(view: View, i: int) -> float:
+    """What actuator i would exert without a limit of its force."""
     gain = view.gain[i, 0]
     if view.gain_type[i] == GAIN_AFFINE:
         gain += view.gain[i, 1] * view.length[i] + view.gain[i, 2] * view.velocity[i]
-    force = gain * control
+    force = gain * find_control(view, i)
     if view.bias_type[i] == BIAS_AFFINE:
         force += view.bias[i, 0] + view.bias[i, 1] * view.length[i] + view.bias[i, 2] * view.velocity[i]
+    return force
+
+
+@register_jitable(forceinline=True)
+def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
+    """Add to `exerted`, (nv,), what actuator i will exert by itself."""
+    force = find_force(view, i)
     if view.force_limited[i]:
         force = min(max(force, view.force_range[i, 0]), view.force_range[i, 1])
     for k in range(view.moment_start[i], view.moment_start[i] + view.moment_length[i]):
         exerted[view.moment_column[k]] += view.moment[k] * force
+
+
+@register_jitable(forceinline=True)
+def foresee_drag(view: View, drag: np.ndarray) -> None:
+    """Write by how much joints are braked for every unit of velocity, (nv,): by damping and by actuators at them.
+
+    As implicitfast takes it into its matrix, which of an actuator at the limit of its force takes nothing.
+    """
+    for j in range(len(drag)):
+        drag[j] = view.dof_damping[j]
+    for i in range(len(view.ctrl)):
+        slope, force = 0.0, find_force(view, i)
+        if view.bias_type[i] == BIAS_AFFINE:
+            slope += view.bias[i, 2]
+        if view.gain_type[i] == GAIN_AFFINE:
+            slope += view.gain[i, 2] * find_control(view, i)
+        if view.force_limited[i] and not view.force_range[i, 0] < force < view.force_range[i, 1]:
+            slope = 0.0
+        for k in range(view.moment_start[i], view.moment_start[i] + view.moment_length[i]):
+            drag[view.moment_column[k]] -= view.moment[k] ** 2 * slope

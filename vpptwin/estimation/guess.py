@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
+from vpptwin.estimation.sound import unwrap_turns
 from vpptwin.fields import UNITS
+from vpptwin.logs.flight import Stream
 from vpptwin.logs.survey import Signal
 from vpptwin.twin.actuation import INTEGRATES
 
 WORDS = {
-    "acceleration": "acc accel acceleration ax ay az",
-    "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate gyro vx vy vz wx wy wz",
+    "acceleration": "acc accel acceleration ax ay az ddot",
+    "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate dot gyro vx vy vz wx wy wz",
     "effort": "tau torque torques effort efforts force moment thrust current",
     "position": "pos position positions q qpos angle angles theta state",
-    "drive": "pwm throttle duty motor motors rotor rotors",
+    "drive": "pwm throttle duty voltage volt volts u motor motors rotor rotors",
 }
 """Quantity → words in names that tell it, the first that matches."""
+MEASURED = {"rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity", "m/s^2": "acceleration",
+            "N": "effort", "N m": "effort", "A": "effort", "V": "drive"}  # fmt: skip
+"""What a signal is whose name tells nothing, by its unit."""
 COMMANDED = {
     "control", "controller", "cmd", "command", "commands", "target", "setpoint", "sp", "des", "desired", "ref",
     "reference", "goal", "action", "con", "ctrl",
@@ -60,8 +65,13 @@ def tell_quantity(signal: Signal) -> str:
     """position, velocity, effort, acceleration, or "" where the name tells nothing."""
     if signal.name:
         return signal.field
-    words = set(split_words(signal.label))
-    return next((kind for kind, known in WORDS.items() if words & set(known.split())), "")
+    words = split_words(signal.label)
+    places = WORDS["position"].split()
+    rates = {f"d{word}" for word in places} | {f"{word}dot" for word in places}
+    if rates & set(words):
+        return "velocity"
+    told = next((kind for kind, known in WORDS.items() if set(words) & set(known.split())), "")
+    return told or MEASURED.get(UNITS.get(signal.unit, ("",))[0], "")
 
 
 def is_commanded(signal: Signal) -> bool:
@@ -93,6 +103,8 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
     guesses = [Guess(name, "joints") for name in names]
     for quantity in ("position", "velocity"):
         pool = [signal for signal in measured if tell_quantity(signal) == quantity]
+        if quantity == "position":  # a column that is called like a joint, and nothing more
+            pool += [s for s in measured if not tell_quantity(s) and split_words(s.label) in map(split_words, names)]
         assign(guesses, names, pool, quantity)
     for guess, joint in zip(guesses, joints):
         check_joint(guess, model, int(joint.id))
@@ -186,7 +198,7 @@ def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
     if velocity is not None:
         guess.units |= check_unit(guess, "velocity", velocity, f"{length}/s")
         of_rate = UNITS[guess.units.get("velocity", f"{length}/s")][1]
-        correlation, share = compare_slope(position, velocity)
+        correlation, share = compare_slope(straighten(position, scale) if length == "rad" else position, velocity)
         share *= of_rate / scale
         told = f"{velocity.label} is {share:.2f} of the slope of {position.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
@@ -279,6 +291,12 @@ def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarr
     if len(grid) < 20:
         return period, np.zeros(0), np.zeros(0)
     return period, *(np.interp(grid, time, values) for time, values in good)
+
+
+def straighten(angle: Signal, scale: float) -> Signal:
+    """An angle in units of `scale` rad that goes on where it was logged within one turn."""
+    stream = Stream(angle.time, {"position": scale * angle.values})
+    return replace(angle, values=unwrap_turns(stream, "")[0]["position"] / scale)
 
 
 def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.series import Measurements, Series, integrate
-from vpptwin.estimation.sound import vet_joint
+from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, integrate_input
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
@@ -105,15 +105,20 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
         InputError: if the log has no position of it.
     """
     joint, topic = tracked.name, tracked.topic
-    stream, told = vet_joint(find_joint(flight, topic, joint), f"{topic} {joint}")
+    stream, model = find_joint(flight, topic, joint), spec.model
+    dof, label = int(model.jnt_dofadr[tracked.joint]), f"{topic} {joint}"
+    low, high = model.jnt_range[tracked.joint] if model.jnt_limited[tracked.joint] else (-np.inf, np.inf)
+    if spec.robot.rotary[dof] and high - low > 2.0 * np.pi:
+        stream, told = unwrap_turns(stream, label)
+        found.warnings += told
+    stream, told = vet_joint(stream, label)
     found.warnings += told
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
         )
-    dof = int(spec.model.jnt_dofadr[tracked.joint])
-    found.spans[f"{topic} {joint}"] = (float(stream.time[0]), float(stream.time[-1]))
-    found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), f"{topic} {joint}")
+    found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
+    found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), label)
 
 
 def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:

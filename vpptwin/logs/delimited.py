@@ -35,6 +35,11 @@ _FORMS = {
 }
 """Arrow's type of a column → what its cells should be."""
 _UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
+_ENDING = re.compile(
+    r".*[a-zA-Z0-9]_(deg_per_s|deg_per_sec|deg_sec|deg_s|degps|dps|rad_per_s|rad_per_sec|rad_sec|rad_s|radps|"
+    r"deg|degrees?|rad|radians|mm_s|mm|cm_s|cm|m_per_s|m_s|mps|rpm|mNm|Nm|N|mV|V|mA|A)"
+)
+"""What names of columns end with that is a unit, by upper and lower case: `q_m` or `phase_a` may be anything."""
 _TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
           "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
 _SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds", "us": "us usec microseconds µs μs",
@@ -221,8 +226,10 @@ def is_units(row: Sequence[str], after: Sequence[str], delimiter: str) -> bool:
 def clean_unit(text: str) -> str:
     """A unit as `vpptwin.fields.UNITS` spells it, as far as it is one of those."""
     text = text.strip().strip("[]()").strip()
+    text = re.sub(r"(_per)?_s(ec)?$|(?<=deg|rad)ps$", "/s", text)
     text = {"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "°/s": "deg/s", "dps": "deg/s",
-            "Nm": "N m", "N·m": "N m", "m/s²": "m/s^2", "m/s2": "m/s^2", "m/s/s": "m/s^2", "RPM": "rpm", "percent": "%",
+            "mps": "m/s", "mNm": "mN m", "Nm": "N m",
+            "N·m": "N m", "m/s²": "m/s^2", "m/s2": "m/s^2", "m/s/s": "m/s^2", "RPM": "rpm", "percent": "%",
             "meters": "m", "metres": "m"}.get(text, text)  # fmt: skip
     return _WORDS.get(text, text)
 
@@ -242,6 +249,9 @@ def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
         if match is not None and not is_index and match.group(2):
             units[name] = clean_unit(match.group(2))
     for name in parted:
+        ending = _ENDING.fullmatch(name)
+        if ending and name not in units:
+            units[name] = clean_unit(ending.group(1))
         stem, unit = split_time(name)
         if stem and unit and name not in units:
             units[name] = unit

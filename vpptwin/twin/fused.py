@@ -1,4 +1,4 @@
-"""Steps of rigs that touch nothing, without MuJoCo: tree, inner step and Euler step in one compiled call."""
+"""Steps of rigs that touch nothing, without MuJoCo: tree, inner step and Euler or implicitfast in one compiled call."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEW = 16
 """Simulations for which another thread does not pay."""
 
 FLIGHT = """
-damped, touches = False, False
+implicit, damped, touches = {implicit}, False, False
 for j in range({nv}):
     damped = damped or shape.dof_damping[j] > 0.0
     row.memory[2 + j] = 0.0
@@ -62,10 +62,13 @@ for k in range(steps):
     for j in range({nv}):
         exerted[j] += passive[j] - qfrc_bias[j] + applied[j]
     solve_inertia(mass, shape.dof_damping, 0.0, dense, exerted, warmstart)
-    if damped:
+    if implicit:
+        foresee_drag(view, drag)
+        solve_inertia(mass, drag, dt, dense, exerted, faster)
+    elif damped:
         solve_inertia(mass, shape.dof_damping, dt, dense, exerted, faster)
     for j in range({nv}):
-        qvel[j] += dt * (faster[j] if damped else warmstart[j])
+        qvel[j] += dt * (faster[j] if implicit or damped else warmstart[j])
         qpos[j] += dt * qvel[j]
     clock[0] += dt
 """
@@ -128,8 +131,8 @@ def list_room(nbody: int, nv: int, nu: int, nc: int) -> dict[str, tuple[int, ...
     pose = make_pose(nbody, nv)
     return {f"at.{name}": array.shape for name, array in zip(Pose._fields, pose)} | {
         "mass": (nv, nv), "dense": (nv, nv), "moment": (nu, nv), "inertia": (nc,), "qfrc_bias": (nv,), "passive": (nv,),
-        "applied": (nv,), "exerted": (nv,), "faster": (nv,), "nothing": (nv,), "ctrl": (nu,), "length": (nu,),
-        "velocity": (nu,),
+        "applied": (nv,), "exerted": (nv,), "drag": (nv,), "faster": (nv,), "nothing": (nv,), "ctrl": (nu,),
+        "length": (nu,), "velocity": (nu,),
     }  # fmt: skip
 
 
@@ -175,7 +178,7 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
         room="\n".join("    " + line for line in lines), shape=", ".join(fields), gravity=order["gravity"],
         gain=order["gain"], bias=order["bias"], force_range=order["force_range"],
         ngain=int(mujoco.mjNGAIN), nbias=int(mujoco.mjNBIAS), row=row,
-        flight=indent(FLIGHT.format(nv=nv, nu=nu, step=step), 8 * " "),
+        flight=indent(FLIGHT.format(nv=nv, nu=nu, step=step, implicit=layout.implicit), 8 * " "),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_a
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.tree import FUNCTIONS, Pose, Reach, Shape, Tree
-from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View, foresee_actuators
+from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View, foresee_actuators, foresee_drag
 from vpptwin.progress import tell_wait
 from vpptwin.twin.fused import write_fused
 from vpptwin.twin.layout import Layout
@@ -255,6 +255,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
         "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
         **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape, Seen)},
         **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
+        "foresee_drag": foresee_drag,
         "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "SIZES": SIZES, "push_commands": push_commands,
         "move_actuator": move_actuator, **(pipeline.build(compiled) if pipeline else {}), **dtypes,
     }  # fmt: skip

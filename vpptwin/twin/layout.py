@@ -13,6 +13,7 @@ from vpptwin.engine.tree import Pose, Reach, Shape, Tree, gear_actuators, place_
 from vpptwin.twin.model import HINGE, SLIDE, find_meeting
 
 SITE, JOINT = int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_JOINT)
+EULER, IMPLICITFAST = int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 PLANE, BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
 MOST = 12
 """Degrees of freedom up to which it pays."""
@@ -40,6 +41,7 @@ class Layout:
     tree: Tree  # how it hangs together
     numbers: dict[str, np.ndarray]  # `Shape`, gravity, gain, bias and force range of the nominal model, by name
     reach: Reach  # what could touch
+    implicit: bool = False  # whether velocities of actuators are integrated implicitly, as damping always is
 
 
 def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
@@ -54,7 +56,8 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
         return None
     tree, numbers = read_tree(model)
     reach = read_reach(model, tree)
-    layout = None if reach is None else Layout(tree, numbers, reach)
+    implicit = int(model.opt.integrator) == IMPLICITFAST and bool(find_braking(model).any())
+    layout = None if reach is None else Layout(tree, numbers, reach, implicit)
     return layout if layout is not None and agrees(layout, model) else None
 
 
@@ -69,15 +72,18 @@ def is_of_model(model: mujoco.MjModel, name: str) -> bool:
 
 
 def is_plain(model: mujoco.MjModel) -> bool:
-    """Whether a model has but hinges, slides, and actuators at joints and sites, in vacuum, stepped by Euler."""
+    """Whether a model has but hinges, slides, and actuators at joints and sites, in vacuum, stepped simply.
+
+    That is by Euler, or by implicitfast without actuators at sites, or joints with a limit, that brake by velocity.
+    """
     flags = model.opt.disableflags & ~IGNORED
     absent = ("neq", "ntendon", "nflex", "npair", "nmocap", "nplugin", "ngravcomp", "nplastic", "na", "nhistory")
     zero = ("dof_dampingpoly", "jnt_stiffnesspoly", "actuator_damping", "actuator_dampingpoly", "actuator_armature",
             "geom_adhesion")  # fmt: skip
-    kinds = np.asarray(model.jnt_type)
+    kinds, integrator = np.asarray(model.jnt_type), int(model.opt.integrator)
     return bool(
         0 < model.nv <= MOST and not flags and not model.opt.density and not model.opt.viscosity
-        and int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_EULER)
+        and (integrator == EULER or (integrator == IMPLICITFAST and brakes_at_joints(model)))
         and not any(getattr(model, name) for name in absent)
         and not any(np.any(getattr(model, name)) for name in zero)
         and np.isin(kinds, (HINGE, SLIDE)).all()
@@ -85,6 +91,20 @@ def is_plain(model: mujoco.MjModel) -> bool:
         and (np.asarray(model.actuator_trnid)[:, 1] < 0).all()
         and not (model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SPRING) and np.any(model.jnt_stiffness))
     )  # fmt: skip
+
+
+def find_braking(model: mujoco.MjModel) -> np.ndarray:
+    """Whose force depends on velocity, by the kind of actuator, (nu,): effects may change by how much."""
+    gain, bias = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
+    return (np.asarray(model.actuator_gaintype) == int(gain)) | (np.asarray(model.actuator_biastype) == int(bias))
+
+
+def brakes_at_joints(model: mujoco.MjModel) -> bool:
+    """Whether all actuators whose force depends on velocity are at joints without a limit of their force."""
+    braking = find_braking(model)
+    joints = np.asarray(model.actuator_trnid)[braking, 0]
+    at_joints = np.asarray(model.actuator_trntype)[braking] == JOINT
+    return bool(at_joints.all() and not np.asarray(model.jnt_actfrclimited)[joints].any())
 
 
 def read_tree(model: mujoco.MjModel) -> tuple[Tree, dict[str, np.ndarray]]:

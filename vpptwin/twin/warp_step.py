@@ -19,7 +19,7 @@ import numpy as np
 
 from vpptwin.effects import Effect
 from vpptwin.engine.tree import FUNCTIONS, Pose, Shape
-from vpptwin.engine.view import View, foresee_actuators
+from vpptwin.engine.view import View, foresee_actuators, foresee_drag
 from vpptwin.errors import InputError
 from vpptwin.twin.fused import FIELDS, FLIGHT, list_room, list_statics
 from vpptwin.twin.kernel import CALLS, scratch_rows
@@ -157,7 +157,12 @@ class WarpStep:
         names: dict[str, Any] = {"SWEEPS": Repeat(100)} | ({"SETTLED": SETTLED} if self.single else {})
         writer = Writer(self.single, names)
         frame = Frame(None, self._name_all(steps) | twin.pipeline.build(keep_plain, file), 0)
-        text = self.lines.format(nv=int(model.nv), nu=int(model.nu), step=CALLS[twin.spec.robot.step])
+        text = self.lines.format(
+            nv=int(model.nv),
+            nu=int(model.nu),
+            step=CALLS[twin.spec.robot.step],
+            implicit=bool(twin.layout and twin.layout.implicit),
+        )
         ends = self._list_ends(frame)
         try:
             writer.run(ast.parse(text).body, frame)
@@ -200,7 +205,8 @@ class WarpStep:
             "tree": layout.tree, "reach": layout.reach, "at": Pose(*room_of_pose),
             "shape": Shape(**{n: own[n] for n in Shape._fields}),
             "steps": Repeat(steps), "moment_flat": room["moment"].reshape(nu * nv), "dt": twin.dt, "View": View,
-            "nothing": np.zeros(nv), "foresee_actuators": foresee_actuators, **{f.__name__: f for f in FUNCTIONS},
+            "nothing": np.zeros(nv), "foresee_actuators": foresee_actuators, "foresee_drag": foresee_drag,
+            **{f.__name__: f for f in FUNCTIONS},
         }  # fmt: skip
 
     def _name_row(self) -> dict[str, Any]:
