@@ -81,6 +81,23 @@ def test_joints_are_tested_against_physics(
         assert part in "; ".join([*guess.reasons, *guess.doubts])
 
 
+@pytest.mark.parametrize("extra", [{}, {"y": SWING}])
+def test_slides_and_hinges_are_told_by_kind(tmp_path: Path, extra: dict[str, np.ndarray]) -> None:
+    """A crane logged as x, theta, u: one slide and one length, one hinge and one angle; with two lengths none is it."""
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><worldbody><body><joint name="trolley" type="slide"/><geom size="0.1"/><body><joint name="rope"/>'
+        '<geom size="0.1"/></body></body></worldbody><actuator><motor name="belt" joint="trolley"/></actuator></mujoco>'
+    )
+    columns = {"t": TIME, "x": SWING, "x_dot": RATE, "theta": SWING**2, "dtheta": 2 * SWING * RATE, "u": RATE, **extra}
+    signals = survey(write_log(tmp_path / "log.csv", columns))[1]
+    guesses = guess_signals(mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")), signals)
+    found = {guess.target: {name: signal.label for name, signal in guess.fields.items()} for guess in guesses}
+    slide = {} if extra else {"position": "x", "velocity": "x_dot"}
+    assert found == {"trolley": slide, "rope": {"position": "theta", "velocity": "dtheta"}, "belt": {"effort": "u"}}
+    assert not any(guess.sure for guess in guesses)
+    assert "only that says that theta is rope" in guesses[1].doubts
+
+
 def test_an_angle_of_one_turn_is_tested_as_it_goes_on(tmp_path: Path) -> None:
     """Its velocity is the slope of what turns on; a voltage drives it, by how much nobody says."""
     model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-99.0, 99.0)}, "motor")))

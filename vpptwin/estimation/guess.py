@@ -19,13 +19,15 @@ WORDS = {
     "acceleration": "acc accel acceleration ax ay az ddot",
     "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate dot gyro vx vy vz wx wy wz",
     "effort": "tau torque torques effort efforts force moment thrust current",
-    "position": "pos position positions q qpos angle angles theta state",
+    "position": "pos position positions q qpos angle angles theta phi psi alpha beta gamma state",
     "drive": "pwm throttle duty voltage volt volts u motor motors rotor rotors",
 }
 """Quantity → words in names that tell it, the first that matches."""
 MEASURED = {"rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity", "m/s^2": "acceleration",
             "N": "effort", "N m": "effort", "A": "effort", "V": "drive"}  # fmt: skip
 """What a signal is whose name tells nothing, by its unit."""
+PLACES = {"m": {"x", "y", "z", "pos", "position"}, "rad": {"theta", "phi", "psi", "alpha", "beta", "gamma", "angle"}}
+"""Unit of a slide or hinge → words that tell positions of that kind."""
 COMMANDED = {
     "control", "controller", "cmd", "command", "commands", "target", "setpoint", "sp", "des", "desired", "ref",
     "reference", "goal", "action", "con", "ctrl",
@@ -106,6 +108,14 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         if quantity == "position":  # a column that is called like a joint, and nothing more
             pool += [s for s in measured if not tell_quantity(s) and split_words(s.label) in map(split_words, names)]
         assign(guesses, names, pool, quantity)
+        if quantity == "position":
+            for length, kind in zip(PLACES, plain):
+                assign_kind([g for g, joint in zip(guesses, joints) if joint.type[0] == kind], measured, length)
+        else:
+            for guess in guesses:
+                own = [s for s in pool if "position" in guess.fields and is_slope_of(s, guess.fields["position"])]
+                if "velocity" not in guess.fields:
+                    settle(guess, "velocity", own, "its name")
     for guess, joint in zip(guesses, joints):
         check_joint(guess, model, int(joint.id))
     motors = [model.actuator(i).name for i in range(model.nu)]
@@ -153,6 +163,25 @@ def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal
         settle(guess, quantity, [group[i] for group in fitting], basis)
         if len(guesses) > 1 and quantity in guess.fields and quantity != "velocity":
             guess.doubts.append(f"only the order says that {guess.fields[quantity].label} is {guess.target}")
+
+
+def assign_kind(guesses: Sequence[Guess], measured: Sequence[Signal], length: str) -> None:
+    """Give all slides, or all hinges, for which nothing was found, the positions of that kind, if there are as many."""
+    found = [s for s in measured if not s.name and tell_quantity(s) in ("position", "")
+             and (UNITS.get(s.unit, ("",))[0] == length or PLACES[length] & set(split_words(s.label)))]  # fmt: skip
+    if len(found) != len(guesses) or any("position" in guess.fields for guess in guesses):
+        return
+    for guess, signal in zip(guesses, found):
+        settle(guess, "position", [signal], "the only one of that kind" if len(found) == 1 else "kind and order")
+        guess.doubts.append(f"only that says that {signal.label} is {guess.target}")
+
+
+def is_slope_of(velocity: Signal, position: Signal) -> bool:
+    """Whether a velocity is called as a position is but for what says that it is one: `dx`, `theta_dot`, `pos_vel`."""
+    stem = [word for word in split_words(velocity.label) if word not in WORDS["velocity"].split()]
+    if velocity.topic != position.topic or velocity.name or not stem:
+        return False
+    return [*stem[:-1], stem[-1].removeprefix("d").removesuffix("dot")] == split_words(position.label)
 
 
 def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
