@@ -98,7 +98,7 @@ def test_names_of_parameters_are_the_catalogues(tmp_path: Path) -> None:
         values = size_effect(Hidden(effect.id, (joints | drives)[effect.target], 0.1), rig, scale)
         assert list(values) == [p.name for p in effect.parameters]
         checked += 1
-    assert checked == 2 * 10 + 1 + 1 + 6  # only the hinge has an encoder whose zero matters
+    assert checked == 2 * 11 + 1 + 1 + 6  # only the hinge has an encoder whose zero matters
 
 
 def look(

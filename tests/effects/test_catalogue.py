@@ -182,7 +182,7 @@ by a centre of mass off the hinge, and the pendulum's centrifugal forces. Where 
 known to within a step and falls anywhere in it: the order holds on average over 32 rollouts, with scatter.
 """
 ORDERS = {
-    "viscous": FIRST_ORDER, "elastic": FIRST_ORDER, "fade": FIRST_ORDER_KINKED, "air.drag": FIRST_ORDER,
+    "viscous": FIRST_ORDER, "elastic": FIRST_ORDER, "fade": FIRST_ORDER_KINKED, "drag": FIRST_ORDER,
     "rotor.inflow": FIRST_ORDER, "rotor.in_plane": FIRST_ORDER,
     "airframe.com": FIRST_ORDER, "airframe.com_height": FIRST_ORDER,
     "contact.compliance": FIRST_ORDER_KINKED, "contact.friction": FIRST_ORDER_KINKED,

@@ -127,8 +127,11 @@ def test_dissipative_effects_take_energy(effect: Effect) -> None:
     elif effect.stage is Stage.FRICTION:
         assert (result >= 0.0).all()
     elif effect.dissipative and effect.stage is Stage.FORCE:
-        (craft,) = inputs
-        power = result[:, 0] * craft.v_x + result[:, 1] * craft.v_z + result[:, 2] * craft.rate
+        (mover,) = inputs
+        if isinstance(mover, Motion):
+            power = result * mover.velocity
+        else:
+            power = result[:, 0] * mover.v_x + result[:, 1] * mover.v_z + result[:, 2] * mover.rate
         assert (power <= 0.0).all()
         assert (power < 0.0).mean() > 0.9
     elif effect.dissipative:

@@ -59,6 +59,8 @@ JOINT_LAWS = [
     ("rail_x.spring", FORWARD, (2.0, -0.1), -0.8),  # -2 · (0.3 + 0.1)
     ("rail_x.spring", AT_REST, (2.0, 0.5), 0.4),  # -2 · (0.3 - 0.5)
     ("slide.spring", FORWARD, (2.0, 0.0), -0.6),
+    ("slide.drag", BACKWARD, (2.0,), 0.02),  # 2 · 0.1²
+    ("swing.drag", FORWARD, (2.0,), -0.02),
     ("slide.fade", FORWARD, (2.0,), 0.0),  # -2 N brakes it
     ("slide.fade", Motion(0.0, -0.1, 0.0, -2.0, 0.0, 0.5), (2.0,), 0.4),  # a fifth less of the 2 N that drive it
     ("slide.fade", Motion(0.0, 0.7, 0.0, 2.0, 0.0, 0.5), (2.0,), -2.0),  # too fast for any

@@ -69,7 +69,8 @@ MORE_EFFECTS: dict[str, dict[str, str]] = {
 }
 """What the catalogue has besides SPEC 5."""
 SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
-                    "rate_bias", "rate_scale", "cogging", "tight_spot", "fade"}  # fmt: skip
+                    "rate_bias", "rate_scale", "cogging", "tight_spot", "fade",
+                    "drag"}  # fmt: skip
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
 BODY_KINDS = {"mass", "payload", "tilt"}
 CONTACT_KINDS = {"compliance", "friction"}

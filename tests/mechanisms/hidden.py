@@ -79,7 +79,9 @@ DRIVE_KINDS = {
 LATER_KINDS = {"cogging": (0.05, 0.5), "tight_spot": (0.1, 0.8), "rate_bias": (0.02, 0.2), "rate_scale": (0.03, 0.2),
                "fade": (0.05, 0.5)}  # fmt: skip
 """Kinds that came into the catalogue after the sessions of every seed were fixed → span, as a share of what is usual.
-They are hidden where somebody asks for them; what was drawn as a `ripple` from outside the catalogue is cogging now."""
+They are hidden where somebody asks for them; `ripple` and `drag`, drawn from outside the catalogue, are in it now."""
+NOW_INSIDE = {"ripple": "cogging", "drag": "drag"}
+"""Kinds that were outside when the sessions of every seed were fixed → what they are called in the catalogue."""
 OUTSIDE = ("ripple", "drag", "place_friction", "hysteresis", "memory", "periodic", "sudden", "cable")
 OUTSIDE_DRIVEN = ("sensor_dead_band", "quantised_torque")
 KINDS, KINDS_OUTSIDE = (*JOINT_KINDS, "offset", *DRIVE_KINDS), (*OUTSIDE, *OUTSIDE_DRIVEN, "cross_coupling")
@@ -127,8 +129,8 @@ def draw_hidden(rng: np.random.Generator, rig: Rig, outside: bool = False, turn:
 
 def name_effect(rig: Rig, kind: str, joint: int, outside: bool = False) -> str:
     """Its id."""
-    if kind == "ripple":
-        kind, outside = "cogging", False
+    if kind in NOW_INSIDE:
+        kind, outside = NOW_INSIDE[kind], False
     if outside:
         return f"outside:{kind}"
     names = {drive.joint: drive.name for drive in rig.drives}

@@ -198,6 +198,7 @@ def trace(rig: Rig, log: Evidence, kind: str, joint: int, values: Mapping[str, f
         "coulomb": lambda: -sense,
         "stiction": lambda: -sense * np.exp(-((v / values["velocity"]) ** 2)),
         "viscous": lambda: -v,
+        "drag": lambda: -np.abs(v) * v,
         "bias": lambda: np.ones_like(v),
         "spring": lambda: -(q - values["rest"]),
         "inertia": lambda: -np.diff(v, append=v[-1:]) / scale.period,

@@ -1,4 +1,4 @@
-"""Effects on any joint but dry friction: viscous, constant force, spring, cogging, inertia, an encoder's wrong zero."""
+"""Effects on any joint but dry friction: viscous, drag, bias, spring, cogging, fade, inertia, an encoder's wrong zero."""
 
 from __future__ import annotations
 
@@ -74,6 +74,11 @@ def apply_viscous(constants: Constants, site: Site, /, damping: np.ndarray) -> N
     constants["dof_damping"][:, site.dof] += damping
 
 
+def apply_drag(motion: Motion, /, drag: float) -> float:
+    """Force of a fluid that a joint moves through fast, -c |v| v."""
+    return -drag * np.abs(motion.velocity) * motion.velocity
+
+
 def apply_bias(motion: Motion, /, force: float) -> float:
     """Constant force or torque along the joint."""
     return force
@@ -113,6 +118,16 @@ def viscous(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     return Effect(
         f"{place.joint}.viscous", f"viscous friction {place.where}", "-damping v", (parameter,), Stage.CONSTANT,
         apply_viscous, JOINT_SHOWS, look_alikes, ("dof_damping",), place.joint, dissipative=True,
+    )  # fmt: skip
+
+
+def drag(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
+    """Quadratic drag on a joint: of the air, or of a liquid."""
+    unit = "N m s^2/rad^2" if place.rotary else "N s^2/m^2"
+    parameter = place.parameter("drag", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3), place.speed**2)
+    return Effect(
+        f"{place.joint}.drag", f"quadratic drag {place.where}", "-drag |v| v", (parameter,), Stage.FORCE,
+        apply_drag, JOINT_SHOWS, look_alikes, (), place.joint, dissipative=True,
     )  # fmt: skip
 
 
