@@ -1,4 +1,4 @@
-"""Effects on any joint but dry friction: viscous, drag, bias, spring, cogging, fade, inertia, an encoder's wrong zero."""
+"""Effects on any joint but dry friction: viscous, drag, bias, spring, cogging, fade, inertia, an encoder's zero."""
 
 from __future__ import annotations
 
