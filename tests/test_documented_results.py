@@ -22,6 +22,7 @@ RECORDED = {
     "stuck": "close_the_loop.py --report benchmarks/results/close_the_loop_stuck.json",
     "hidden_8001": "hidden_effects.py --report benchmarks/results/hidden_8001.json --pictures OUT",
     "hidden_52716": "hidden_effects.py --report benchmarks/results/hidden_52716.json",
+    "stuck_40417": "hidden_effects.py --report benchmarks/results/stuck_40417.json",
     "other_94414": "hidden_effects.py --rigs other --report benchmarks/results/other_94414.json",
     "other_96897": "hidden_effects.py --rigs other --report benchmarks/results/other_96897.json",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
@@ -92,8 +93,10 @@ def read_section(page: str, words: str) -> str:
     return section
 
 
-@pytest.mark.parametrize("name", ["hidden_8001", "hidden_52716", "other_94414"])
-def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "least"), [("hidden_8001", 12), ("hidden_52716", 12), ("stuck_40417", 4), ("other_94414", 12)]
+)
+def test_rates_are_those_of_the_record(name: str, least: int, folder: Path) -> None:
     """Every `a of b` that README and docs/benchmarks.md claim for it is one that its command prints.
 
     A row of README may speak of several records.
@@ -104,7 +107,7 @@ def test_rates_are_those_of_the_record(name: str, folder: Path) -> None:
     readme = [row[1] for row in rows]
     table = [row[1] for row in read_rows(read_section("benchmarks.md", f"{name}.json")) if len(row) >= 4]
     claimed = re.findall(r"\d+ of \d+", " ".join(readme + table))
-    assert len(claimed) >= 12
+    assert len(claimed) >= least
     assert set(claimed) <= printed
 
 
