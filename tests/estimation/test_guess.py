@@ -66,6 +66,8 @@ DELAYED = np.interp(TIME - 0.08, TIME, SWING)
         ({"arm_deg": np.rad2deg(SWING), "arm_dps": np.rad2deg(RATE)}, True, ["arm_dps is 1.00 of the slope"]),
         ({"arm": SWING, "arm_dot": RATE}, True, ["arm_dot is 1.00 of the slope of arm (r 1.00)"]),
         ({"theta": SWING, "dtheta": RATE}, True, ["dtheta is 1.00 of the slope of theta"]),
+        ({"theta_deg": np.rad2deg(SWING), "theta_dot_rad_s": RATE}, True, ["theta_dot_rad_s is 1.00 of the slope"]),
+        ({"arm": SWING, "darm": RATE}, True, ["arm: its name"]),
         ({"arm_temperature": SWING}, False, ["no position in the log looks like it"]),
     ],
 )
@@ -88,11 +90,11 @@ def test_slides_and_hinges_are_told_by_kind(tmp_path: Path, extra: dict[str, np.
         '<mujoco><worldbody><body><joint name="trolley" type="slide"/><geom size="0.1"/><body><joint name="rope"/>'
         '<geom size="0.1"/></body></body></worldbody><actuator><motor name="belt" joint="trolley"/></actuator></mujoco>'
     )
-    columns = {"t": TIME, "x": SWING, "x_dot": RATE, "theta": SWING**2, "dtheta": 2 * SWING * RATE, "u": RATE, **extra}
+    columns = {"t": TIME, "x": SWING, "xdot": RATE, "theta": SWING**2, "dtheta": 2 * SWING * RATE, "u": RATE, **extra}
     signals = survey(write_log(tmp_path / "log.csv", columns))[1]
     guesses = guess_signals(mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")), signals)
     found = {guess.target: {name: signal.label for name, signal in guess.fields.items()} for guess in guesses}
-    slide = {} if extra else {"position": "x", "velocity": "x_dot"}
+    slide = {} if extra else {"position": "x", "velocity": "xdot"}
     assert found == {"trolley": slide, "rope": {"position": "theta", "velocity": "dtheta"}, "belt": {"effort": "u"}}
     assert not any(guess.sure for guess in guesses)
     assert "only that says that theta is rope" in guesses[1].doubts

@@ -33,6 +33,8 @@ COMMANDED = {
     "reference", "goal", "action", "con", "ctrl",
 }  # fmt: skip
 DERIVED = {"filt", "filtered", "smooth", "fric", "friction", "comp", "err", "error", "ff", "diff", "est"}
+UNIT_WORDS = set(["deg", "degs", "degps", "dps", "rad", "rads", "radps", "m", "mm", "cm", "mps", "s", "sec", "per"])
+"""Words at the end of names that tell a unit."""
 SLOPE = 0.8
 """Correlation of a velocity with the slope of its position below which they are strangers."""
 CLOSE = 0.6, 1.6
@@ -63,12 +65,20 @@ def split_words(text: str) -> list[str]:
     return re.findall(r"[a-z]+|\d+", parted.lower())
 
 
+def strip_unit(text: str) -> list[str]:
+    """Small words of a name without those of a unit at its end."""
+    words = split_words(text)
+    while len(words) > 1 and words[-1] in UNIT_WORDS:
+        words.pop()
+    return words
+
+
 def tell_quantity(signal: Signal) -> str:
     """position, velocity, effort, acceleration, or "" where the name tells nothing."""
     if signal.name:
         return signal.field
     words = split_words(signal.label)
-    places = WORDS["position"].split()
+    places = {*WORDS["position"].split(), *PLACES["m"]}
     rates = {f"d{word}" for word in places} | {f"{word}dot" for word in places}
     if rates & set(words):
         return "velocity"
@@ -178,10 +188,10 @@ def assign_kind(guesses: Sequence[Guess], measured: Sequence[Signal], length: st
 
 def is_slope_of(velocity: Signal, position: Signal) -> bool:
     """Whether a velocity is called as a position is but for what says that it is one: `dx`, `theta_dot`, `pos_vel`."""
-    stem = [word for word in split_words(velocity.label) if word not in WORDS["velocity"].split()]
+    stem = [word for word in strip_unit(velocity.label) if word not in WORDS["velocity"].split()]
     if velocity.topic != position.topic or velocity.name or not stem:
         return False
-    return [*stem[:-1], stem[-1].removeprefix("d").removesuffix("dot")] == split_words(position.label)
+    return [*stem[:-1], stem[-1].removeprefix("d").removesuffix("dot")] == strip_unit(position.label)
 
 
 def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
