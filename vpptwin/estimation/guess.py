@@ -33,7 +33,7 @@ COMMANDED = {
     "reference", "goal", "action", "con", "ctrl",
 }  # fmt: skip
 DERIVED = {"filt", "filtered", "smooth", "fric", "friction", "comp", "err", "error", "ff", "diff", "est"}
-UNIT_WORDS = set(["deg", "degs", "degps", "dps", "rad", "rads", "radps", "m", "mm", "cm", "mps", "s", "sec", "per"])
+UNIT_WORDS = {"deg", "degs", "degps", "dps", "rad", "rads", "radps", "m", "mm", "cm", "mps", "s", "sec", "per"}
 """Words at the end of names that tell a unit."""
 SLOPE = 0.8
 """Correlation of a velocity with the slope of its position below which they are strangers."""
