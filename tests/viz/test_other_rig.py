@@ -12,6 +12,8 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import TwinSpec, load_twin
+from vpptwin.viz.motion import find_positions
+from vpptwin.viz.panels import tell_robot
 from vpptwin.viz.playback import play_page
 
 CART_POLE = """
@@ -61,6 +63,22 @@ def test_geoms_follow_the_logged_joints(spec: TwinSpec, flight: Flight, tmp_path
     _, twin = tracks["/rig/twin/cart", ".position"]
     assert twin[-1, 0] == pytest.approx(0.8)
     assert "free-running" in page.read_text()
+
+
+def test_a_hinge_logged_within_one_turn_is_drawn_as_it_goes_on(spec: TwinSpec) -> None:
+    """In what moves and in its panel, beside a twin that turns on; a slide's jumps stay."""
+    time = np.arange(801) / 100.0
+    turns, jumps = 5.0 * time, 7.0 * (time > 4.0)
+    joints = {
+        "slide": Stream(time, {"position": jumps}),
+        "hinge": Stream(time, {"position": np.angle(np.exp(1j * turns))}),
+    }
+    flight = Flight(Path("cart.mcap"), 0, {}, {"/joint_states": joints})
+    found = find_positions(spec.robot, flight)
+    np.testing.assert_allclose(found[1][1], turns, atol=1e-9)
+    np.testing.assert_array_equal(found[0][1], jumps)
+    (panel,) = [panel for panel in tell_robot(spec.robot, flight, None) if panel.label.startswith("hinge")]
+    np.testing.assert_allclose(panel.lines[0].values, turns, atol=1e-9)
 
 
 def test_log_without_the_joints_is_refused(spec: TwinSpec, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from vpptwin.errors import InputError
@@ -15,11 +16,13 @@ from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, integrate_input
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
+from vpptwin.twin.model import HINGE
 from vpptwin.twin.signals import Tracked, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
+TURN = 2.0 * np.pi
 MIN_SAMPLES = 50
 WILD = 12.0
 """Third differences beyond so many times the noise are jumps."""
@@ -105,14 +108,10 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
         InputError: if the log has no position of it.
     """
     joint, topic = tracked.name, tracked.topic
-    stream, model = find_joint(flight, topic, joint), spec.model
-    dof, label = int(model.jnt_dofadr[tracked.joint]), f"{topic} {joint}"
-    low, high = model.jnt_range[tracked.joint] if model.jnt_limited[tracked.joint] else (-np.inf, np.inf)
-    if spec.robot.rotary[dof] and high - low > 2.0 * np.pi:
-        stream, told = unwrap_turns(stream, label)
-        found.warnings += told
-    stream, told = vet_joint(stream, label)
-    found.warnings += told
+    dof, label = int(spec.model.jnt_dofadr[tracked.joint]), f"{topic} {joint}"
+    whole, wrapped = straighten_joint(spec.model, tracked, find_joint(flight, topic, joint))
+    stream, told = vet_joint(whole, label)
+    found.warnings += [*wrapped, *told]
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
@@ -246,6 +245,13 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
     if name not in joints:
         raise InputError(f"{flight.path}: {topic} has no {name!r}", f"one of {', '.join(joints)}", "correct `signals`")
     return joints[name]
+
+
+def straighten_joint(model: mujoco.MjModel, tracked: Tracked, stream: Stream) -> tuple[Stream, list[str]]:
+    """The stream of a hinge or slide; of one that turns on its angle does, too, and a warning tells that."""
+    joint = tracked.joint
+    turns = model.jnt_type[joint] == HINGE and not (model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < TURN)
+    return unwrap_turns(stream, f"{tracked.topic} {tracked.name}") if turns else (stream, [])
 
 
 def compare_streams(stream: Stream) -> tuple[float, float | None]:

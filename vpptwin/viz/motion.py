@@ -11,6 +11,7 @@ import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
+from vpptwin.estimation.joints import straighten_joint
 from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
 from vpptwin.twin.manifold import BALL, FREE, follow_sign
 from vpptwin.twin.robot import Robot
@@ -75,7 +76,7 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
     for tracked in robot.tracked:
         place, stream = int(model.jnt_qposadr[tracked.joint]), flight.joints.get(tracked.topic, {}).get(tracked.name)
         if stream is not None and "position" in stream.values:
-            found[place] = (stream.time, stream["position"])
+            found[place] = (stream.time, straighten_joint(model, tracked, stream)[0]["position"])
         elif (poses := place_body(model, tracked, flight)) is not None:
             found |= {place + i: (poses[0], column) for i, column in enumerate(poses[1].T)}
     if not found:

@@ -10,6 +10,7 @@ import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
+from vpptwin.estimation.joints import straighten_joint
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.robot import Robot
@@ -113,6 +114,7 @@ def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> l
         stream, turns = flight.joints.get(tracked.topic, {}).get(joint), robot.rotary[model.dofadr[0]]
         if stream is None:
             continue
+        stream, _ = straighten_joint(robot.model, tracked, stream)
         for column, unit, kind, place in (
             ("position", "rad" if turns else "m", "qpos", model.qposadr[0]),
             ("velocity", "rad/s" if turns else "m/s", "qvel", model.dofadr[0]),
