@@ -104,7 +104,8 @@ def test_an_angle_of_one_turn_is_tested_as_it_goes_on(tmp_path: Path) -> None:
     """Its velocity is the slope of what turns on; a voltage drives it, by how much nobody says."""
     model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-99.0, 99.0)}, "motor")))
     turns = np.rad2deg(8.0 * SWING)
-    columns = {"stamp": TIME, "arm_deg": (turns + 180.0) % 360.0 - 180.0, "arm_rad_s": 8.0 * RATE, "voltage": RATE}
+    logged = np.where(np.arange(len(TIME)) == 30, np.nan, (turns + 180.0) % 360.0 - 180.0)
+    columns = {"stamp": TIME, "arm_deg": logged, "arm_rad_s": 8.0 * RATE, "voltage": RATE}
     arm, motor = guess_signals(model, survey(write_log(tmp_path / "log.csv", columns))[1])
     assert arm.sure
     assert arm.units == {"position": "deg"}

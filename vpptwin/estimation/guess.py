@@ -334,8 +334,9 @@ def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarr
 
 def straighten(angle: Signal, scale: float) -> Signal:
     """An angle in units of `scale` rad that goes on where it was logged within one turn."""
-    stream = Stream(angle.time, {"position": scale * angle.values})
-    return replace(angle, values=unwrap_turns(stream, "")[0]["position"] / scale)
+    known = np.isfinite(angle.values)
+    stream = Stream(angle.time[known], {"position": scale * angle.values[known]})
+    return replace(angle, time=stream.time, values=unwrap_turns(stream, "")[0]["position"] / scale)
 
 
 def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:
