@@ -38,6 +38,18 @@ from vpptwin.twin.kernel import _KERNELS
 print(sum(compiled.cache_hits for _, compiled in _KERNELS.values()), float(state.qpos[0, 0]).hex())
 """
 
+LAYERS = """
+import sys
+import numpy as np
+from vpptwin.actuators.layer import constants_dtype, layer_dtype, nominal_constants
+from vpptwin.twin.kernel import warm_up
+for nu in map(int, sys.argv[1:]):
+    layer, constants = np.zeros(1, layer_dtype(nu, 4)), np.zeros(1, constants_dtype(nu, nu))
+    for name, value in nominal_constants(0.05, constants).items():
+        constants[name] = value
+    print(warm_up(layer, constants, np.ones((1, 5, nu)), 0.01)["horn"].tolist())
+"""
+
 
 @pytest.fixture(scope="module")
 def twin_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -48,15 +60,20 @@ def twin_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "twin.yaml"
 
 
-def run(twin: Path, cache: Path, *flags: str) -> tuple[int, str]:
-    """Simulate in a process of its own; how often numba found its code on disk, and where the slide got to."""
+def run_program(program: str, cache: Path, *arguments: str) -> list[str]:
+    """Run a program in a process of its own; the lines that it prints."""
     environment = os.environ | {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(ROOT)}
     environment.pop("NUMBA_CACHE_DIR", None)
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(twin), *flags], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", program, *arguments], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    hits, position = done.stdout.split()
+    return done.stdout.splitlines()
+
+
+def run(twin: Path, cache: Path, *flags: str) -> tuple[int, str]:
+    """Simulate in a process of its own; how often numba found its code on disk, and where the slide got to."""
+    hits, position = run_program(PROGRAM, cache, str(twin), *flags)[-1].split()
     return int(hits), position
 
 
@@ -81,6 +98,13 @@ def test_second_process_compiles_nothing(twin_file: Path, first: tuple[Path, str
     assert any(name.endswith(".nbc") for name in before)
     assert run(twin_file, cache) == (2, position)  # the step, and what warms actuators up
     assert list_files(cache / "vpptwin") == before
+
+
+def test_steps_that_two_processes_left_are_not_confused(tmp_path: Path) -> None:
+    """Functions of one name, each the first that its process compiled: a third process loads both and runs either."""
+    apart = [run_program(LAYERS, tmp_path, count)[0] for count in ("1", "3")]
+    assert run_program(LAYERS, tmp_path, "1", "3") == apart
+    assert run_program(LAYERS, tmp_path, "3", "1") == apart[::-1]
 
 
 def test_a_rig_of_the_same_sizes_shares_the_step(twin_file: Path, first: tuple[Path, str]) -> None:

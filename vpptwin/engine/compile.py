@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from itertools import count
 from pathlib import Path
 from pickle import UnpicklingError
+from secrets import randbits
 from typing import Any
 
 from numba import cfunc, njit
+from numba.core.bytecode import FunctionIdentity
 
 KEPT = "__pycache__/*.nb?"
 """What numba keeps beside a file."""
@@ -29,6 +32,16 @@ def _probe() -> None:
     """Nothing."""
 
 
+def name_apart() -> None:
+    """Let what numba compiles from here on have names that no other process gives.
+
+    Numba tells functions of one name and signature by a number that every process counts from 1, and names records by
+    another; what two processes left on disk may then bear the same names, and of those the linker takes the first. Two
+    rigs of one process would share a step that is one's alone.
+    """
+    FunctionIdentity._unique_ids = count(randbits(62))
+
+
 def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[Callable[..., Any]], Any]:  # noqa: ANN401
     """A decorator that makes a C function of a Python one.
 
@@ -39,6 +52,7 @@ def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[C
     """
 
     def make(function: Callable[..., Any]) -> Any:  # noqa: ANN401
+        name_apart()
         for _ in range(2 if keep else 0):
             try:
                 return cfunc(signature, cache=True, **options)(function)
