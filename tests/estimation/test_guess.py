@@ -69,6 +69,7 @@ DELAYED = np.interp(TIME - 0.08, TIME, SWING)
         ({"theta_deg": np.rad2deg(SWING), "theta_dot_rad_s": RATE}, True, ["theta_dot_rad_s is 1.00 of the slope"]),
         ({"arm": SWING, "darm": RATE}, True, ["arm: its name"]),
         ({"arm_temperature": SWING}, False, ["no position in the log looks like it"]),
+        ({"arm_rpm": 10.0 * RATE}, False, ["no position in the log", "its velocity is integrated, which does for a"]),
     ],
 )
 def test_joints_are_tested_against_physics(
@@ -127,6 +128,15 @@ def test_targets_lead_positions(tmp_path: Path, asked: np.ndarray, sure: bool, p
     servo = guess_signals(model, survey(log)[1])[1]
     assert servo.sure == sure, (servo.reasons, servo.doubts)
     assert part in "; ".join([*servo.reasons, *servo.doubts])
+
+
+def test_a_target_says_its_unit(tmp_path: Path) -> None:
+    """An angle asked for in degrees is held against the range in radians, and written so."""
+    model = mujoco.MjModel.from_xml_path(str(write_model(tmp_path / "m.xml", {"arm": (-1.5, 1.5)}, "position")))
+    columns = {"time": TIME, "arm_deg": np.rad2deg(DELAYED), "arm_cmd_deg": np.rad2deg(SWING)}
+    servo = guess_signals(model, survey(write_log(tmp_path / "log.csv", columns))[1])[1]
+    assert servo.sure, servo.doubts
+    assert servo.units == {"effort": "deg"}
 
 
 def test_a_short_name_is_no_part_of_another(tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ LINEAR, ANGULAR, BODY = (0, 1, 2), (3, 4, 5), (0, 1, 2, 3, 4, 5)
 AXES = ("x", "y", "z")
 SLIGHT = 0.001
 """Zero error of logged velocities that a well-built sensor may have, as a share of what they reach."""
+LATEST = 0.15
+"""Delay of a camera's pictures at most [s]."""
 
 Dofs = tuple[int, ...]
 """Degrees of freedom that a signal shows."""
@@ -180,6 +182,13 @@ def velocity_scale(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def of_velocity(place: Place) -> Sensor:
     """What tells a joint's velocity."""
     return Sensor(place.joint, f"logged velocities {place.where}", rate=(place.dof,), target=place.joint)
+
+
+def late_joint(joint: str, dof: int) -> Effect:
+    """`JOINT.delay`: a joint that nothing drives, seen later than the others: by a camera, or through a filter."""
+    late = delay(Sensor(joint, f"readings of joint {joint}", (dof,), (dof,), target=joint))
+    (parameter,) = late.parameters
+    return replace(late, parameters=(replace(parameter, high=LATEST, source="assumption: a camera, some 50 ms"),))
 
 
 def effects_for_pose(body: str, dof: int, gyro: str) -> list[Effect]:

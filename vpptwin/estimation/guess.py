@@ -224,14 +224,21 @@ def settle(guess: Guess, quantity: str, own: Sequence[Signal], basis: str) -> No
         guess.doubts.append(f"{best.label} is constant")
 
 
+def name_length(model: mujoco.MjModel, joint: int) -> str:
+    """SI unit of where a hinge or slide is."""
+    return "rad" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE) else "m"
+
+
 def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
     """Hold a joint's signals against each other, its kind and its range."""
     position, velocity = guess.fields.get("position"), guess.fields.get("velocity")
+    length = name_length(model, joint)
     if position is None:
-        guess.fields.pop("velocity", None)
         guess.doubts.append("no position in the log looks like it")
+        if velocity is not None:
+            guess.units |= check_unit(guess, "velocity", velocity, f"{length}/s")
+            guess.doubts.append("its velocity is integrated, which does for a wheel")
         return
-    length = "rad" if model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE) else "m"
     guess.units |= check_unit(guess, "position", position, length)
     scale = UNITS[guess.units.get("position", length)][1]
     if velocity is not None:
@@ -298,7 +305,11 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         guess.doubts.append("no command in the log looks like it")
         return
     limits = model.actuator_ctrlrange[actuator] if model.actuator_ctrllimited[actuator] else None
-    check_range(guess, "effort", 1.0, limits)
+    length = ""
+    if is_servo(model, actuator) and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
+        length = name_length(model, model.actuator_trnid[actuator, 0])
+        guess.units |= check_unit(guess, "effort", command, length)
+    check_range(guess, "effort", UNITS[guess.units.get("effort", length)][1] if length else 1.0, limits, length)
     if not is_servo(model, actuator):
         if tell_quantity(command) == "drive":
             low, high = command.whole.low, command.whole.high

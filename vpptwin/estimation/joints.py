@@ -16,7 +16,7 @@ from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, integrate_input
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
-from vpptwin.twin.model import HINGE
+from vpptwin.twin.model import HINGE, is_indifferent
 from vpptwin.twin.signals import Tracked, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 
@@ -32,6 +32,12 @@ SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
 EXPLAINED, LATEST = 0.5, 0.1
 """Share of a disagreement from which on lateness is its reason; the latest that a stream may be [s]."""
+WHEEL = (
+    "joint {}: logged by its velocity alone, of which its position here is the integral from 0 on; nothing in the MJCF "
+    "depends on where it is"
+)
+DRIFT = 1.0
+"""Such a position is known to what its velocity's noise would make of it in so long, were it all bias [s]."""
 BELIEVED = 0.01
 """Samples of white noise are averaged over so long [s]."""
 
@@ -109,15 +115,21 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
     """
     joint, topic = tracked.name, tracked.topic
     dof, label = int(spec.model.jnt_dofadr[tracked.joint]), f"{topic} {joint}"
-    whole, wrapped = straighten_joint(spec.model, tracked, find_joint(flight, topic, joint))
-    stream, told = vet_joint(whole, label)
-    found.warnings += [*wrapped, *told]
+    logged = find_joint(flight, topic, joint)
+    whole, told = straighten_joint(spec.model, tracked, logged)
+    stream, unsound = vet_joint(whole, label)
+    found.warnings += [*told, *unsound]
     if "position" not in stream.values:
         raise InputError(
-            f"{flight.path}: {topic} has no position of joint {joint!r}", "positions in JointState", "record them"
+            f"{flight.path}: {topic} has no position of joint {joint!r}",
+            "it: velocities alone do for wheels only",
+            "record it",
         )
     found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
-    found.add(dof, read_track(stream, joint, bool(spec.robot.rotary[dof])), label)
+    position, velocity = read_track(stream, joint, bool(spec.robot.rotary[dof]))
+    if "position" not in logged.values and velocity is not None:
+        position = replace(position, std=DRIFT * velocity.std)
+    found.add(dof, (position, velocity), label)
 
 
 def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:
@@ -221,19 +233,26 @@ def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], foun
     time = time[time >= max(s.time[0] for s in streams.values())]
     value = np.zeros((len(time), spec.model.nu))
     for name, stream in streams.items():
-        if "effort" not in stream.values:
+        if (column := find_input(stream)) == "":
             raise InputError(
-                f"{flight.path}: no effort of actuator {name!r} on {actuators[name]}",
-                "`effort` = control input in the JointState", "record it or correct `signals`",
-            )  # fmt: skip
+                f"{flight.path}: {actuators[name]} has {' and '.join(stream.values) or 'nothing'} of actuator {name!r}",
+                "`effort`, its control input, or one of position and velocity, its target",
+                "record it or correct `signals`",
+            )
         held, index = np.searchsorted(stream.time, time, side="right") - 1, spec.model.actuator(name).id
-        value[:, index] = stream["effort"][held]
+        value[:, index] = stream[column][held]
         if (noted := spec.model.actuator_dynprm[index])[INTEGRATES]:
             dof = int(spec.model.jnt_dofadr[spec.model.actuator_trnid[index, 0]])
             track = (found.positions | found.driven)[dof]
             start = float(spec.model.actuator_gear[index, 0] * np.interp(time[0], track.time, track.value))
             value[:, index] = integrate_input(noted, time, value[:, index], start)
     return Series("control", "", time, value, 0.0)
+
+
+def find_input(stream: Stream) -> str:
+    """Which column of an actuator's stream is its control input: `effort`, or the only one, a target; else ""."""
+    columns = list(stream.values)
+    return "effort" if "effort" in columns else columns[0] if len(columns) == 1 else ""
 
 
 def find_joint(flight: Flight, topic: str, name: str) -> Stream:
@@ -248,8 +267,15 @@ def find_joint(flight: Flight, topic: str, name: str) -> Stream:
 
 
 def straighten_joint(model: mujoco.MjModel, tracked: Tracked, stream: Stream) -> tuple[Stream, list[str]]:
-    """The stream of a hinge or slide; of one that turns on its angle does, too, and a warning tells that."""
-    joint = tracked.joint
+    """The stream of a hinge or slide; of one that turns on its angle does, too, and a warning tells that.
+
+    One that was logged by its velocity alone is where that leads, if nothing depends on where that is.
+    """
+    joint, values = tracked.joint, stream.values
+    if "position" not in values and "velocity" in values and is_indifferent(model, joint):
+        known, led = np.isfinite(values["velocity"]), np.full(len(stream), np.nan)
+        led[known] = integrate(values["velocity"][known], stream.time[known])
+        return Stream(stream.time, {"position": led, **values}), [WHEEL.format(tracked.name)]
     turns = model.jnt_type[joint] == HINGE and not (model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < TURN)
     return unwrap_turns(stream, f"{tracked.topic} {tracked.name}") if turns else (stream, [])
 

@@ -211,6 +211,28 @@ def is_driven(model: mujoco.MjModel, joint: str) -> bool:
     return bool((acting & (model.actuator_trnid[:, 0] == model.joint(joint).id)).any())
 
 
+ALIKE = 1e-3
+"""Share by which a wheel's inertia may depend on where it is."""
+
+
+def is_indifferent(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether it makes no difference where a hinge or slide is: to weight, inertia, actuators, springs, end stops."""
+    if model.jnt_limited[joint] or model.jnt_stiffness[joint].any():
+        return False
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    data.qvel[:] = rng.standard_normal(model.nv)
+    mujoco.mj_integratePos(model, data.qpos, rng.standard_normal(model.nv), 1.0)
+    seen: list[list[np.ndarray]] = []
+    for _ in range(4):
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        seen.append([data.qfrc_bias.copy(), inertia, data.actuator_moment.copy()])
+        data.qpos[model.jnt_qposadr[joint]] += rng.uniform(0.5, 2.0)
+    return all(np.ptp(each, axis=0).max(initial=0.0) <= ALIKE * np.abs(each).max(initial=0.0) for each in zip(*seen))
+
+
 def list_swung(model: mujoco.MjModel, led: np.ndarray) -> list[int]:
     """Bodies that a hinge and another joint move: of one joint alone, mass is but the inverse of its drive's gain.
 

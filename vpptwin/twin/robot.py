@@ -307,12 +307,16 @@ class Robot:
                 if topic not in signals.actuators.values():
                     name, shown = topic.strip("/").replace("/", "_"), tuple(dofs)
                     found += sensing.effects_for_clock(sensing.Sensor(name, f"joints on {topic}", shown, shown))
+        for name, topic in signals.joints.items():
+            if len(topics[topic]) > 1 and not is_driven(model, name):  # else it is a delay of what drives it
+                found.append(sensing.late_joint(name, self.find_dof(name)))
         return found
 
     def tie_signals(self, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
         """The effects, of which errors of signals look like what they are the errors of."""
         ids = {effect.id: effect for effect in effects}
-        late = [e.id for e in effects if "pose.delay" in e.writes]
+        # A joint that is late beside others is not what drives them.
+        late = [e.id for e in effects if "pose.delay" in e.writes and e.target not in self.signals.joints]
         whole = ["+".join(group) for group in group_rotors(self.model)] or [*self.signals.actuators]
         tied = tie_alike(effects, late, [f"{name}.{kind}" for name in whole for kind in ("delay", "lag")
                                          if f"{name}.{kind}" in ids and late])  # fmt: skip

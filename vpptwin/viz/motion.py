@@ -75,8 +75,9 @@ def find_positions(robot: Robot, flight: Flight) -> Positions:
     found: Positions = {}
     for tracked in robot.tracked:
         place, stream = int(model.jnt_qposadr[tracked.joint]), flight.joints.get(tracked.topic, {}).get(tracked.name)
-        if stream is not None and "position" in stream.values:
-            found[place] = (stream.time, straighten_joint(model, tracked, stream)[0]["position"])
+        whole = None if stream is None else straighten_joint(model, tracked, stream)[0]
+        if whole is not None and "position" in whole.values:
+            found[place] = (whole.time, whole["position"])
         elif (poses := place_body(model, tracked, flight)) is not None:
             found |= {place + i: (poses[0], column) for i, column in enumerate(poses[1].T)}
     if not found:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
-from vpptwin.estimation.joints import straighten_joint
+from vpptwin.estimation.joints import find_input, straighten_joint
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.robot import Robot
@@ -124,8 +124,8 @@ def tell_robot(robot: Robot, flight: Flight, prediction: Prediction | None) -> l
                 panels.append(Panel(f"{joint} {column} [{unit}]", lines))
     for actuator, topic in robot.signals.actuators.items():
         stream = flight.joints.get(topic, {}).get(actuator)
-        if stream is not None and "effort" in stream.values:
-            panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream["effort"])]))
+        if stream is not None and (column := find_input(stream)):
+            panels.append(Panel(f"{actuator}, input", [measured(stream.time, stream[column])]))
     return panels
 
 
