@@ -71,7 +71,7 @@ LOGGED = (
     (rig(joint=BALL), "joints: {hook: {topic: log, attitude: [v, v, v]}}"),
     (rig(joint=FREE), "bodies: {arm: {topic: log, position: [v, v, v]}}"),
     (driven('<motor name="m" joint="swing"/>'),
-     "joints: {swing: {topic: log, position: v}}, actuators: {m: {topic: log, velocity: v}}"),
+     "joints: {swing: {topic: log, position: v}}, actuators: {m: {topic: log, position: v, velocity: v}}"),
     (rig(), "joints: {swing: {topic: log, position: w}}"),
     (rig(), "joints: {swing: {topic: log, position: v}}"),
 )  # fmt: skip
