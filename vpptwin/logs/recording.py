@@ -14,6 +14,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from vpptwin.errors import InputError, check_name
 from vpptwin.fields import Stamp
+from vpptwin.logs.arrays import read_mat, read_npz
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
 from vpptwin.logs.container import read_container
@@ -38,15 +39,16 @@ _SIGNATURES = {
 }
 _TABLES: dict[str, TableReader] = {
     "csv": read_csv, "parquet": read_parquet, "lerobot": read_lerobot, "ulog": read_ulog,
-    "dataflash": read_dataflash, "usd": read_usd,
+    "dataflash": read_dataflash, "usd": read_usd, "mat": read_mat, "npz": read_npz,
 }  # fmt: skip
 """Logs of other kinds: what reads them as named columns over time."""
 _BEGINNINGS = {
     b"PAR1": "parquet", b"ULog": "ulog", b"\xa3\x95": "dataflash",
-    b"#ROSBAG": "bag", b"SQLite format 3": "bag", b"\x1f\x8b": "csv",
+    b"#ROSBAG": "bag", b"SQLite format 3": "bag", b"\x1f\x8b": "csv", b"MATLAB ": "mat",
 }  # fmt: skip
+_ARRAYS = (".mat", ".npz")
 _ENDINGS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
-_LOGS = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ENDINGS)
+_LOGS = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ARRAYS, *_ENDINGS)
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     if kind is not None:
         notes: list[str] = []
         own = "/episode" if kind == "lerobot" else name_topic(path)
-        called = wish.name_table(own) if alone and kind in ("csv", "parquet") else own
+        called = wish.name_table(own) if alone and kind in ("csv", "parquet", "mat", "npz") else own
         if called != own:
             notes.append(f"{path.name} is read as {called.removeprefix('/')}")
         return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
@@ -278,6 +280,8 @@ def find_kind(path: Path, start: bytes) -> str | None:
     for beginning, kind in _BEGINNINGS.items():
         if start.startswith(beginning):
             return kind
+    if path.suffix.lower() in _ARRAYS:
+        return path.suffix.lower()[1:]
     if start[:1] == b"\xbc" and start[2:3] == b"\0":
         return "usd"
     text = path.name.lower().endswith(_ENDINGS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))

@@ -1,0 +1,128 @@
+"""MATLAB's and NumPy's files of arrays: as laboratories save them, damaged, and too large."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from vpptwin.errors import InputError
+from vpptwin.fields import SignalEntry
+from vpptwin.logs.flight import Flight
+from vpptwin.logs.read import read_flight
+from vpptwin.logs.recording import list_flights
+
+TIME = 0.01 * np.arange(400)
+SWING = np.sin(TIME)
+TABLE = {"t": TIME, "swing": SWING, "other": np.ones(7)}
+
+
+def read(path: Path, topic: str, position: str) -> Flight:
+    """A flight with one joint, j, out of a field of a topic."""
+    entry = SignalEntry.model_validate({"topic": topic, "position": position})
+    return read_flight(path, None, {"/joint_states": {"j": entry}})
+
+
+def save(path: Path, content: dict[str, Any], **options: Any) -> Path:  # noqa: ANN401
+    """A file of arrays of the kind that its ending says."""
+    if path.suffix == ".npz":
+        np.savez_compressed(path, **content)
+    else:
+        savemat(path, content, **options)
+    return path
+
+
+def simulink(label: str) -> dict[str, Any]:
+    """Simulink's structure with time of two signals."""
+    signals = [{"values": SWING[:, None], "label": label}, {"values": np.stack([TIME, SWING], axis=1), "label": ""}]
+    return {"time": TIME[:, None], "signals": np.array(signals, dtype=object), "blockName": "rig/log"}
+
+
+@pytest.mark.parametrize(
+    ("content", "topic", "position"),
+    [
+        (TABLE, "log", "swing"),
+        ({"time": TIME[None, :], "states": np.stack([TIME, SWING])}, "log", "states[1]"),  # rows, as MATLAB has them
+        ({"t_ms": 1e3 * TIME, "swing": SWING}, "log", "swing"),
+        ({"data": np.stack([TIME, SWING, TIME])}, "log", "data[0]"),  # To Host File: its first row is the time
+        ({"rec": np.stack([TIME, TIME, SWING], axis=1)}, "log", "rec[1]"),
+        ({"run": {"Time": TIME, "angle": SWING}, "gain": 2.0}, "log", "angle"),
+        ({"out": simulink("swing")}, "log", "swing"),
+        ({"out": simulink("swing")}, "log", "signal_2[1]"),
+        ({"a": {"t": TIME, "q": SWING}, "b": {"t": TIME, "q": TIME}}, "a", "q"),
+        ({"a": {"t": TIME, "q": TIME}, "b": {"t": TIME, "q": SWING}}, "b", "q"),
+    ],
+)
+def test_what_laboratories_save_is_read(tmp_path: Path, content: dict, topic: str, position: str) -> None:
+    """Vectors with their time, structures, Simulink's, matrices whose first row or column is the time."""
+    flight = read(save(tmp_path / "log.mat", content), topic, position)
+    joint = flight.joints["/joint_states"]["j"]
+    np.testing.assert_allclose(joint["position"], SWING)
+    np.testing.assert_allclose(joint.time, TIME, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "options"), [("log.npz", {}), ("log.mat", {"format": "4"}),
+                                               ("log.mat", {"do_compression": True})])  # fmt: skip
+def test_either_kind_is_read(tmp_path: Path, name: str, options: dict) -> None:
+    """NumPy's archive, MATLAB's version 4, compressed elements; a folder of them is its flights."""
+    log = save(tmp_path / name, TABLE, **options)
+    np.testing.assert_allclose(read(log, "log", "swing").joints["/joint_states"]["j"]["position"], SWING)
+    assert list_flights(tmp_path) == [log]
+
+
+def test_the_next_run_is_called_as_the_twin_says(tmp_path: Path) -> None:
+    """As of CSV: a twin of one run takes the others."""
+    flight = read(save(tmp_path / "run_2.mat", TABLE), "run_1", "swing")
+    assert flight.warnings[0] == "run_2.mat is read as run_1"
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        ({"swing": SWING, "gain": 2.0}, "holds swing 400, gain of float; expected a vector `t` or `time`"),
+        ({"m": np.stack([SWING, TIME])}, "holds m 2 x 400; expected a vector"),
+        ({"t": np.where(TIME[7] == TIME, np.nan, TIME), "swing": SWING}, "no time in row 7 of t"),
+    ],
+)
+def test_what_has_no_time_is_refused(tmp_path: Path, content: dict, found: str) -> None:
+    """In one line that says what the file has."""
+    with pytest.raises(InputError, match=found):
+        read(save(tmp_path / "log.mat", content), "log", "swing")
+
+
+@pytest.mark.parametrize("name", ["log.mat", "log.npz"])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+def test_a_damaged_file_is_refused(tmp_path: Path, name: str, share: float) -> None:
+    """Cut off, and with bytes that make no sense: one line, whatever the library raised."""
+    content = save(tmp_path / name, TABLE).read_bytes()
+    rng = np.random.default_rng(1)
+    spoilt = bytearray(content)
+    for place in rng.integers(130, len(content), 40):
+        spoilt[place] = int(rng.integers(256))
+    for bad in (content[: max(int(share * len(content)), 20)], bytes(spoilt)):
+        (tmp_path / name).write_bytes(bad)
+        with pytest.raises(InputError) as caught:
+            read(tmp_path / name, "log", "nowhere")
+        assert "\n" not in str(caught.value)
+
+
+def test_version_7_3_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    """It is HDF5."""
+    (tmp_path / "log.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(InputError, match=r"version 7\.3, which is HDF5.*save\(file, '-v7'\)"):
+        read(tmp_path / "log.mat", "log", "swing")
+
+
+def test_what_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    """Two megabytes of zeros that are two gigabytes."""
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"
+    packer = zlib.compressobj(9)
+    zeros = b"".join(packer.compress(bytes(1 << 24)) for _ in range(80)) + packer.flush()
+    (tmp_path / "log.mat").write_bytes(head + struct.pack("<II", 15, len(zeros)) + zeros)
+    with pytest.raises(InputError, match="holds arrays of more than 1 GB; expected less"):
+        read(tmp_path / "log.mat", "log", "swing")
