@@ -88,3 +88,26 @@ def test_nobody_asks_for_a_rigs_kind() -> None:
     package = Path(__file__).resolve().parents[2] / "vpptwin"
     asking = {str(f.relative_to(package)) for f in package.rglob("*.py") if "vehicle is " in f.read_text()}
     assert asking == {"twin/spec.py"}
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<joint name="hip" type="revolute"><parent link="base"/><child link="leg"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{effort}" velocity="9"/></joint>
+<link name="leg"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+
+
+@pytest.mark.parametrize("effort", [12.0, 0.0])
+def test_what_a_urdf_may_exert_drives_it(tmp_path: Path, effort: float) -> None:
+    """A motor of the joint's name, as strong as the joint may; none where nothing drives it."""
+    (tmp_path / "leg.urdf").write_text(URDF.format(effort=effort))
+    inputs = ", actuators: {hip: /joint_states}" if effort else ""
+    (tmp_path / "leg.yaml").write_text(f"model: leg.urdf\nsignals: {{joints: {{hip: /joint_states}}{inputs}}}\n")
+    spec = load_twin(tmp_path / "leg.yaml")
+    model, data = spec.model, mujoco.MjData(spec.model)
+    assert [model.actuator(i).name for i in range(model.nu)] == ["hip"] * bool(effort)
+    assert ("hip.gain" in {effect.id for effect in spec.catalogue}) == bool(effort)
+    for given, exerted in ((3.0, 3.0), (50.0, 12.0)):
+        data.ctrl[:] = given
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(data.qfrc_actuator, exerted if effort else 0.0)

@@ -72,6 +72,8 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
         ValueError: if MuJoCo refuses the file.
     """
     spec = mujoco.MjSpec.from_file(str(path))
+    if path.suffix.lower() == ".urdf":
+        drive_joints(spec)
     adapt(spec, path)
     simplify_actuators(spec)
     for joint in spec.joints:
@@ -79,6 +81,14 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
             joint.parent.simple = 0  # whose centre of mass effects may move
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
+
+
+def drive_joints(spec: mujoco.MjSpec) -> None:
+    """Give every joint of a URDF that may exert an effort a motor of its name: it says no more of what drives it."""
+    for joint in spec.joints if not spec.actuators else ():
+        if np.ptp(joint.actfrcrange) > 0.0:
+            motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.gainprm[0] = 1.0
 
 
 def check_names(path: Path, names: Iterable[str]) -> None:
