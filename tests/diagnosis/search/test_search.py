@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from tests.diagnosis.carts import load_cart, measure_cart, open_search
 from tests.diagnosis.fakes import linear
@@ -243,16 +244,33 @@ def test_neighbours_of_a_wrong_set_hold_the_right_one(tmp_path_factory: pytest.T
     assert best.evidence_against(fit) > 100.0
 
 
-def test_bounded_least_squares_do_without_divide_and_conquer(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sets", [30, 0])
+def test_bounded_minima_are_those_of_scipy(monkeypatch: pytest.MonkeyPatch, sets: int) -> None:
+    """Of a few unknowns and of many, some of their bounds shut or at once at the minimum; either method alone."""
+    monkeypatch.setattr("vpptwin.diagnosis.search.solution.SETS", sets)
+    rng = np.random.default_rng(5)
+    for size in (1, 2, 6, 40):
+        for _ in range(10):
+            matrix, wanted = rng.normal(size=(size + 3, size)), rng.normal(size=size + 3)
+            low, width = rng.normal(size=size), rng.uniform(1e-6, 1.0, size) * rng.choice([0.001, 1.0], size)
+            bounds = low, low + width
+            found = solve_bounded(matrix.T @ matrix, matrix.T @ wanted, bounds)
+            assert np.all((found >= low - 1e-12) & (found <= low + width + 1e-12))
+            best = lsq_linear(matrix, wanted, bounds=bounds, method="bvls").x
+            np.testing.assert_allclose(found, best, atol=1e-7 * max(np.linalg.cond(matrix), 1.0))
+
+
+def test_bounded_minima_do_without_divide_and_conquer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where LAPACK gives up on a matrix, as in session 199 of seed 81580, the same answer comes another way."""
     rng = np.random.default_rng(5)
-    matrix, wanted, bounds = rng.normal(size=(6, 6)), rng.normal(size=6), (np.full(6, -0.1), np.full(6, 0.2))
-    usual = solve_bounded(matrix, wanted, bounds)
+    matrix, target, bounds = rng.normal(size=(6, 6)), rng.normal(size=6), (np.full(6, -0.1), np.full(6, 0.2))
+    usual = solve_bounded(matrix.T @ matrix, target, bounds)
 
     def give_up(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
 
     monkeypatch.setattr("scipy.optimize._lsq.bvls.lstsq", give_up)
-    found = solve_bounded(matrix, wanted, bounds)
-    np.testing.assert_allclose(found, usual, atol=1e-6)
+    monkeypatch.setattr("vpptwin.diagnosis.search.solution.SETS", 0)
+    found = solve_bounded(matrix.T @ matrix, target, bounds)
+    np.testing.assert_allclose(found, usual, atol=1e-5)
     assert np.all((found >= bounds[0]) & (found <= bounds[1]))

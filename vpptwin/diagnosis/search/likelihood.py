@@ -209,20 +209,31 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     """
     along, criteria = response.along(residual), bench.criteria
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
-    nv = bench.spec.model.nv
-    one = np.eye(response.triangles.shape[1])
+    (count, size, _), nv = response.triangles.shape, bench.spec.model.nv
+    pulses = response.triangles.reshape(count, size, -1, nv)
+    spread = np.einsum("kij,kgja->kgia", alike, pulses)
+    most = criteria.tails * size
 
-    def surprise(log_gust: np.ndarray) -> float:
-        factor = np.linalg.cholesky(one + spread_pulses(response, alike, np.exp(2.0 * log_gust)))
-        white = np.linalg.solve(factor, along[..., None])[..., 0]
-        logdet = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
-        square = (white**2).sum(axis=1) / scale
+    def surprise(log_gust: np.ndarray) -> tuple[float, np.ndarray]:
+        """Twice the negative log of how improbable gusts are, and its slope by the log of their strength, (nv,)."""
+        variance = np.exp(2.0 * log_gust)
+        blown = (variance * spread).reshape(count, size, -1)
+        covariance = np.eye(size) + blown @ np.swapaxes(response.triangles, 1, 2)
+        inverse = np.linalg.inv(covariance)
+        white = np.einsum("kgf,kf->kg", inverse, along)
+        square = (white * along).sum(axis=1) / scale
         # Student's t: a window that goes astray must not make a storm.
-        heavy = (criteria.tails + 1.0) * len(one) * np.log1p(square / (criteria.tails * len(one)))
-        return float(heavy.sum() + logdet + ((log_gust / criteria.gust_doubt) ** 2).sum())
+        heavy = (criteria.tails + 1.0) * size * np.log1p(square / most)
+        weight = (criteria.tails + 1.0) * size / (most + square) / scale
+        pushed, shared = (np.einsum("kg,kgia->kia", white, each) for each in (pulses, spread))
+        asked = np.einsum("kgia,kgia->a", (inverse @ response.triangles).reshape(pulses.shape), spread)
+        slope = 2.0 * variance * (asked - np.einsum("kia,kia,k->a", pushed, shared, weight))
+        doubt = log_gust / criteria.gust_doubt
+        total = heavy.sum() + np.linalg.slogdet(covariance)[1].sum() + (doubt**2).sum()
+        return float(total), slope + 2.0 * doubt / criteria.gust_doubt
 
     low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)
-    found = minimize(surprise, np.zeros(nv), method="L-BFGS-B", bounds=[(low, high)] * nv)
+    found = minimize(surprise, np.zeros(nv), jac=True, method="L-BFGS-B", bounds=[(low, high)] * nv)
     return np.exp(found.x)
 
 

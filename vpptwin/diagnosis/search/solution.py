@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import lsq_linear
 
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.suspects import Unknown
+
+SETS = 30
+"""Sets of bounds that are tried at most before another method is."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +51,9 @@ def solve_hypothesis(
     gram, slope = about.gram[np.ix_(moving, moving)], about.slope[moving]
     hessian = gram / scale * unit[:, None] * unit + np.diag((unit / width[moving]) ** 2)
     target = slope / scale * unit + unit / width[moving] ** 2 * pull[moving]
-    factor = np.linalg.cholesky(hessian + 1e-9 * np.diag(np.diag(hessian)))
-    wanted = np.linalg.solve(factor, target)
     margin = 1e-12
     bounds = (low[moving] - margin) / unit, (high[moving] + margin) / unit
-    inside = np.linalg.solve(factor.T, wanted)
-    if np.any(inside < bounds[0]) or np.any(inside > bounds[1]):
-        inside = solve_bounded(factor.T, wanted, bounds)
-    step = inside * unit
+    step = solve_bounded(hessian + 1e-9 * np.diag(np.diag(hessian)), target, bounds) * unit
     deviation = np.zeros(len(unknowns))
     deviation[moving] = step
     cost = (about.residual @ about.residual - 2.0 * slope @ step + step @ gram @ step) / scale
@@ -65,12 +64,30 @@ def solve_hypothesis(
     return Solution(deviation, float(cost), covariance)
 
 
-def solve_bounded(matrix: np.ndarray, wanted: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Least squares within bounds: x (n,) that brings `matrix` (m, n) x nearest to `wanted` (m,)."""
+def solve_bounded(hessian: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """The x (n,) within bounds at which x' `hessian` x / 2 - `target`' x is least, `hessian` (n, n) positive definite.
+
+    By primal-dual active sets (Hintermüller, Ito, Kunisch 2003): few are tried before they stay, if they ever do.
+    """
+    low, high = bounds
+    below = above = np.zeros(len(target), bool)
+    for _ in range(SETS):
+        held = below | above
+        x = np.where(below, low, np.where(above, high, 0.0))
+        if not held.all():
+            pulled = target[~held] - hessian[np.ix_(~held, held)] @ x[held]
+            x[~held] = cho_solve(cho_factor(hessian[np.ix_(~held, ~held)], check_finite=False), pulled)
+        uphill = hessian @ x - target
+        then = (x < low) | (below & (uphill > 0.0)), (x > high) | (above & (uphill < 0.0))
+        if np.array_equal(then, (below, above)):
+            return x
+        below, above = then
+    factor = np.linalg.cholesky(hessian)
+    wanted = np.linalg.solve(factor, target)
     try:
-        return np.asarray(lsq_linear(matrix, wanted, bounds=bounds, method="bvls").x)
+        return np.asarray(lsq_linear(factor.T, wanted, bounds=bounds, method="bvls").x)
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer gives up on rare well-conditioned matrices
-        return np.asarray(lsq_linear(matrix, wanted, bounds=bounds, method="trf").x)
+        return np.asarray(lsq_linear(factor.T, wanted, bounds=bounds, method="trf").x)
 
 
 def price_of_freedom(solution: Solution, unknowns: tuple[Unknown, ...], freed: frozenset[str]) -> float:
@@ -90,9 +107,9 @@ def scatter_by_stretch(about: Linearisation, solution: Solution, bench: Bench) -
     that are larger, or more alike from window to window, than the noise model says.
     """
     residual = about.residual - solution.deviation @ about.columns
-    scores = (about.columns * residual).reshape(len(about.columns), len(bench.windows), -1).sum(
-        axis=2
-    ) / about.frame.scale
+    number = len(bench.windows)
+    columns, residual = about.columns.reshape(-1, number, len(residual) // number), residual.reshape(number, -1)
+    scores = np.einsum("pkm,km->pk", columns, residual) / about.frame.scale
     stretch = np.floor(bench.windows.start / about.frame.criteria.stretch).astype(int) + 10**6 * bench.windows.flight
     _, index = np.unique(stretch, return_inverse=True)
     sums = np.zeros((index.max() + 1, len(scores)))
