@@ -127,9 +127,8 @@ def check_own(paths: Iterable[Path]) -> None:
     """
     for path in paths:
         if path.is_file() and not is_own(path):
-            raise InputError(
-                f"{path} is there, and vpptwin did not write it", "a new file, or one of vpptwin's", ANYWAY
-            )
+            found = f"{path} is there, and vpptwin did not write it, or it may have been edited"
+            raise InputError(found, "a new file, or one of vpptwin's", ANYWAY)
 
 
 def is_own(path: Path) -> bool:
