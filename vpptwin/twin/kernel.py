@@ -248,7 +248,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
 
     # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
     def compiled(function: Function, inline: bool = False) -> Function:
-        return njit(function, error_model="numpy", forceinline=inline)
+        return njit(function, error_model="numpy", forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
