@@ -39,6 +39,8 @@ CONTEXT = np.dtype(
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that only compiled code calls."""
 COMPILING = "compiling the step of this rig, once, some 20 s"
 CALLS = {
     "step_drone": "step_drone(vehicle, rig, view, row, tape, k)",
@@ -248,7 +250,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
 
     # numpy's error model: nothing can be raised in C; a division by zero gives inf, which `vpptwin.twin.health` tells.
     def compiled(function: Function, inline: bool = False) -> Function:
-        return njit(function, error_model="numpy", forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+        return njit(function, error_model="numpy", forceinline=inline, **INNER)
 
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,

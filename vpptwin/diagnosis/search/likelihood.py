@@ -215,7 +215,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     most = criteria.tails * size
 
     def surprise(log_gust: np.ndarray) -> tuple[float, np.ndarray]:
-        """Twice the negative log of how improbable gusts are, and its slope by the log of their strength, (nv,)."""
+        """Twice the negative log of how probable gusts are, and its slope by the log of their strength, (nv,)."""
         variance = np.exp(2.0 * log_gust)
         blown = (variance * spread).reshape(count, size, -1)
         covariance = np.eye(size) + blown @ np.swapaxes(response.triangles, 1, 2)
