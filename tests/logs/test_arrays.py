@@ -104,11 +104,20 @@ def test_a_damaged_file_is_refused(tmp_path: Path, name: str, share: float) -> N
     spoilt = bytearray(content)
     for place in rng.integers(130, len(content), 40):
         spoilt[place] = int(rng.integers(256))
-    for bad in (content[: max(int(share * len(content)), 20)], bytes(spoilt)):
+    for bad in (content[: max(int(share * len(content)), 1)], content[:20], bytes(spoilt), b"nonsense", b"x" * 400):
         (tmp_path / name).write_bytes(bad)
         with pytest.raises(InputError) as caught:
             read(tmp_path / name, "log", "nowhere")
         assert "\n" not in str(caught.value)
+
+
+def test_what_the_library_crashes_on_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files without checksums are tried by a process that may die; compressed ones need none."""
+    monkeypatch.setattr("vpptwin.logs.arrays._TRY", "import os; os.abort()")
+    log = save(tmp_path / "log.mat", TABLE)
+    with pytest.raises(InputError, match=r"is damaged \(what reads it crashes\)"):
+        read(log, "log", "swing")
+    assert read(save(log, TABLE, do_compression=True), "log", "swing").joints
 
 
 def test_version_7_3_is_refused_with_what_to_do(tmp_path: Path) -> None:
@@ -119,10 +128,10 @@ def test_version_7_3_is_refused_with_what_to_do(tmp_path: Path) -> None:
 
 
 def test_what_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
-    """Two megabytes of zeros that are two gigabytes."""
+    """A megabyte that is 1.3 GB of zeros, and not said to be damaged."""
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"
     packer = zlib.compressobj(9)
     zeros = b"".join(packer.compress(bytes(1 << 24)) for _ in range(80)) + packer.flush()
     (tmp_path / "log.mat").write_bytes(head + struct.pack("<II", 15, len(zeros)) + zeros)
-    with pytest.raises(InputError, match="holds arrays of more than 1 GB; expected less"):
+    with pytest.raises(InputError, match=r"^\S+ holds arrays of more than 1 GB; expected less"):
         read(tmp_path / "log.mat", "log", "swing")

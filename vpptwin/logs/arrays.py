@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units, split_time
+from vpptwin.logs.delimited import check_times, count_ns, find_clock, guess_unit, part_units, split_time
 from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields, name_topic
 
@@ -20,8 +22,10 @@ MOST = 10**9
 """Bytes that arrays may take."""
 _FIRST, _COMPRESSED = 128, 15  # bytes of the head of a .mat, and the kind of an element that is compressed
 _PIECE = 1 << 20
+_TRY = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1], simplify_cells=True)"
+"""What a process of its own tries where no checksum vouches for a file: scipy crashes on some that are damaged."""
 _BROKEN = (ValueError, TypeError, KeyError, IndexError, EOFError, OSError, struct.error, zlib.error, MemoryError,
-           OverflowError, zipfile.BadZipFile, AttributeError)  # fmt: skip
+           OverflowError, zipfile.BadZipFile, AttributeError, NotImplementedError)  # fmt: skip
 # What readers raise on content that makes no sense.
 
 
@@ -32,6 +36,7 @@ def read_mat(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
         InputError: if it is damaged, of version 7.3, or no time is found in it.
     """
     from scipy.io import loadmat  # which few logs wait for
+    from scipy.io.matlab import MatReadError
 
     with path.open("rb") as file:
         head = file.read(_FIRST)
@@ -39,10 +44,16 @@ def read_mat(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
         found = f"{path} is a MATLAB file of version 7.3, which is HDF5"
         raise InputError(found, "version 7 or older", "save it so: save(file, '-v7')")
     try:
+        sealed = False
         if head.startswith(b"MATLAB"):
-            weigh(path, measure_mat(path, "<" if head[126:128] == b"IM" else ">"))
+            size, sealed = measure_mat(path, "<" if head[126:128] == b"IM" else ">")
+            weigh(path, size)
+        if not sealed and subprocess.run([sys.executable, "-c", _TRY, str(path)], capture_output=True).returncode < 0:
+            raise ValueError("what reads it crashes")
         content = loadmat(path, simplify_cells=True)
-    except _BROKEN as error:
+    except InputError:
+        raise
+    except (MatReadError, *_BROKEN) as error:
         raise damaged(path, "MATLAB", error) from None
     yield from part_tables(path, topic, content, wish, notes)
 
@@ -65,6 +76,8 @@ def read_npz(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
                     if "pickle" not in str(error).lower():
                         raise
                     notes.append(f"{path.name}: {name} holds Python objects, left out")
+    except InputError:
+        raise
     except _BROKEN as error:
         raise damaged(path, "NumPy", error) from None
     yield from part_tables(path, topic, content, wish, notes)
@@ -83,16 +96,19 @@ def weigh(path: Path, size: int) -> None:
         raise InputError(found, "less", "save a part of it, or write CSV or MCAP")
 
 
-def measure_mat(path: Path, order: str) -> int:
-    """Bytes that the elements of a MATLAB file take, those unpacked that are compressed, as far as `MOST`."""
-    total = 0
+def measure_mat(path: Path, order: str) -> tuple[int, bool]:
+    """Bytes that a MATLAB file's elements take, those unpacked that are compressed, and whether all are, as sealed.
+
+    It is counted as far as `MOST`.
+    """
+    total, sealed = 0, True
     with path.open("rb") as file:
         file.seek(_FIRST)
         while len(tag := file.read(8)) == 8 and total <= MOST:
             kind, size = struct.unpack(f"{order}II", tag)
             end = file.tell() + size
             if kind != _COMPRESSED:
-                total += size
+                total, sealed = total + size, False
             unpacker = zlib.decompressobj()
             while kind == _COMPRESSED and (left := end - file.tell()) > 0 and total <= MOST:
                 packed = file.read(min(left, _PIECE))
@@ -101,8 +117,9 @@ def measure_mat(path: Path, order: str) -> int:
                     packed = unpacker.unconsumed_tail
                 if not packed and file.tell() >= path.stat().st_size:
                     break
+            sealed = sealed and unpacker.eof
             file.seek(end)
-    return total
+    return total, sealed
 
 
 def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, notes: list[str]) -> Iterator[Table]:
@@ -126,9 +143,7 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
         stamp = wish.stamps.get(called)
         clock = find_clock(path, list(given), stamp)
         time = given[clock]
-        if not np.isfinite(time).all():
-            row = int(np.argmin(np.isfinite(time)))
-            raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
+        check_times(path, clock, time)
         unit = (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
         if unit not in ("s", units.get(clock)) and stamp is None:
             notes.append(f"{called}: {clock} is taken to count {unit}")

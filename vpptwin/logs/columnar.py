@@ -11,7 +11,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
-from vpptwin.logs.delimited import count_ns, find_clock, guess_unit, part_units
+from vpptwin.logs.delimited import check_times, count_ns, find_clock, guess_unit, part_units
 from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields
 
@@ -64,9 +64,7 @@ def read_rows(
                 found = f"{path}: {min(lost)} holds lists of several lengths"
                 raise InputError(found, "one length", "leave the column out")
             time = columns[clock]
-            if not np.isfinite(time).all():
-                row = int(np.argmin(np.isfinite(time)))
-                raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
+            check_times(path, clock, time)
             unit = unit or (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
             yield Table(topic, count_ns(time, unit), columns, units, fields)
         if unit is None:

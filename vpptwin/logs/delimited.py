@@ -312,6 +312,17 @@ def is_date(form: Format, clock: str) -> bool:
     return place < len(form.first) and bool(_DATE.fullmatch(form.first[place]))
 
 
+def check_times(path: Path, clock: str, time: np.ndarray) -> None:
+    """Refuse a column of times (n,) with gaps.
+
+    Raises:
+        InputError: naming the first row without one.
+    """
+    if not np.isfinite(time).all():
+        row = int(np.argmin(np.isfinite(time)))
+        raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
+
+
 def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
     """Times in ns, (n,) int64."""
     factor = NANOSECONDS[unit]
