@@ -7,6 +7,7 @@
     python benchmarks/hidden_effects.py --seed 1 --time                                       (where time goes)
     python benchmarks/hidden_effects.py --nightly --json night.json                           (exit 1 if rates are bad)
     python benchmarks/hidden_effects.py --rigs other --cases 200 --seed 1 --json other.json   (rigs that are not ours)
+    python benchmarks/hidden_effects.py --effects contact.compliance,contact.friction --kinds single none (at the wall)
 
 Each session is three 16 s flights of one rig, closed loop: gusts of a kind, strength and pace of their own, noise,
 dropouts, stamp jitter, small distractors, in a quarter of them outliers, the rig off nominal within its tolerance and,

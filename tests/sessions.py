@@ -198,19 +198,21 @@ def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: s
     return flown
 
 
-def plan_rig(effects: Effects, rig: int, wind: Wind) -> list[FlightPlan]:
+def plan_rig(
+    effects: Effects, rig: int, wind: Wind, manoeuvres: Sequence[str] = MANOEUVRES, duration: float = DURATION
+) -> list[FlightPlan]:
     """The flights of a rig of that seed."""
     return [
         {
             "effects": effects,
             "manoeuvre": manoeuvre,
-            "duration": DURATION,
+            "duration": duration,
             "seed": rig + 1 + i,
             "session": rig,
             "wind": wind,
             "distractors": True,
         }
-        for i, manoeuvre in enumerate(MANOEUVRES)
+        for i, manoeuvre in enumerate(manoeuvres)
     ]
 
 

@@ -7,20 +7,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.reality import Wind, draw_effect, draw_together
+from tests.reality import Wind, draw_effect, draw_together, draw_wind, fly_many, write_mcap
 from tests.sessions import (
     CONFIDENT,
     FAMILIES,
     STDS,
+    STRONGEST,
     Sessions,
     draw_names,
     find_faults,
     judge_rig,
     list_suspects,
     mark_undrawn,
+    plan_rig,
+    read_seed,
 )
+from vpptwin.diagnosis.judgement.diagnose import diagnose
+from vpptwin.logs.read import read_flight
+from vpptwin.twin import load_twin
 
 DRAWABLE = ("sticking rail", "rail", "guide and pivot", "craft", "two")
 DRAWN = draw_names(DRAWABLE, 1)
@@ -83,6 +90,22 @@ def test_an_elastic_rail_is_no_heavier_carriage(mode: tuple[float, ...], rig: in
         found = causes[0].parameters
         assert abs(found["share"].value - mode[0]) < max(STDS * found["share"].std, 0.15 * mode[0])
         assert abs(found["frequency"].value - mode[1]) < STDS * found["frequency"].std
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", ["contact.compliance", "contact.friction"])
+def test_what_is_wrong_with_the_wall_is_named_with_its_size(effect: str, tmp_path: Path) -> None:
+    """Flights of a fresh seed that knock at it, with another stiffness and damping or less friction than the MJCF's."""
+    rng = np.random.default_rng([read_seed(), *effect.encode()])
+    rig, wind, hidden = int(rng.integers(2**31)), draw_wind(rng, most=STRONGEST), draw_effect(rng, (effect,))
+    plans = plan_rig(hidden, rig, wind, ("knock",) * 4, 24.0)
+    logs = [write_mcap(flight, tmp_path / f"{i}.mcap") for i, flight in enumerate(fly_many(plans))]
+    causes = diagnose(load_twin(), [read_flight(log) for log in logs]).verdict.causes
+    assert [cause.effect for cause in causes if cause.confidence > CONFIDENT] == [effect], hidden
+    assert causes[0].blows >= 10
+    for name, value in hidden[effect].items():
+        found = causes[0].parameters[name]
+        assert abs(found.value - value) < max(STDS * found.std, 0.15 * abs(value - 1.0)), (hidden, found)
 
 
 @pytest.mark.slow

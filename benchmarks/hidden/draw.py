@@ -57,6 +57,7 @@ class Plan:
         outliers: whether the motion capture has outliers.
         small: likewise, deviations fainter than strength 1 that nobody asks for: named or not, neither is wrong.
         wind: what gusts are like; by default as before they were drawn.
+        knocks: whether flights knock at the wall.
     """
 
     number: int
@@ -66,6 +67,7 @@ class Plan:
     outliers: bool = False
     small: Effects = field(default_factory=dict)
     wind: Wind = Wind()  # noqa: RUF009 (frozen)
+    knocks: bool = False
 
     @property
     def known(self) -> frozenset[str]:
@@ -161,7 +163,9 @@ def draw_plan(seed: int, number: int, effects: Sequence[str] = FLYING) -> Plan:
         hidden = draw_together(rng, 2 if kind == "two" else 3, effects)
     rig, outliers = int(rng.integers(2**31)), bool(rng.random() < OUTLIER_SHARE)
     small = draw_small(np.random.default_rng([seed, 4, number]), hidden, (*CORE, *EXTENDED))
-    return Plan(number, kind, hidden, rig, outliers, small, draw_wind(np.random.default_rng([seed, 5, number])))
+    knocks = any(effect.startswith("contact.") for effect in effects)
+    wind = draw_wind(np.random.default_rng([seed, 5, number]))
+    return Plan(number, kind, hidden, rig, outliers, small, wind, knocks)
 
 
 def draw_kind(seed: int, number: int) -> tuple[str, int]:

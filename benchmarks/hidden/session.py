@@ -20,23 +20,28 @@ from vpptwin.twin import load_twin
 
 MANOEUVRES = ("creep", "aggressive", "mixed")
 """One flight each: holds and slow moves, everything fast, and a bit of everything with a low pass."""
-DURATION = 16.0
-"""Of each flight [s]."""
+KNOCKS = ("knock", "knock", "mixed", "knock")
+"""Those of sessions that hide what shows at the wall alone."""
+DURATION, LONG = 16.0, 24.0
+"""Of each flight [s], and of these."""
 
 
 def fly_sessions(plans: Sequence[Plan], folder: Path) -> list[list[Path]]:
     """Fly sessions in one batch, all realism on; write and return the logs of each."""
+    knocks = any(plan.knocks for plan in plans)  # of one campaign all do or none
+    manoeuvres = KNOCKS if knocks else MANOEUVRES
     flights: list[FlightPlan] = [
         {
-            "effects": plan.small | plan.hidden, "manoeuvre": name, "duration": DURATION, "seed": plan.rig + 1 + i,
-            "session": plan.rig, "wind": plan.wind, "distractors": True, "outliers": plan.outliers,
+            "effects": plan.small | plan.hidden, "manoeuvre": name, "duration": LONG if knocks else DURATION,
+            "seed": plan.rig + 1 + i, "session": plan.rig, "wind": plan.wind, "distractors": True,
+            "outliers": plan.outliers,
         }
         for plan in plans
-        for i, name in enumerate(MANOEUVRES)
+        for i, name in enumerate(manoeuvres)
     ]  # fmt: skip
     logs: list[list[Path]] = [[] for _ in plans]
     for i, recording in enumerate(fly_many(flights)):
-        session, flight = divmod(i, len(MANOEUVRES))
+        session, flight = divmod(i, len(manoeuvres))
         home = folder / f"case_{plans[session].number:04d}"
         home.mkdir(parents=True, exist_ok=True)
         logs[session].append(write_mcap(recording, home / f"{flight}_{recording.manoeuvre}.mcap"))

@@ -69,13 +69,18 @@ EXTENDED: dict[str, dict[str, Size]] = {
     "gyro.scale": {"scale": Size("1", 1.0, ((0.90, 0.96), (1.04, 1.10)))},
 }
 
-# What of the rig gives. Hidden where it is asked for: the draws of others stay what they were.
+# What of the rig gives, and floor and wall. Hidden where it is asked for: the draws of others stay what they were.
 FRAME: dict[str, dict[str, Size]] = {
     "rail_x.elastic": {
         "share": Size("1", 0.0, ((0.08, 0.25),)),
         "frequency": Size("Hz", 8.0, ((5.0, 11.0),)),
         "zeta": Size("1", 0.03, ((0.01, 0.05),)),
     },
+    "contact.compliance": {
+        "stiffness": Size("1", 1.0, ((0.15, 0.5), (2.0, 4.0))),
+        "damping": Size("1", 1.0, ((0.3, 0.6), (1.5, 2.5))),
+    },
+    "contact.friction": {"gain": Size("1", 1.0, ((0.0, 0.6),))},  # with more a tip sticks, as it does with 1
 }
 
 EFFECTS: dict[str, dict[str, Size]] = (

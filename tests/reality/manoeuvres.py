@@ -212,6 +212,22 @@ def _creep(duration: float, rng: np.random.Generator) -> Script:
     return plan.script
 
 
+def _knock(duration: float, rng: np.random.Generator) -> Script:
+    """Knocks at the wall now and then, nearly level, with another speed along and across it each time."""
+    plan = Choreographer(duration, rng, rng.uniform(0.6, 0.9), rng.uniform(1.0, 1.4))
+    plan.wait(0.8)
+    while plan.left > 0:
+        speed, now = rng.uniform(0.5, 1.6), plan.tick
+        there = (1.5 - plan.script.reference[now - 1, 0]) / speed
+        plan.wait(max(there - 0.25, 0.0))
+        plan.go(z=rng.uniform(0.8, 1.8))  # up or down along the wall as it is met
+        plan.tick = now
+        plan.crawl(0, speed, there + 0.05)
+        plan.go(x=rng.uniform(0.4, 0.9), z=rng.uniform(0.9, 1.6))
+        plan.wait(rng.uniform(3.4, 4.4))
+    return plan.script
+
+
 def _act(plan: Choreographer, act: str, rng: np.random.Generator) -> None:
     if act == "inverted" and plan.left < 5.5:
         act = "steps"
@@ -251,6 +267,7 @@ MANOEUVRES: dict[str, Callable[[float, np.random.Generator], Script]] = {
     "flip": _flip,
     "mixed": _mixed,
     "creep": _creep,
+    "knock": _knock,
 }
 
 

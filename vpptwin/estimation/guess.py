@@ -130,9 +130,13 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         check_joint(guess, model, int(joint.id))
     motors = [model.actuator(i).name for i in range(model.nu)]
     commands = [Guess(name, "actuators") for name in motors]
+    taken = [signal for guess in guesses for signal in guess.fields.values()]
+    bare = [s for s in signals if not tell_quantity(s) and s not in taken and not s.name]
     for servo in (True, False):
         chosen = [guess for i, guess in enumerate(commands) if is_servo(model, i) == servo]
         pool = [s for s in signals if is_control(s, servo)]
+        # As of joints: a column that is called like one of them, and nothing more.
+        pool += [s for s in bare if s not in pool and split_words(s.label) in [split_words(g.target) for g in chosen]]
         assign(chosen, [guess.target for guess in chosen], pool, "effort")
     for i, guess in enumerate(commands):
         driven = model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] == 0 else ""

@@ -6,6 +6,7 @@ to hypothesis by more than all other windows together.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -24,7 +25,8 @@ VISIBLE = 5.0
 WINDOW, RARE = 1.0, 0.25
 """Windows as long as the last horizon [s]: who strikes something in more than that share of them moves like that."""
 LIMIT = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
-SIDES = (LIMIT, mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
+TOUCHES = (mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS,)
+SIDES = (LIMIT, *TOUCHES)
 
 
 def mark_strikes(model: mujoco.MjModel, measured: Measurements) -> Measurements:
@@ -34,36 +36,40 @@ def mark_strikes(model: mujoco.MjModel, measured: Measurements) -> Measurements:
 
 
 def find_strikes(model: mujoco.MjModel, measured: Measurements) -> tuple[np.ndarray, list[str]]:
-    """Spans in which a rig of hinges and slides strikes something, (n, 2) s, and what is said of that, in one line.
+    """Spans in which a rig strikes something, as `spot_strikes`, unless it does all the time; and a line about them."""
+    spans, what = spot_strikes(model, measured, SIDES)
+    starts = np.arange(measured.start + LOOK_BACK, measured.end - WINDOW, STEP)
+    if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + WINDOW).mean() > RARE:
+        return np.zeros((0, 2)), []
+    when = ", ".join(f"{begin + SPAN * STEP:.1f}" for begin in spans[:, 0])
+    return spans, [f"strikes {', '.join(sorted(what))} at {when} s: windows there are left out"]
+
+
+def spot_strikes(model: mujoco.MjModel, measured: Measurements, sides: Sequence[int]) -> tuple[np.ndarray, set[str]]:
+    """Spans in which a rig of hinges and slides strikes something, (n, 2) s, and what.
 
     It does where it would be inside of something a step on, if it went on, or had come, as its poses tell.
 
     Args:
         model: that has the end stops, and the geoms that collide.
         measured: positions of all its joints; where one is not known nothing is found.
+        sides: MuJoCo's kinds of constraints that count.
     """
-    nothing = np.zeros((0, 2)), list[str]()
     tracks = measured.positions | measured.driven
     solid = model.jnt_limited.any() or (model.geom_contype.any() and model.geom_conaffinity.any()) or model.npair
     if not solid or model.nq != model.nv or set(tracks) != set(range(model.nv)):
-        return nothing
+        return np.zeros((0, 2)), set()
     time, reach = np.arange(measured.start, measured.end, STEP), SPAN * STEP
     pose = np.stack([np.interp(time, tracks[dof].time, tracks[dof].value) for dof in range(model.nv)], axis=1)
-    struck = find_struck(model, pose, np.array([tracks[dof].std for dof in range(model.nv)]))
+    struck = find_struck(model, pose, np.array([tracks[dof].std for dof in range(model.nv)]), sides)
     if not struck:
-        return nothing
+        return np.zeros((0, 2)), set()
     rows = np.array(list(struck))
-    breaks = np.flatnonzero(np.diff(rows) > 2 * SPAN) + 1
-    runs = np.split(time[rows], breaks)
-    spans = np.array([(run[0] - reach, run[-1] + reach) for run in runs])
-    starts = np.arange(measured.start + LOOK_BACK, measured.end - WINDOW, STEP)
-    if not len(starts) or touch(spans, starts - LOOK_BACK, starts + WINDOW).mean() > RARE:
-        return nothing
-    what, when = ", ".join(sorted(set().union(*struck.values()))), ", ".join(f"{run[0]:.1f}" for run in runs)
-    return spans, [f"strikes {what} at {when} s: windows there are left out"]
+    runs = np.split(time[rows], np.flatnonzero(np.diff(rows) > 2 * SPAN) + 1)
+    return np.array([(run[0] - reach, run[-1] + reach) for run in runs]), set().union(*struck.values())
 
 
-def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dict[int, set[str]]:
+def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray, kinds: Sequence[int]) -> dict[int, set[str]]:
     """What is struck in which rows of poses (n, nv), `STEP` apart, of noise `std` (nv,): row → names, in order."""
     model = look_ahead(model)
     data, found = mujoco.MjData(model), dict[int, set[str]]()
@@ -71,7 +77,7 @@ def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dic
     for row in range(SPAN, len(pose) - SPAN):
         data.qpos[:] = pose[row]
         mujoco.mj_fwdPosition(model, data)
-        sides = np.flatnonzero(np.isin(data.efc_type, SIDES))
+        sides = np.flatnonzero(np.isin(data.efc_type, kinds))
         clear, slope = data.efc_pos[sides], data.efc_J.reshape(-1, model.nv)[sides]
         noise = np.sqrt(2.0 * ((slope * std) ** 2).sum(axis=1)) / SPAN
         # Of the way there, as before, and of the way back, as after.

@@ -22,6 +22,7 @@ from vpptwin.diagnosis.evidence.flights import (
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
+from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
 from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
@@ -102,7 +103,21 @@ def diagnose(
             selection = impose_causes(material.search, causes)
         selection = replace(selection, fit=material.search.follow(selection.fit))
         selection = keep_better(material, selection) if causes is None else selection
-        return judge(spec, flights, material, selection, stage)
+        found = judge(spec, flights, material, selection, stage)
+        if causes is not None:
+            return found
+        if (blows := material.blows) is None:
+            blows = judge_blows(spec, material.measurements, found.values, stage, progress, criteria, make_twin)
+        return add_blows(found, blows)
+
+
+def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
+    """A diagnosis with what blows told, errors before as they are without that."""
+    values, held_out, verdict = found.values | blows.values, found.held_out, found.verdict
+    if blows.causes:
+        after, change = held_out.score(values), held_out.change(blows.nominal, values)
+        verdict = replace(verdict, before=held_out.score(blows.nominal), after=after, improvement=change)
+    return replace(found, verdict=blows.add_to(verdict), values=values)
 
 
 def return_memory() -> None:
@@ -124,11 +139,12 @@ def keep_better(material: Material, selection: Selection) -> Selection:
 
 @dataclass(frozen=True)
 class Material:
-    """What a diagnosis works on: the flights' measurements, windows that are fitted, and windows that judge."""
+    """What a diagnosis works on: the flights' measurements, windows that are fitted, windows that judge, and blows."""
 
     measurements: list[Measurements]
     search: Search
     held_out: HeldOut
+    blows: Findings | None  # what they told, where they come first
 
 
 def prepare(
@@ -141,6 +157,10 @@ def prepare(
     check_moving(measurements)
     spec, measurements = choose_window(spec, measurements)
     spec = scale_twin(spec, measurements)
+    blows = None
+    if strikes_on(spec, measurements):
+        blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin)
+        spec = spec.with_effects({**spec.effects, **blows.effects})
     window = spec.robot.window
     unknowns = list_unknowns(spec)
     judges: set[int] = set()
@@ -157,7 +177,7 @@ def prepare(
         bench.track = follow_motion(bench, {}).of(*bench.followed)
     search = Search(bench, unknowns)
     held_out = open_held_out(spec, measurements, split.held_out, progress, criteria, make_twin)
-    return Material(measurements, search, held_out)
+    return Material(measurements, search, held_out, blows)
 
 
 def is_followed(spec: TwinSpec) -> bool:

@@ -89,9 +89,9 @@ def is_told_apart(track: Track) -> bool:
 
 
 def draw_force(diagnosis: Diagnosis, effect_id: str) -> list[str]:
-    """The missing force against what the accused effect follows; nothing for sensors, which make no force."""
+    """The missing force against what the accused effect follows; nothing for sensors, and for contacts: none shows."""
     effect = find_effect(diagnosis.held_out.short.spec.catalogue, effect_id)
-    if effect.writes and set(effect.writes) <= set(PERFECT):
+    if effect.touching or (effect.writes and set(effect.writes) <= set(PERFECT)):
         return []
     found = plot_wrench(diagnosis.held_out, diagnosis.values, effect)
     return draw_wrench(found, effect_id, ("without it", "with it"))

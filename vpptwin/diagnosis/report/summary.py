@@ -212,6 +212,8 @@ def describe_gain(cause: Cause, chi2: float) -> str:
     if cause.gain > 1.0 and chi2 <= FLOOR:
         return f"{reduce} the error on held-out log, in which there was little beyond the assumed noise"
     share = f"{explain} {'all' if cause.gain > 1.0 else f'{100.0 * cause.gain:.0f} %'} of the error"
+    if cause.blows:
+        return f"{share} in {cause.blows} blows, each predicted from the others"
     if cause.gain_interval is not None and cause.gain_interval[0] <= 0.0:
         low, high = (100.0 * bound for bound in cause.gain_interval)
         return f"{share}, perhaps by chance (90 % interval {low:.0f} to {high:.0f} %)".replace("-", "−")
