@@ -174,8 +174,8 @@ class Criteria:
     worth_flying: float = by_hand(1.0, "sigma", "that an experiment must separate", "ff3d8cb")
 
     # Blows: what contacts do, which they alone show.
-    fewest_blows: int = assumed(6, "", "below which nothing is told: a test by signs and ranks could not", "issue 21")
-    by_chance: float = assumed(0.05, "", "chance at most that what is named foretells blows no better", "issue 21")
+    fewest_blows: int = assumed(6, "", "below which nothing is told", "issue 21")
+    by_chance: float = assumed(0.05, "", "odds at most against what is named foretelling blows better", "issue 21")
     eased: float = by_hand(0.2, "", "share of the error of blows that a cause must explain", "issue 21")
     nothing_left: float = by_hand(1.5, "", "chi² of blows, geometric mean, below which nothing is looked for",
         "issue 21")

@@ -22,24 +22,24 @@ NEAR = 0.03
 """Share of the rig's extent within which bodies are looked at: none moves farther in a step."""
 VISIBLE = 5.0
 """Standard deviations by which a distance must change over `SPAN`: what rests on something does not strike it."""
-WINDOW, RARE = 1.0, 0.25
-"""Windows as long as the last horizon [s]: who strikes something in more than that share of them moves like that."""
+RARE = 0.25
+"""Share of windows at most: who strikes something in more of them moves like that."""
 LIMIT = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
 TOUCHES = (mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS,)
 SIDES = (LIMIT, *TOUCHES)
 
 
-def mark_strikes(model: mujoco.MjModel, measured: Measurements) -> Measurements:
-    """The measurements with the spans in which the rig strikes something, and a warning of them."""
-    strikes, told = find_strikes(model, measured)
+def mark_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> Measurements:
+    """The measurements with the spans in which the rig strikes something, and a warning of them; windows in s."""
+    strikes, told = find_strikes(model, measured, window)
     return replace(measured, strikes=strikes, warnings=(*measured.warnings, *told))
 
 
-def find_strikes(model: mujoco.MjModel, measured: Measurements) -> tuple[np.ndarray, list[str]]:
+def find_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> tuple[np.ndarray, list[str]]:
     """Spans in which a rig strikes something, as `spot_strikes`, unless it does all the time; and a line about them."""
     spans, what = spot_strikes(model, measured, SIDES)
-    starts = np.arange(measured.start + LOOK_BACK, measured.end - WINDOW, STEP)
-    if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + WINDOW).mean() > RARE:
+    starts = np.arange(measured.start + LOOK_BACK, measured.end - window, STEP)
+    if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + window).mean() > RARE:
         return np.zeros((0, 2)), []
     when = ", ".join(f"{begin + SPAN * STEP:.1f}" for begin in spans[:, 0])
     return spans, [f"strikes {', '.join(sorted(what))} at {when} s: windows there are left out"]

@@ -72,7 +72,7 @@ def choose_window(spec: TwinSpec, measurements: Sequence[Measurements]) -> tuple
                 f"at least {robot.shortest_log:g} s",
                 "log a longer flight",
             )
-    measurements = [mark_strikes(spec.model, flight) for flight in measurements]
+    measurements = [mark_strikes(spec.model, flight, robot.window) for flight in measurements]
     usual = robot.window if robot.disturbance.known else find_steady(spec, measurements)
     shorter = range(max(round((usual - robot.shortest_window) / SEGMENT), 0) + 1)
     lengths = [round(usual - SEGMENT * i, 6) for i in shorter]

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import wilcoxon
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench, Key, MakeTwin
@@ -42,6 +41,8 @@ PHASE = 0.2
 """Radians of a contact's swing that pass in a step at most."""
 TRIED = 1.2
 """How far from the twin's own value a search begins, too, on the scale of the logarithm."""
+TELLS = 3.0
+"""Logarithm of odds that one blow gives at most."""
 FAINT = 0.003
 """How much being away from the twin's own values costs: of what blows do not tell these stay."""
 COMPLIANCE = "contact.compliance"
@@ -182,7 +183,7 @@ class Judge:
             if here.missed.mean() < np.log1p(self.criteria.nothing_left):
                 break
             tried = {e: self.explain(chosen | {e}) for e in self.suspects if e not in chosen}
-            chances = {e: tell_chance(here.missed - found.missed) * len(tried) for e, found in tried.items()}
+            chances = {e: weigh(here.missed - found.missed) * len(tried) for e, found in tried.items()}
             passed = [e for e in tried if chances[e] < self.criteria.by_chance and self.matters(chosen, e)]
             if not passed:
                 break
@@ -271,9 +272,9 @@ class Judge:
         """A cause with what might be there instead."""
         found, rest, rivals = self.explain(chosen), chosen - {effect}, []
         for other in self.suspects.keys() - chosen:
-            chance = tell_chance(self.explain(rest | {other}).missed - found.missed)
-            if chance > self.criteria.by_chance and self.matters(rest, other):
-                rivals.append(Rival(other, 0.5 * chance))
+            odds = weigh(self.explain(rest | {other}).missed - found.missed)
+            if odds > self.criteria.by_chance and self.matters(rest, other):
+                rivals.append(Rival(other, odds / (1.0 + odds)))
         sure = (1.0 - sum(rival.confidence for rival in rivals)) * (1.0 - doubt)
         own = self.suspects[effect]
         parameters = {
@@ -291,9 +292,7 @@ class Judge:
             strength = self.suspects[effect][0]
             parameter, nominal = strength.parameter, strength.nominal
             low, high = nominal / (1.0 + parameter.size), nominal * (1.0 + parameter.size)
-            if all(
-                tell_chance(look(values | {strength.key: end}) - now) < self.criteria.by_chance for end in (low, high)
-            ):
+            if all(weigh(look(values | {strength.key: end}) - now) < self.criteria.by_chance for end in (low, high)):
                 cleared.append(Cleared(effect, parameter.name, low, high, parameter.unit))
             else:
                 told = f"{parameter.name} of {low:.2g} or {high:.2g} predicts these {self.count} blows as well"
@@ -301,9 +300,13 @@ class Judge:
         return cleared, unseen
 
 
-def tell_chance(drop: np.ndarray) -> float:
-    """How probable it is that blows are predicted so much better, (K,), by chance: by signs and ranks."""
-    return float(wilcoxon(drop, alternative="greater").pvalue) if drop.any() else 1.0
+def weigh(drop: np.ndarray) -> float:
+    """Odds against errors of blows, log(1 + chi²), being smaller by `drop` (K,) by chance alone.
+
+    By as much as a blow's error goes down or up, and a factor of exp(`TELLS`) at most: what is left over of a blow is
+    no noise of sensors, and no blow decides.
+    """
+    return float(np.exp(-np.clip(drop, -TELLS, TELLS).sum()))
 
 
 def size_up(explained: Explained) -> float:

@@ -106,7 +106,7 @@ def diagnose(
         found = judge(spec, flights, material, selection, stage)
         if causes is not None:
             return found
-        if (blows := material.blows) is None:
+        if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
             blows = judge_blows(spec, material.measurements, found.values, stage, progress, criteria, make_twin)
         return add_blows(found, blows)
 
