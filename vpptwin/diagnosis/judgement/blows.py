@@ -280,7 +280,9 @@ class Judge:
         parameters = {
             u.parameter.name: Estimate(found.values[u.key], u.parameter.unit, found.std[u.key], u.nominal) for u in own
         }
-        sure, gain = min(sure, self.criteria.most_confident), self.share(rest, chosen)
+        floor = size_up(found) ** 2 < self.criteria.missed
+        sure = min(sure, self.criteria.most_confident if floor else self.criteria.suggested)
+        gain = self.share(rest, chosen)
         return Cause(effect, sure, parameters, gain, rivals, own[0].effect.summary, None, self.count)
 
     def clear(self, here: Explained, others: Iterable[str]) -> tuple[list[Cleared], list[Unseen]]:
