@@ -176,6 +176,7 @@ class Criteria:
     # Blows: what contacts do, which they alone show.
     fewest_blows: int = assumed(6, "", "below which nothing is told", "issue 21")
     by_chance: float = assumed(0.05, "", "odds at most against what is named foretelling blows better", "issue 21")
+    most_told: float = by_hand(3.0, "log odds", "that one blow gives at most: none decides alone", "issue 21")
     eased: float = by_hand(0.2, "", "share of the error of blows that a cause must explain", "issue 21")
     nothing_left: float = by_hand(1.5, "", "chi² of blows, geometric mean, below which nothing is looked for",
         "issue 21")

@@ -37,12 +37,10 @@ MOST, FOLDS = 48, 6
 ROUNDS, STEPS, AWAY, NEAR = 2, 60, 0.3, 0.1
 """How often what starting states do is measured anew; evaluations of a simplex for each parameter, and its
 size, at first and about what all blows gave."""
-PHASE = 0.2
-"""Radians of a contact's swing that pass in a step at most."""
+PHASE, FINEST = 0.2, 10.0
+"""Radians of a contact's swing that should pass in a step at most, and parts at most into which one is cut for that."""
 TRIED = 1.2
 """How far from the twin's own value a search begins, too, on the scale of the logarithm."""
-TELLS = 3.0
-"""Logarithm of odds that one blow gives at most."""
 FAINT = 0.003
 """How much being away from the twin's own values costs: of what blows do not tell these stay."""
 COMPLIANCE = "contact.compliance"
@@ -141,7 +139,7 @@ def judge_blows(
 def shorten_steps(spec: TwinSpec) -> TwinSpec:
     """The same twin with steps in which a blow swings by `PHASE` at most: its own may be too long to tell."""
     model = copy(spec.model)
-    model.opt.timestep /= max(np.ceil(tell_steps(model, {}) / PHASE), 1.0)
+    model.opt.timestep /= np.clip(np.ceil(tell_steps(model, {}) / PHASE), 1.0, FINEST)
     return spec.with_robot(model=model)
 
 
@@ -183,7 +181,7 @@ class Judge:
             if here.missed.mean() < np.log1p(self.criteria.nothing_left):
                 break
             tried = {e: self.explain(chosen | {e}) for e in self.suspects if e not in chosen}
-            chances = {e: weigh(here.missed - found.missed) * len(tried) for e, found in tried.items()}
+            chances = {e: self.weigh(here.missed - found.missed) * len(tried) for e, found in tried.items()}
             passed = [e for e in tried if chances[e] < self.criteria.by_chance and self.matters(chosen, e)]
             if not passed:
                 break
@@ -258,6 +256,13 @@ class Judge:
             minimize(cost, first, method="Nelder-Mead", bounds=bounds, options=options | {"fatol": 1e-4}).x
         )
 
+    def weigh(self, drop: np.ndarray) -> float:
+        """Odds of errors of blows, log(1 + chi²), being smaller by `drop` (K,) by chance alone.
+
+        By as much as each error goes down or up, `most_told` at most: what is left of one is no noise of sensors.
+        """
+        return float(np.exp(-np.clip(drop, -self.criteria.most_told, self.criteria.most_told).sum()))
+
     def share(self, without: frozenset[str], beside: frozenset[str]) -> float:
         """Share of the error that goes away with more effects, in blows that they were not fitted to."""
         return float(1.0 - np.exp((self.explain(beside).missed - self.explain(without).missed).mean()))
@@ -272,7 +277,7 @@ class Judge:
         """A cause with what might be there instead."""
         found, rest, rivals = self.explain(chosen), chosen - {effect}, []
         for other in self.suspects.keys() - chosen:
-            odds = weigh(self.explain(rest | {other}).missed - found.missed)
+            odds = self.weigh(self.explain(rest | {other}).missed - found.missed)
             if odds > self.criteria.by_chance and self.matters(rest, other):
                 rivals.append(Rival(other, odds / (1.0 + odds)))
         sure = (1.0 - sum(rival.confidence for rival in rivals)) * (1.0 - doubt)
@@ -294,21 +299,14 @@ class Judge:
             strength = self.suspects[effect][0]
             parameter, nominal = strength.parameter, strength.nominal
             low, high = nominal / (1.0 + parameter.size), nominal * (1.0 + parameter.size)
-            if all(weigh(look(values | {strength.key: end}) - now) < self.criteria.by_chance for end in (low, high)):
+            if all(
+                self.weigh(look(values | {strength.key: end}) - now) < self.criteria.by_chance for end in (low, high)
+            ):
                 cleared.append(Cleared(effect, parameter.name, low, high, parameter.unit))
             else:
                 told = f"{parameter.name} of {low:.2g} or {high:.2g} predicts these {self.count} blows as well"
                 unseen.append(Unseen(effect, told))
         return cleared, unseen
-
-
-def weigh(drop: np.ndarray) -> float:
-    """Odds against errors of blows, log(1 + chi²), being smaller by `drop` (K,) by chance alone.
-
-    By as much as a blow's error goes down or up, and a factor of exp(`TELLS`) at most: what is left over of a blow is
-    no noise of sensors, and no blow decides.
-    """
-    return float(np.exp(-np.clip(drop, -TELLS, TELLS).sum()))
 
 
 def size_up(explained: Explained) -> float:
@@ -319,10 +317,9 @@ def size_up(explained: Explained) -> float:
 def tell_steps(model: mujoco.MjModel, values: Mapping[Key, float]) -> float:
     """Radians of a contact's swing that pass in a step, which biases what is told of springs and dampers by as much."""
     own = np.concatenate([model.geom_solref[(model.geom_contype | model.geom_conaffinity) != 0], model.pair_solref])
-    stiffness = np.where(own[:, 0] > 0.0, 1.0 / np.prod(own, axis=1) ** 2, -own[:, 0]) * values.get(
-        (COMPLIANCE, "stiffness"), 1.0
-    )
-    return float(np.sqrt(stiffness.max()) * model.opt.timestep)
+    quick = np.maximum(np.prod(own, axis=1), 0.1 * model.opt.timestep)  # a damping ratio may be zero
+    stiffness = np.where(own[:, 0] > 0.0, quick**-2.0, -own[:, 0]).max() * values.get((COMPLIANCE, "stiffness"), 1.0)
+    return float(np.sqrt(stiffness) * model.opt.timestep)
 
 
 def name(unknowns: Iterable[Unknown], place: np.ndarray) -> dict[Key, float]:
