@@ -198,8 +198,7 @@ def test_bad_inspections_are_refused(
 def test_a_column_that_is_called_like_an_actuator_drives_it(tmp_path: Path) -> None:
     """And nothing more, as of joints; a position of that name stays one."""
     path = write_model(tmp_path / "m.xml", {"swing": None}, "motor")
-    model = mujoco.MjModel.from_xml_path(str(path))
-    path.write_text(path.read_text().replace(f'<motor name="{model.actuator(0).name}"', '<motor name="drive"'))
+    path.write_text(path.read_text().replace("<motor name='swing'", "<motor name='drive'"))
     model = mujoco.MjModel.from_xml_path(str(path))
     columns = {"time": TIME, "swing": SWING, "drive": np.sign(RATE)}
     joint, motor = guess_signals(model, survey(write_log(tmp_path / "l.csv", columns))[1])

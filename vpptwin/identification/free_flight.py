@@ -89,6 +89,9 @@ def parse_parameters(spec: TwinSpec, text: str) -> list[str]:
         if effect != name and name.rpartition(".")[2] not in known_parameters:
             found = f"--parameters: {effect} has no parameter {name.rpartition('.')[2]!r}"
             raise InputError(found, ", ".join(known_parameters), "rename it")
+        if find_effect(spec.catalogue, effect).touching:
+            found, expected = f"--parameters: {effect}, which blows alone show", "effects that show in all motion"
+            raise InputError(found, expected, "leave it out; `vpptwin diagnose` judges blows")
         if effect not in effects:
             effects.append(effect)
     if not effects:

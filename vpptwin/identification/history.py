@@ -166,7 +166,8 @@ def choose_causes(spec: TwinSpec, parameters: str | None) -> list[str]:
     if parameters is not None:
         return parse_parameters(spec, parameters)
     found = {name.rpartition(".")[0] for name in spec.intervals}
-    causes = [effect for effect in spec.effects if effect in found] or list(spec.effects)
+    shown = [effect for effect in spec.effects if not find_effect(spec.catalogue, effect).touching]
+    causes = [effect for effect in shown if effect in found] or shown
     if not causes:
         expected = "a twin with effects switched on, as `vpptwin diagnose` writes it"
         raise InputError(f"twin {spec.name} has no effects to follow", expected, "name some: --parameters IDS")

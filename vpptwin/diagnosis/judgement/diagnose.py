@@ -95,7 +95,7 @@ def diagnose(
     return_memory()
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria, make_twin)
+        material = prepare(spec, flights, stage, progress, criteria, make_twin, contacts=causes is None)
         spec = material.search.bench.spec
         if causes is None:
             selection = select_causes(material.search, material.held_out, stage)
@@ -149,16 +149,19 @@ class Material:
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
+    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False,
 ) -> Material:  # fmt: skip
-    """Cut flights into windows, choose those that judge, and linearise the twin about the others."""
+    """Cut flights into windows, choose those that judge, and linearise the twin about the others.
+
+    Where blows are not left out and `contacts` are looked for, the twin has what blows told of them.
+    """
     spec = turn_as_logged(spec, flights, criteria)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     spec, measurements = choose_window(spec, measurements)
     spec = scale_twin(spec, measurements)
     blows = None
-    if strikes_on(spec, measurements):
+    if contacts and strikes_on(spec, measurements):
         blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin)
         spec = spec.with_effects({**spec.effects, **blows.effects})
     window = spec.robot.window
