@@ -27,6 +27,7 @@ RECORDED = {
     "other_71207": "hidden_effects.py --rigs other --report benchmarks/results/other_71207.json",
     "other_96897": "hidden_effects.py --rigs other --report benchmarks/results/other_96897.json",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
+    "paper_method": "paper_table.py --report benchmarks/results/paper_table_paper.json",
 }
 """What prints a record's tables and draws its pictures."""
 PICTURES = {
@@ -119,6 +120,7 @@ def test_rates_are_those_of_the_record(name: str, least: int, folder: Path) -> N
         ("today", "loop.md", "close_the_loop_3e11904.json", 10),
         ("stuck", "loop.md", "close_the_loop_stuck.json", 3),
         ("paper_table", "train.md", "paper_table.json", 10),
+        ("paper_method", "train.md", "paper_table_paper.json", 3),
     ],
 )
 def test_tables_are_those_of_the_record(name: str, page: str, file: str, least: int, folder: Path) -> None:
