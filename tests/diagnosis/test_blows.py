@@ -93,7 +93,7 @@ def judge(tmp_path: Path, hidden: tuple[float, float, float], most: int = 99) ->
     logs = [log_hammer(tmp_path / "logs", seed, 4.0, 40.0, hidden) for seed in (1, 2)]
     spec, flights = read_hammer(tmp_path, logs)
     measured = [mark_strikes(spec.model, read_measurements(spec, flight)) for flight in flights]
-    begins = [list_blows(spec, flight, LEAD, LENGTH) for flight in measured]
+    begins = [list_blows(flight, LEAD, LENGTH) for flight in measured]
     measured = [
         replace(flight, end=min(b[:most][-1] + LENGTH + 0.01, flight.end)) for flight, b in zip(measured, begins)
     ]

@@ -182,7 +182,6 @@ class Criteria:
         "issue 21")
 
 
-
 # fmt: on
 
 

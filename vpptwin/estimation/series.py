@@ -52,6 +52,7 @@ class Measurements:
             (n, 4). Their `positions` are the angles that it has turned about its own axes since the first sample.
         clocks: topic → the clock that stamped it.
         strikes: spans in which the rig strikes something, which spoil windows, (n, 2) s.
+        blows: spans in which geoms strike each other, whether they spoil windows or not, (n, 2) s.
         warnings: what was left out, filled in or is lost, one line each.
     """
 
@@ -71,6 +72,7 @@ class Measurements:
     attitudes: dict[int, Series] = field(default_factory=dict)
     clocks: Mapping[str, Clock] = field(default_factory=dict)
     strikes: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    blows: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     warnings: tuple[str, ...] = ()
 
     @property

@@ -25,66 +25,70 @@ VISIBLE = 5.0
 RARE = 0.25
 """Share of windows at most: who strikes something in more of them moves like that."""
 LIMIT = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
-TOUCHES = (mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS,)
-SIDES = (LIMIT, *TOUCHES)
+SIDES = (LIMIT, mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
 
 
 def mark_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> Measurements:
     """The measurements with the spans in which the rig strikes something, and a warning of them; windows in s."""
-    strikes, told = find_strikes(model, measured, window)
-    return replace(measured, strikes=strikes, warnings=(*measured.warnings, *told))
+    strikes, told, blows = find_strikes(model, measured, window)
+    return replace(measured, strikes=strikes, blows=blows, warnings=(*measured.warnings, *told))
 
 
-def find_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> tuple[np.ndarray, list[str]]:
-    """Spans in which a rig strikes something, as `spot_strikes`, unless it does all the time; and a line about them."""
-    spans, what = spot_strikes(model, measured, SIDES)
-    starts = np.arange(measured.start + LOOK_BACK, measured.end - window, STEP)
-    if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + window).mean() > RARE:
-        return np.zeros((0, 2)), []
-    when = ", ".join(f"{begin + SPAN * STEP:.1f}" for begin in spans[:, 0])
-    return spans, [f"strikes {', '.join(sorted(what))} at {when} s: windows there are left out"]
+def find_strikes(
+    model: mujoco.MjModel, measured: Measurements, window: float = 1.0
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Spans in which a rig of hinges and slides strikes something, (n, 2) s, what is said of that, and blows.
 
-
-def spot_strikes(model: mujoco.MjModel, measured: Measurements, sides: Sequence[int]) -> tuple[np.ndarray, set[str]]:
-    """Spans in which a rig of hinges and slides strikes something, (n, 2) s, and what.
-
-    It does where it would be inside of something a step on, if it went on, or had come, as its poses tell.
+    It does where it would be inside of something a step on, if it went on, or had come, as its poses tell. Spans, and
+    the line about them, are empty where it does so all the time; blows are those between geoms, whatever their share.
 
     Args:
         model: that has the end stops, and the geoms that collide.
         measured: positions of all its joints; where one is not known nothing is found.
-        sides: MuJoCo's kinds of constraints that count.
+        window: of windows that they spoil [s].
     """
+    none = np.zeros((0, 2))
     tracks = measured.positions | measured.driven
     solid = model.jnt_limited.any() or (model.geom_contype.any() and model.geom_conaffinity.any()) or model.npair
     if not solid or model.nq != model.nv or set(tracks) != set(range(model.nv)):
-        return np.zeros((0, 2)), set()
-    time, reach = np.arange(measured.start, measured.end, STEP), SPAN * STEP
+        return none, [], none
+    time = np.arange(measured.start, measured.end, STEP)
     pose = np.stack([np.interp(time, tracks[dof].time, tracks[dof].value) for dof in range(model.nv)], axis=1)
-    struck = find_struck(model, pose, np.array([tracks[dof].std for dof in range(model.nv)]), sides)
-    if not struck:
-        return np.zeros((0, 2)), set()
-    rows = np.array(list(struck))
-    runs = np.split(time[rows], np.flatnonzero(np.diff(rows) > 2 * SPAN) + 1)
-    return np.array([(run[0] - reach, run[-1] + reach) for run in runs]), set().union(*struck.values())
+    struck = find_struck(model, pose, np.array([tracks[dof].std for dof in range(model.nv)]))
+    spans = join_rows(time, list(struck))
+    blows = join_rows(time, [row for row, sides in struck.items() if any(sides.values())])
+    starts = np.arange(measured.start + LOOK_BACK, measured.end - window, STEP)
+    if not len(spans) or not len(starts) or touch(spans, starts - LOOK_BACK, starts + window).mean() > RARE:
+        return none, [], blows
+    what, when = sorted(set().union(*struck.values())), ", ".join(f"{begin + SPAN * STEP:.1f}" for begin in spans[:, 0])
+    return spans, [f"strikes {', '.join(what)} at {when} s: windows there are left out"], blows
 
 
-def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray, kinds: Sequence[int]) -> dict[int, set[str]]:
-    """What is struck in which rows of poses (n, nv), `STEP` apart, of noise `std` (nv,): row → names, in order."""
+def join_rows(time: np.ndarray, rows: Sequence[int]) -> np.ndarray:
+    """Rows of poses at `time` (T,) s as spans, those near each other as one, (n, 2) s."""
+    runs = np.split(time[rows], np.flatnonzero(np.diff(rows) > 2 * SPAN) + 1) if rows else []
+    return np.array([(run[0] - SPAN * STEP, run[-1] + SPAN * STEP) for run in runs]).reshape(-1, 2)
+
+
+def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dict[int, dict[str, bool]]:
+    """What is struck in which rows of poses (n, nv), `STEP` apart, of noise `std` (nv,): row → names, in order.
+
+    And for each name whether geoms touch there: it is no end stop.
+    """
     model = look_ahead(model)
-    data, found = mujoco.MjData(model), dict[int, set[str]]()
+    data, found = mujoco.MjData(model), dict[int, dict[str, bool]]()
     moved = (pose[SPAN:] - pose[:-SPAN]) / SPAN
     for row in range(SPAN, len(pose) - SPAN):
         data.qpos[:] = pose[row]
         mujoco.mj_fwdPosition(model, data)
-        sides = np.flatnonzero(np.isin(data.efc_type, kinds))
+        sides = np.flatnonzero(np.isin(data.efc_type, SIDES))
         clear, slope = data.efc_pos[sides], data.efc_J.reshape(-1, model.nv)[sides]
         noise = np.sqrt(2.0 * ((slope * std) ** 2).sum(axis=1)) / SPAN
         # Of the way there, as before, and of the way back, as after.
         opening = np.stack([slope @ moved[row - SPAN], -slope @ moved[row]])
         hit = ((opening < -VISIBLE * noise) & (clear + opening <= 0.0)).any(axis=0)
         if hit.any():
-            found[row] = {name_side(model, data, side) for side in sides[hit]}
+            found[row] = {name_side(model, data, i): bool(data.efc_type[i] != LIMIT) for i in sides[hit]}
     return found
 
 

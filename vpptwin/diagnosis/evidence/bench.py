@@ -163,6 +163,11 @@ class Bench:
         ends = np.cumsum([c.value.shape[1] for c in self.channels])
         return [slice(int(end) - c.value.shape[1], int(end)) for c, end in zip(self.channels, ends)]
 
+    @cached_property
+    def of_poses(self) -> np.ndarray:
+        """Which columns are of positions and attitudes, (C B,) bool."""
+        return np.concatenate([np.full(c.value.shape[1], c.kind == "position") for c in self.channels])
+
     def residual(self, values: Mapping[Key, float]) -> np.ndarray:
         """Measured less predicted by a twin with `values`, (K, C B); 0 where nothing was measured.
 

@@ -26,7 +26,6 @@ from vpptwin.diagnosis.search.likelihood import measure_response, whiten_with
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.strikes import TOUCHES, spot_strikes
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -120,7 +119,7 @@ def judge_blows(
     clear = [replace(flight, strikes=np.zeros((0, 2))) for flight in measurements]
     rates = [len(s.time) / np.ptp(s.time) for flight in clear for s in flight.positions.values()]
     slow = max(SAMPLES / min(rates, default=np.inf) / LENGTH, 1.0)
-    starts = [list_blows(spec, flight, slow * LEAD, slow * LENGTH) for flight in clear]
+    starts = [list_blows(flight, slow * LEAD, slow * LENGTH) for flight in clear]
     count = sum(map(len, starts))
     if count < criteria.fewest_blows:
         reason = (
@@ -145,14 +144,14 @@ def shorten_steps(spec: TwinSpec) -> TwinSpec:
 
 def strikes_on(spec: TwinSpec, measurements: Sequence[Measurements]) -> bool:
     """Whether a rig strikes something so often that no windows are left out for it."""
-    flights = [m for m in measurements if not len(m.strikes)] if any(e.touching for e in spec.catalogue) else []
-    return any(len(spot_strikes(spec.model, flight, TOUCHES)[0]) for flight in flights)
+    suspected = any(effect.touching for effect in spec.catalogue)
+    return suspected and any(len(flight.blows) and not len(flight.strikes) for flight in measurements)
 
 
-def list_blows(spec: TwinSpec, flight: Measurements, lead: float, length: float) -> np.ndarray:
+def list_blows(flight: Measurements, lead: float, length: float) -> np.ndarray:
     """When windows of a length begin that hold a blow after `lead` [s], (K,) s; none of what comes in another's."""
     begins: list[float] = []
-    for begin in spot_strikes(spec.model, flight, TOUCHES)[0][:, 0] - lead:
+    for begin in flight.blows[:, 0] - lead:
         inside = flight.start + LOOK_BACK <= begin <= flight.end - length
         if inside and not (begins and begin < begins[-1] + length):
             begins.append(float(begin))
@@ -166,9 +165,7 @@ class Judge:
     def __init__(self, bench: Bench, suspects: Mapping[str, list[Unknown]], known: Mapping[Key, float]) -> None:
         self.bench, self.suspects, self.known, self.count = bench, suspects, dict(known), len(bench.windows)
         self.criteria = bench.criteria
-        self._pose = np.zeros(bench.valid.shape[1], bool)
-        for channel, columns in zip(bench.channels, bench.columns):
-            self._pose[columns] = channel.kind == "position"
+        self._pose = bench.of_poses
         self._freedom = np.maximum(bench.valid[:, self._pose].sum(axis=1) - 2 * bench.windows.free_dofs, 1)
         self._folds = np.arange(self.count) % FOLDS
         self._explained: dict[frozenset[str], Explained] = {}
@@ -177,7 +174,7 @@ class Judge:
         """Name what explains the blows, one after the other, as long as that predicts others."""
         chosen, doubt = frozenset[str](), dict[str, float]()
         while True:
-            here, tried = self.explain(chosen), dict[str, Explained]()
+            here = self.explain(chosen)
             if here.missed.mean() < np.log1p(self.criteria.nothing_left):
                 break
             tried = {e: self.explain(chosen | {e}) for e in self.suspects if e not in chosen}
@@ -222,12 +219,7 @@ class Judge:
 
     def look(self, values: Mapping[Key, float]) -> Look:
         """What tells how far off blows are, starting states doing what they do with `values`."""
-        response = measure_response(self.bench, values)
-        state = response.state[:, self._pose] * response.state_std
-        covariance = np.einsum("kmi,kni->kmn", state, state)
-        diagonal = np.arange(covariance.shape[1])
-        covariance[:, diagonal, diagonal] += self.bench.std[:, self._pose] ** 2
-        factor = np.linalg.cholesky(covariance)
+        factor = measure_response(self.bench, values).factor(self._pose)
 
         def look(values: Mapping[Key, float]) -> np.ndarray:
             missed = self.bench.residual(values)[:, self._pose]

@@ -65,9 +65,6 @@ class HeldOut:
         self._errors: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
         self._plain = short.about(None)
         self._tracks: dict[frozenset[tuple[Key, float]], tuple[Response, np.ndarray, Track]] = {}
-        self._pose = np.zeros(short.valid.shape[1], dtype=bool)
-        for channel, columns in zip(short.channels, short.columns):
-            self._pose[columns] = channel.kind == "position"
 
     @property
     def count(self) -> int:
@@ -228,17 +225,12 @@ class HeldOut:
 
     def chi2_by_window(self, values: Mapping[Key, float]) -> tuple[np.ndarray, np.ndarray]:
         """Squared pose residual over sensor variance and its degrees of freedom in every short window, (K,) each."""
-        pose, free = self._pose, self.short.windows.free_dofs
+        pose, free = self.short.of_poses, self.short.windows.free_dofs
         valid = self.short.valid[:, pose]
-        noise = self.short.std[:, pose]
         residual, found = self._plain.residual(values)[:, pose], []
         # What sticks leaves a wrong starting state no way out; a real slider yields.
         for response in (self.response(self.short.loosen(values)), self.response(values)):
-            state = response.state[:, pose] * response.state_std
-            covariance = np.einsum("kmi,kni->kmn", state, state)
-            diagonal = np.arange(covariance.shape[1])
-            covariance[:, diagonal, diagonal] += noise**2
-            found.append((whiten_with(np.linalg.cholesky(covariance), residual) ** 2).sum(axis=1))
+            found.append((whiten_with(response.factor(pose), residual) ** 2).sum(axis=1))
         squares = min(found, key=lambda square: float(square.sum()))
         return squares, valid.sum(axis=1) - 2 * free
 

@@ -52,10 +52,14 @@ class Response:
     @cached_property
     def sensor_factor(self) -> np.ndarray:
         """Lower Cholesky factors of R + J_x P J_xᵀ, (K, M, M)."""
-        scaled = self.state * self.state_std
+        return self.factor(slice(None))
+
+    def factor(self, columns: np.ndarray | slice) -> np.ndarray:
+        """The same of some of what is measured, (M,) bool or a slice of it."""
+        scaled = self.state[:, columns] * self.state_std
         sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
         diagonal = np.arange(sensor.shape[1])
-        sensor[:, diagonal, diagonal] += self.std**2
+        sensor[:, diagonal, diagonal] += self.std[:, columns] ** 2
         return np.linalg.cholesky(sensor)
 
     @cached_property
