@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at
+from vpptwin.engine.memory import array_at
 
 
 @njit
@@ -13,14 +13,14 @@ def look(
     numbers: int, table: int, words: int, halves: int, flags: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Copies of arrays at addresses; the second number is doubled where it lies."""
-    seen = float64_at(numbers, 3)
+    seen = array_at(numbers, (3,), np.float64)
     seen[1] *= 2.0
     return (
         seen.copy(),
-        float64_table_at(table, 2, 3).copy(),
-        int64_at(words, 2).copy(),
-        int32_at(halves, 3).copy(),
-        bool_at(flags, 4).copy(),
+        array_at(table, (2, 3), np.float64).copy(),
+        array_at(words, (2,), np.int64).copy(),
+        array_at(halves, (3,), np.int32).copy(),
+        array_at(flags, (4,), np.bool_).copy(),
     )
 
 
@@ -44,7 +44,7 @@ def test_arrays_at_addresses() -> None:
 def write_table(address: int, rows: int, values: np.ndarray) -> None:
     """Write the same row into all of a table."""
     for k in range(rows):
-        float64_table_at(address, rows, len(values))[k, :] = values
+        array_at(address, (rows, len(values)), np.float64)[k, :] = values
 
 
 def test_rows_are_written_in_place() -> None:

@@ -12,11 +12,11 @@ All functions are pure but for `memory`, a row of numbers of one rotor that is w
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import compute_drag_torque
 from vpptwin.actuators.numbers import MotorNumbers, Number, RotorNumbers, VehicleNumbers
 from vpptwin.actuators.servo import step_lag, take_up_play
+from vpptwin.engine.compile import compilable
 
 SPEED, TRIM, HALF_GAP, DRAG = range(4)
 """Estimates: rotor speed [rad/s], pitch offset of the linkage [rad], half its play [rad], drag over the map's."""
@@ -61,7 +61,7 @@ STUCK_STEPS, STUCK_THROTTLE = 50, 0.01
 """A current that is the same for so many steps while the throttle changes by so much is a stuck one."""
 
 
-@register_jitable
+@compilable()
 def estimate_pitch(
     rotor: RotorNumbers, motor: MotorNumbers, speed: Number, current: Number, acceleration: Number, drag: Number
 ) -> Number:
@@ -97,7 +97,7 @@ def start_memory(speed: float) -> np.ndarray:
     return memory
 
 
-@register_jitable
+@compilable()
 def find_fault(memory: np.ndarray, speed: float, current: float, throttle: float) -> None:
     """Look at a measurement of speed [rad/s] and current [A], and at the throttle that made it; write `memory[FAULT]`.
 
@@ -108,7 +108,8 @@ def find_fault(memory: np.ndarray, speed: float, current: float, throttle: float
     else:
         memory[HELD] = 0.0
         memory[LAST_THROTTLE] = throttle
-        memory[KEPT : KEPT + 13] = memory[TRIM : COVARIANCE + 10]
+        for i in range(13):
+            memory[KEPT + i] = memory[TRIM + i]
     stuck = memory[HELD] >= STUCK_STEPS and np.abs(throttle - memory[LAST_THROTTLE]) > STUCK_THROTTLE
     stuck = stuck or (memory[FAULT] == STUCK_CURRENT and memory[HELD] > 0.0)
     memory[LAST_CURRENT] = current
@@ -118,12 +119,13 @@ def find_fault(memory: np.ndarray, speed: float, current: float, throttle: float
         memory[FAULT] = NO_CURRENT
     elif stuck:
         memory[FAULT] = STUCK_CURRENT
-        memory[TRIM : COVARIANCE + 10] = memory[KEPT : KEPT + 13]  # what it has told meanwhile was nothing
+        for i in range(13):
+            memory[TRIM + i] = memory[KEPT + i]  # what it has told meanwhile was nothing
     else:
         memory[FAULT] = SOUND
 
 
-@register_jitable
+@compilable()
 def learn(
     vehicle: VehicleNumbers, memory: np.ndarray, speed: float, current: float, throttle: float, dt: float
 ) -> None:
@@ -166,7 +168,7 @@ def learn(
     update(memory, speed, memory[SPEED] + step * torque, (a, b, c, d), noise, doubt, dt)
 
 
-@register_jitable
+@compilable()
 def follow_linkage(vehicle: VehicleNumbers, memory: np.ndarray, dt: float) -> float:
     """Move the believed servo and blade on to the end of a step; how far the servo's horn went [rad]."""
     before = memory[HORN]
@@ -179,7 +181,7 @@ def follow_linkage(vehicle: VehicleNumbers, memory: np.ndarray, dt: float) -> fl
     return horn - before
 
 
-@register_jitable
+@compilable()
 def update(
     memory: np.ndarray, speed: float, predicted: float, row: tuple[float, float, float, float], noise: float,
     doubt: float, dt: float,
@@ -215,7 +217,7 @@ def update(
     p[9] += DRIFT[3] * DRIFT[3] * dt - k3 * u3
 
 
-@register_jitable
+@compilable()
 def correct_pitch(vehicle: VehicleNumbers, memory: np.ndarray, pitch: float) -> float:
     """Blade-pitch command [rad] that brings the blade to `pitch` [rad] in spite of offset and play of its linkage.
 

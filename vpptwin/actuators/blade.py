@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.numbers import Number, RotorNumbers
+from vpptwin.engine.compile import compilable
 
 NEWTON = 4
 """Steps from the straight line to the pitch that a bent map asks for."""
 
 
-@register_jitable
+@compilable()
 def is_straight(rotor: RotorNumbers) -> bool:
     """Whether the map is the paper's T = k_T ω α."""
     return rotor.k_t2 == 0.0 and rotor.k_t3 == 0.0 and rotor.inflow == 0.0 and rotor.thrust_power == 1.0
 
 
-@register_jitable
+@compilable()
 def shape_thrust(k_t: Number, k_t2: Number, k_t3: Number, inflow: Number, pitch: Number) -> Number:
     """Thrust per speed at blade pitch α [rad], N s/rad.
 
@@ -31,7 +31,7 @@ def shape_thrust(k_t: Number, k_t2: Number, k_t3: Number, inflow: Number, pitch:
     return pitch * (k_t + size * (k_t2 + size * k_t3))
 
 
-@register_jitable
+@compilable()
 def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     """Thrust [N] at speed [rad/s] and blade pitch [rad]; negative below zero pitch.
 
@@ -43,7 +43,7 @@ def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     return scale * shape_thrust(rotor.k_t, rotor.k_t2, rotor.k_t3, rotor.inflow, pitch)
 
 
-@register_jitable
+@compilable()
 def compute_drag_torque(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     """Drag torque D = k_D1 ω² + k_D2 ω² α² + k_D3 ω |α| [N m] (paper Eq. 5).
 
@@ -52,7 +52,7 @@ def compute_drag_torque(rotor: RotorNumbers, speed: Number, pitch: Number) -> Nu
     return speed * (rotor.k_d1 * speed + rotor.k_d2 * speed * pitch * pitch + rotor.k_d3 * np.abs(pitch))
 
 
-@register_jitable
+@compilable()
 def pitch_for_thrust(rotor: RotorNumbers, thrust: Number) -> Number:
     """Blade pitch [rad] that gives `thrust` [N] at the governed speed, within the pitch stops."""
     wanted = thrust / rotor.speed
@@ -70,7 +70,7 @@ def pitch_for_thrust(rotor: RotorNumbers, thrust: Number) -> Number:
     return np.minimum(np.maximum(pitch, -rotor.pitch_max), rotor.pitch_max)
 
 
-@register_jitable
+@compilable()
 def max_thrust(rotor: RotorNumbers) -> float:
     """Thrust of one rotor at the pitch stop and governed speed [N]."""
     return compute_thrust(rotor, rotor.speed, rotor.pitch_max)

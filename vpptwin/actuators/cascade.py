@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.actuators.numbers import Number, VehicleNumbers
+from vpptwin.engine.compile import compilable
 
 
-@register_jitable
+@compilable()
 def filter_gyro(vehicle: VehicleNumbers, filtered: Number, rate: Number) -> Number:
     """One inner step of the gyro low-pass [rad/s]."""
     return filtered + vehicle.control.gyro_filter * (rate - filtered)
 
 
-@register_jitable
+@compilable()
 def compute_torque(
     vehicle: VehicleNumbers, rate_command: Number, filtered: Number, previous: Number, dt: float
 ) -> Number:
@@ -24,7 +24,7 @@ def compute_torque(
     return vehicle.control.rate_kp * (rate_command - filtered) - vehicle.control.rate_kd * slope
 
 
-@register_jitable
+@compilable()
 def allocate(vehicle: VehicleNumbers, thrust: Number, torque: Number) -> tuple[Number, Number]:
     """Rotor thrusts f_1,2 = f/2 ∓ τ/(2 l) within what a rotor can give [N]; rate control wins over thrust.
 

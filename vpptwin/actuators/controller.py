@@ -7,19 +7,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.extending import register_jitable
-
 from vpptwin.actuators.adaptive import BLADE, DRAG, FAULT, NO_SPEED, SOUND, TRIM, correct_pitch, learn
 from vpptwin.actuators.blade import pitch_for_thrust
 from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
 from vpptwin.actuators.motor import hold_speed
 from vpptwin.actuators.numbers import VehicleNumbers
+from vpptwin.engine.compile import compilable
 
 Memory = Any
 """A record with `gyro`, `governor`, `throttle` and `adaptive` (see `vpptwin.actuators.layer.layer_dtype`)."""
 
 
-@register_jitable
+@compilable()
 def run_cascade(
     vehicle: VehicleNumbers, memory: Memory, thrust: float, rate: float, turn: float, speed: tuple[float, float],
     current: tuple[float, float], dt: float,
@@ -48,7 +47,7 @@ def run_cascade(
     return pitch_1, pitch_2
 
 
-@register_jitable
+@compilable()
 def drive_rotor(
     vehicle: VehicleNumbers, memory: Memory, i: int, thrust: float, speed: float, current: float, dt: float
 ) -> float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.adaptive import SIZE
 from vpptwin.actuators.controller import run_cascade
@@ -16,6 +15,7 @@ from vpptwin.actuators.motor import compute_current, step_speed
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.actuators.servo import limit_rate, read_delayed, step_lag, take_up_play
 from vpptwin.effects import UNLIMITED
+from vpptwin.engine.compile import compilable
 
 Record = Any
 """One row of a structured array: fields by name, written in place."""
@@ -90,7 +90,7 @@ def nominal_constants(lag: float, records: np.ndarray) -> dict[str, np.ndarray]:
     return nominal
 
 
-@register_jitable
+@compilable()
 def command_from_policy(
     vehicle: VehicleNumbers, state: Record, constants: Record, thrust: float, rate: float, turn: float, time: float,
     dt: float,
@@ -122,20 +122,20 @@ def command_from_policy(
     return run_cascade(vehicle, state, thrust, rate, measured, speed, current, dt)
 
 
-@register_jitable
+@compilable()
 def supply(constants: Record, time: Number) -> Number:
     """Share of its voltage that the battery still has at a time [s]."""
     return np.maximum(1.0 - constants["battery.sag"] * time, 0.0)
 
 
-@register_jitable
+@compilable()
 def push_commands(state: Record) -> None:
     """Make room for the commands issued now, at `state.newest` of the ring."""
     if state.history.shape[0] > 0:
         state.newest = (state.newest + 1) % state.history.shape[0]
 
 
-@register_jitable
+@compilable()
 def move_actuator(state: Record, constants: Record, i: int, command: float, dt: float) -> None:
     """Delay, lag limited in rate, play and trim: actuator i follows the command issued now for one step."""
     lag, rate, start = constants["actuator.time_constant"][i], constants["actuator.rate_limit"][i], state.horn[i]
@@ -158,7 +158,7 @@ def move_actuator(state: Record, constants: Record, i: int, command: float, dt: 
     state.output[i] = state.blade[i] + trim
 
 
-@register_jitable
+@compilable()
 def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int, time: float, dt: float) -> None:
     """Advance the speed of rotor i under its throttle, from `time` [s] since the battery was full."""
     voltage = state.throttle[i] * vehicle.motor.battery * supply(constants, time + 0.5 * dt)
@@ -168,14 +168,14 @@ def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int
     state.mean_speed[i] = 0.5 * (before + after)
 
 
-@register_jitable
+@compilable()
 def limit_control(constants: Record, i: int, control: float) -> float:
     """What the engine gets of actuator i: times its gain, within its limit."""
     limit = constants["actuator.limit"][i]
     return np.minimum(np.maximum(control * constants["actuator.gain"][i], -limit), limit)
 
 
-@register_jitable
+@compilable()
 def weaken_control(constants: Record, i: int, control: float, idle: float, time: float) -> float:
     """What a supply that sags leaves of it at a time [s], but for a dead band around `idle`, where it does nothing."""
     band, sag = constants["actuator.dead_band"][i], constants["actuator.sag"][i]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import compute_drag_torque
 from vpptwin.actuators.numbers import MotorNumbers, Number, RotorNumbers, choose
+from vpptwin.engine.compile import compilable
 
 GOVERNOR_KP = 0.08
 """Speed feedback [V s/rad]; the paper gives none, this holds 4500 rpm within 2 % through full pitch steps."""
@@ -14,13 +14,13 @@ GOVERNOR_KI = 0.5
 """Integral speed feedback [V/rad]."""
 
 
-@register_jitable
+@compilable()
 def compute_current(motor: MotorNumbers, voltage: Number, speed: Number) -> Number:
     """Motor current i = (V - ω/k_V)/R [A] (paper Eq. 7)."""
     return (voltage - speed / motor.k_v) / motor.resistance
 
 
-@register_jitable
+@compilable()
 def step_speed(
     motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch: Number, voltage: Number, drag_gain: Number,
     dt: float,
@@ -33,7 +33,7 @@ def step_speed(
     return np.maximum(speed + dt * accelerate_rotor(motor, rotor, middle, pitch, voltage, drag_gain), 0.0)
 
 
-@register_jitable
+@compilable()
 def accelerate_rotor(
     motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch: Number, voltage: Number, drag_gain: Number
 ) -> Number:
@@ -42,7 +42,7 @@ def accelerate_rotor(
     return (torque - drag_gain * compute_drag_torque(rotor, speed, pitch)) / rotor.inertia
 
 
-@register_jitable
+@compilable()
 def hold_speed(
     motor: MotorNumbers, rotor: RotorNumbers, speed: Number, pitch_command: Number, integral: Number, dt: float,
     drag_gain: Number = 1.0,

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.numbers import Number, choose
+from vpptwin.engine.compile import compilable
 
 TINY = 1e-300
 """Stands for a time constant of zero, which would divide by zero [s]."""
 
 
-@register_jitable
+@compilable()
 def step_lag(output: Number, command: Number, time_constant: Number, dt: float) -> tuple[Number, Number]:
     """First-order lag 1/(T s + 1) over one step with the command held (paper, System Identification, item 1).
 
@@ -32,7 +32,7 @@ def step_lag(output: Number, command: Number, time_constant: Number, dt: float) 
     return command - left * gap, command - ratio * (1.0 - left) * gap
 
 
-@register_jitable
+@compilable()
 def limit_rate(start: Number, end: Number, mean: Number, rate: Number, dt: float) -> tuple[Number, Number]:
     """Keep a move from `start` to `end` within `rate` [1/s]: its end and its mean over the step."""
     reach = rate * dt
@@ -40,13 +40,13 @@ def limit_rate(start: Number, end: Number, mean: Number, rate: Number, dt: float
     return limited, choose(limited == end, mean, 0.5 * (start + limited))
 
 
-@register_jitable
+@compilable()
 def take_up_play(blade: Number, horn: Number, gap: Number) -> Number:
     """Where a blade rests that a horn drags along through play of width `gap`."""
     return np.minimum(np.maximum(blade, horn - 0.5 * gap), horn + 0.5 * gap)
 
 
-@register_jitable
+@compilable()
 def read_delayed(history: np.ndarray, newest: int, delay: float, dt: float) -> tuple[float, float, float]:
     """What a command that arrives `delay` [s] late is in the coming step: first the older one, then the newer one.
 

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import count
 from pathlib import Path
 from pickle import UnpicklingError
 from secrets import randbits
-from typing import Any
+from typing import Any, TypeVar
 
 from numba import cfunc, njit
 from numba.core.bytecode import FunctionIdentity
+from numba.core.errors import NumbaError
+from numba.extending import register_jitable
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+# Arrays at addresses belong to nobody; that numba counts who uses them is a third of what there is to compile.
+NOT_COUNTED, UNCOUNTED = {"_nrt": False}, "NRT required but not enabled"
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that only compiled code calls."""
 KEPT = "__pycache__/*.nb?"
 """What numba keeps beside a file."""
+
+
+def compilable(forceinline: bool = False) -> Callable[[Function], Function]:
+    """A decorator for functions that compiled code may call; in Python they stay as they are."""
+    return register_jitable(forceinline=forceinline, **INNER)
 
 
 @cache
@@ -53,16 +66,39 @@ def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[C
 
     def make(function: Callable[..., Any]) -> Any:  # noqa: ANN401
         name_apart()
-        for _ in range(2 if keep else 0):
+        with uncollected():
             try:
-                return cfunc(signature, cache=True, **options)(function)
-            except (UnpicklingError, EOFError):  # a file was cut off: once more, without it
-                drop_cache(function)
-            except (RuntimeError, OSError):  # no folder that can be written, a full disk
-                break
-        return cfunc(signature, **options)(function)
+                return _make(function, signature, keep, options | NOT_COUNTED)
+            except NumbaError as error:  # it makes arrays of its own
+                if UNCOUNTED not in str(error):
+                    raise
+                return _make(function, signature, keep, options)
 
     return make
+
+
+def _make(function: Callable[..., Any], signature: Any, keep: bool, options: dict[str, Any]) -> Any:  # noqa: ANN401
+    """The C function of a Python one, from disk or kept there where that can be."""
+    for _ in range(2 if keep else 0):
+        try:
+            return cfunc(signature, cache=True, **options)(function)
+        except (UnpicklingError, EOFError):  # a file was cut off: once more, without it
+            drop_cache(function)
+        except (RuntimeError, OSError):  # no folder that can be written, a full disk
+            break
+    return cfunc(signature, **options)(function)
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """No garbage is looked for in the block: numba makes objects by the million, and keeps most."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def drop_cache(function: Callable[..., Any]) -> None:

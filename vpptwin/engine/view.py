@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba.extending import register_jitable
+
+from vpptwin.engine.compile import compilable
 
 GAIN_AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
 BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -150,7 +151,7 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
     )
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def foresee_actuators(view: View, exerted: np.ndarray) -> None:
     """Write what the actuators will exert under `view.ctrl`, (nv,) [N, N m], as the engine is about to compute it."""
     exerted[:] = 0.0
@@ -164,7 +165,7 @@ def foresee_actuators(view: View, exerted: np.ndarray) -> None:
             exerted[i] = min(max(exerted[i], view.joint_range[joint, 0]), view.joint_range[joint, 1])
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def find_idle(view: View, i: int) -> float:
     """The control at which a servo exerts nothing: where it is, how fast it is; 0 of what is no servo."""
     gain, stiffness, damping = view.gain[i, 0], view.bias[i, 1], view.bias[i, 2]
@@ -173,7 +174,7 @@ def find_idle(view: View, i: int) -> float:
     return -(view.bias[i, 0] + stiffness * view.length[i] + damping * view.velocity[i]) / gain
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def find_control(view: View, i: int) -> float:
     """The control of actuator i within its range."""
     control = view.ctrl[i]
@@ -182,7 +183,7 @@ def find_control(view: View, i: int) -> float:
     return control
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def find_force(view: View, i: int) -> float:
     """What actuator i would exert without a limit of its force."""
     gain = view.gain[i, 0]
@@ -194,7 +195,7 @@ def find_force(view: View, i: int) -> float:
     return force
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
     """Add to `exerted`, (nv,), what actuator i will exert by itself."""
     force = find_force(view, i)
@@ -204,7 +205,7 @@ def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
         exerted[view.moment_column[k]] += view.moment[k] * force
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def foresee_drag(view: View, drag: np.ndarray) -> None:
     """Write by how much joints are braked for every unit of velocity, (nv,): by damping and by actuators at them.
 

@@ -76,31 +76,31 @@ for k in range(steps):
 
 ENTRY = """
 def fly(address, begin, end, room):
-    context = carray(pointer_to(address), (1,), CONTEXT)[0]
-    addresses, static = int64_at(context.fields, 2 * {fields}), int64_at(context.static, {statics})
+    context = array_at(address, (1,), CONTEXT)[0]
+    addresses = array_at(context.fields, (2 * {fields},), np.int64)
+    static = array_at(context.static, ({statics},), np.int64)
     tree = Tree({tree})
     reach = Reach({reach})
-    rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
+    rig = Rig(array_at(context.active, ({places},), np.bool_), array_at(context.dry, ({nv},), np.float64), {carriage})
 {room}
     dt = timestep[0]
     for i in range(begin, end):
         shape = Shape({shape})
-        gravity = float64_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, 3)
-        gain = float64_table_at(addresses[{gain}] + addresses[{gain} + 1] * i, {nu}, {ngain})
-        bias = float64_table_at(addresses[{bias}] + addresses[{bias} + 1] * i, {nu}, {nbias})
-        force_range = float64_table_at(addresses[{force_range}] + addresses[{force_range} + 1] * i, {nu}, 2)
-        qpos = float64_at(context.state_qpos + {nv} * 8 * i, {nv})
-        qvel = float64_at(context.state_qvel + {nv} * 8 * i, {nv})
-        warmstart = float64_at(context.warmstart + {nv} * 8 * i, {nv})
-        clock = float64_at(context.time + 8 * i, 1)
+        gravity = array_at(addresses[{gravity}] + addresses[{gravity} + 1] * i, (3,), np.float64)
+        gain = array_at(addresses[{gain}] + addresses[{gain} + 1] * i, ({nu}, {ngain}), np.float64)
+        bias = array_at(addresses[{bias}] + addresses[{bias} + 1] * i, ({nu}, {nbias}), np.float64)
+        force_range = array_at(addresses[{force_range}] + addresses[{force_range} + 1] * i, ({nu}, 2), np.float64)
+        qpos = array_at(context.state_qpos + {nv} * 8 * i, ({nv},), np.float64)
+        qvel = array_at(context.state_qvel + {nv} * 8 * i, ({nv},), np.float64)
+        warmstart = array_at(context.warmstart + {nv} * 8 * i, ({nv},), np.float64)
+        clock = array_at(context.time + 8 * i, (1,), np.float64)
 {row}
-        kept_qpos = float64_table_at(context.qpos + steps * {nv} * 8 * i, steps if context.qpos else 0, {nv})
-        kept_qvel = float64_table_at(context.qvel + steps * {nv} * 8 * i, steps if context.qvel else 0, {nv})
-        kept_speed = float64_table_at(
-            context.rotor_speed + steps * {nu} * 8 * i, steps if context.rotor_speed else 0, {nu}
-        )
+        kept_qpos = array_at(context.qpos + steps * {nv} * 8 * i, (steps if context.qpos else 0, {nv}), np.float64)
+        kept_qvel = array_at(context.qvel + steps * {nv} * 8 * i, (steps if context.qvel else 0, {nv}), np.float64)
+        rows = steps if context.rotor_speed else 0
+        kept_speed = array_at(context.rotor_speed + steps * {nu} * 8 * i, (rows, {nu}), np.float64)
 {flight}
-        int64_at(context.stuck, i + 1)[i] = int(touches)
+        array_at(context.stuck, (i + 1,), np.int64)[i] = int(touches)
 """
 
 
@@ -139,10 +139,7 @@ def list_room(nbody: int, nv: int, nu: int, nc: int) -> dict[str, tuple[int, ...
 def array_at(address: str, array: np.ndarray | tuple[int, ...]) -> str:
     """The text of an array at an address."""
     shape, kind = (array, "float64") if isinstance(array, tuple) else (array.shape, array.dtype.name)
-    if len(shape) == 3:
-        return f"carray(pointer_to({address}), {shape}, np.float64)"
-    table = "_table" if len(shape) == 2 else ""
-    return f"{kind}{table}_at({address}, {', '.join(map(str, shape))})"
+    return f"array_at({address}, {shape}, np.{kind})"
 
 
 def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str) -> str:
@@ -166,7 +163,7 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
         room[name] = array_at(starts[name], size)
         offset += 8 * int(np.prod(size))
     lines += [f"{name} = {text}" for name, text in room.items() if "." not in name]
-    lines += [f"moment_flat = float64_at({starts['moment']}, {nu * nv})"]
+    lines += [f"moment_flat = array_at({starts['moment']}, ({nu * nv},), np.float64)"]
     lines += [f"at = Pose({', '.join(room[f'at.{name}'] for name in Pose._fields)})"]
     fields = []
     for i, name in enumerate(Shape._fields):

@@ -12,15 +12,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import carray, njit, types
+from numba import njit, types
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
-from vpptwin.engine.compile import KEPT, c_function
-from vpptwin.engine.memory import bool_at, float64_at, float64_table_at, int32_at, int64_at, pointer_to
+from vpptwin.engine.compile import INNER, KEPT, c_function
+from vpptwin.engine.memory import array_at
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.tree import FUNCTIONS, Pose, Reach, Shape, Tree
@@ -39,8 +39,6 @@ CONTEXT = np.dtype(
     )]
 )  # fmt: skip
 """Addresses of the arrays that a call works on (0 for none), and its numbers of steps and of force segments."""
-INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Options of functions that only compiled code calls."""
 COMPILING = "compiling the step of this rig, once, some 20 s"
 CALLS = {
     "step_drone": "step_drone(vehicle, rig, view, row, tape, k)",
@@ -49,28 +47,27 @@ CALLS = {
 """Inner steps of `vpptwin.twin.step` by name, as the callback calls them."""
 FLY = CFUNCTYPE(None, c_int64, c_int64, c_int64, c_int64)
 """A function that steps a range of simulations."""
-READERS = {np.float64: ("float64_at", 8), np.int32: ("int32_at", 4), np.bool_: ("bool_at", 1)}
 
 ROW = """\
-vehicle = carray(pointer_to(context.vehicle), (1,), VEHICLE)[0]
+vehicle = array_at(context.vehicle, (1,), VEHICLE)[0]
 row = Row(
-    carray(pointer_to(context.layer), (i + 1,), LAYER)[i],
-    carray(pointer_to(context.constants), (i + 1,), CONSTANTS)[i],
-    float64_at(context.parameters + {parameters} * 8 * i, {parameters}),
-    float64_at(context.memory + (2 + {nv}) * 8 * i, 2 + {nv}),
-    float64_at(context.effects + {states} * 8 * i, {states}),
-    float64_table_at(context.scratch + {scratch} * {nv} * 8 * i, {scratch}, {nv}),
+    array_at(context.layer, (i + 1,), LAYER)[i],
+    array_at(context.constants, (i + 1,), CONSTANTS)[i],
+    array_at(context.parameters + {parameters} * 8 * i, ({parameters},), np.float64),
+    array_at(context.memory + (2 + {nv}) * 8 * i, (2 + {nv},), np.float64),
+    array_at(context.effects + {states} * 8 * i, ({states},), np.float64),
+    array_at(context.scratch + {scratch} * {nv} * 8 * i, ({scratch}, {nv}), np.float64),
 )
 steps = context.steps
 commands = 1 if context.policy else steps
 tape = Tape(
     context.policy != 0,
-    float64_table_at(context.command + commands * {nu} * 8 * i, commands, {nu}),
-    float64_table_at(context.speed + steps * {nu} * 8 * i, steps if context.speed else 0, {nu}),
-    float64_table_at(context.throttle + steps * {nu} * 8 * i, steps if context.throttle else 0, {nu}),
-    float64_table_at(context.push + context.segments * {nv} * 8 * i, context.segments, {nv}),
-    float64_table_at(context.lead + steps * {nv} * 8 * i, steps if context.lead else 0, {nv}),
-    float64_at(context.driven, {nv}),
+    array_at(context.command + commands * {nu} * 8 * i, (commands, {nu}), np.float64),
+    array_at(context.speed + steps * {nu} * 8 * i, (steps if context.speed else 0, {nu}), np.float64),
+    array_at(context.throttle + steps * {nu} * 8 * i, (steps if context.throttle else 0, {nu}), np.float64),
+    array_at(context.push + context.segments * {nv} * 8 * i, (context.segments, {nv}), np.float64),
+    array_at(context.lead + steps * {nv} * 8 * i, (steps if context.lead else 0, {nv}), np.float64),
+    array_at(context.driven, ({nv},), np.float64),
     steps,
 )
 """
@@ -80,17 +77,17 @@ tape = Tape(
 # MuJoCo calls it in the middle of a step: passive forces and bias are there, actuators' and constraints' are to come.
 ENTRY = """
 def control(m, d):
-    model = carray(m, ({model_words},), np.int64)
+    model = array_at(m, ({model_words},), np.int64)
     if model[{nuserdata}] != {words}:
         return
-    data = carray(d, ({data_words},), np.int64)
-    marks = int64_at(data[{userdata}], {words})
+    data = array_at(d, ({data_words},), np.int64)
+    marks = array_at(data[{userdata}], ({words},), np.int64)
     if marks[0] != {mark}:
         return
-    context = carray(pointer_to(marks[1]), (1,), CONTEXT)[0]
+    context = array_at(marks[1], (1,), CONTEXT)[0]
     i = marks[2]
-    model_numbers, data_numbers = carray(m, ({model_words},), np.float64), carray(d, ({data_words},), np.float64)
-    data_halves = carray(d, ({data_words} * 2,), np.int32)
+    model_numbers, data_numbers = array_at(m, ({model_words},), np.float64), array_at(d, ({data_words},), np.float64)
+    data_halves = array_at(d, ({data_words} * 2,), np.int32)
     constraints, colliding = data_halves[{nefc}], data_halves[{ncon}] > 0
     gravity = model_numbers[{gravity} : {gravity} + 3]
     view = View(
@@ -98,27 +95,27 @@ def control(m, d):
 {view}
     )
 {row}
-    counter = int64_at(context.counter, i + 1)
+    counter = array_at(context.counter, (i + 1,), np.int64)
     k = counter[i]
     counter[i] = k + 1
     if context.qpos:
-        float64_table_at(context.qpos + steps * {nq} * 8 * i, steps, {nq})[k, :] = view.qpos
-        float64_table_at(context.qvel + steps * {nv} * 8 * i, steps, {nv})[k, :] = view.qvel
-    rig = Rig(bool_at(context.active, {places}), float64_at(context.dry, {nv}), {carriage})
+        array_at(context.qpos + steps * {nq} * 8 * i, (steps, {nq}), np.float64)[k, :] = view.qpos
+        array_at(context.qvel + steps * {nv} * 8 * i, (steps, {nv}), np.float64)[k, :] = view.qvel
+    rig = Rig(array_at(context.active, ({places},), np.bool_), array_at(context.dry, ({nv},), np.float64), {carriage})
     {step}
     if context.rotor_speed:
-        float64_table_at(context.rotor_speed + steps * {nu} * 8 * i, steps, {nu})[k, :] = row.layer.rotor_speed
+        array_at(context.rotor_speed + steps * {nu} * 8 * i, (steps, {nu}), np.float64)[k, :] = row.layer.rotor_speed
 """
 
 
 SIZES = np.dtype([("count", np.int64), ("steps", np.int64), ("dt", np.float64)])
 WARM_UP = """
 def warm_up(layer, constants, commands, sizes):
-    size = carray(pointer_to(sizes), (1,), SIZES)[0]
-    layers = carray(pointer_to(layer), (size.count,), LAYER)
-    known = carray(pointer_to(constants), (size.count,), CONSTANTS)
+    size = array_at(sizes, (1,), SIZES)[0]
+    layers = array_at(layer, (size.count,), LAYER)
+    known = array_at(constants, (size.count,), CONSTANTS)
     for i in range(size.count):
-        given = float64_table_at(commands + size.steps * {nu} * 8 * i, size.steps, {nu})
+        given = array_at(commands + size.steps * {nu} * 8 * i, (size.steps, {nu}), np.float64)
         for k in range(size.steps):
             push_commands(layers[i])
             for j in range({nu}):
@@ -225,10 +222,8 @@ def write_view(model: mujoco.MjModel) -> str:
         )
         field, dtype, size = table[name]
         address, count = f"{struct}[{offset(field) // 8}]", int(getattr(model, size))
-        if name in COLUMNS:
-            lines.append(f"        float64_table_at({address}, {count}, {COLUMNS[name]}),")
-        else:
-            lines.append(f"        {READERS[dtype][0]}({address}, {count}),")
+        shape = f"({count}, {COLUMNS[name]})" if name in COLUMNS else f"({count},)"
+        lines.append(f"        array_at({address}, {shape}, np.{np.dtype(dtype).name}),")
     return "\n".join(lines)
 
 
@@ -253,8 +248,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
         return njit(function, error_model="numpy", forceinline=inline, **INNER)
 
     namespace: dict[str, Any] = {
-        "__name__": __name__, "np": np, "carray": carray, "pointer_to": pointer_to, "float64_at": float64_at,
-        "float64_table_at": float64_table_at, "int64_at": int64_at, "int32_at": int32_at, "bool_at": bool_at,
+        "__name__": __name__, "np": np, "array_at": array_at,
         **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape, Seen)},
         **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
         "foresee_drag": foresee_drag,

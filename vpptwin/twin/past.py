@@ -8,12 +8,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
-from numba.extending import register_jitable
 
 from vpptwin.actuators.numbers import Number
 from vpptwin.arrays import Array, beside, library
 from vpptwin.effects import Effect
-from vpptwin.engine.compile import can_keep
+from vpptwin.engine.compile import can_keep, compilable
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def _look_back(
             pose[i, j], velocity[i, j] = _interpolate(p_0, p_1, v_0, v_1, u, period)
 
 
-@register_jitable
+@compilable()
 def _interpolate(p_0: Number, p_1: Number, v_0: Number, v_1: Number, u: Number, period: float) -> tuple[Number, Number]:
     """The cubic through a newer and an older pose with their velocities, a share `u` of the way back."""
     rest = 1.0 - u

@@ -30,17 +30,19 @@ TRACK = np.dtype(
 
 RECALL = """
 def recall_effects(address, begin, end, room):
-    track = carray(pointer_to(address), (1,), TRACK)[0]
-    rest = float64_table_at(track.rest, track.samples, {states})
-    qpos, qvel = float64_table_at(track.qpos, track.samples, {nq}), float64_table_at(track.qvel, track.samples, {nv})
-    time, first = float64_at(track.time, track.samples), bool_at(track.first, track.samples)
-    stops, active = int64_at(track.stops, track.marks), bool_at(track.active, {places})
-    dry, inertia = float64_at(track.dry, {nv}), float64_at(track.inertia, {nC})
-    lead_rest, scratch = float64_table_at(track.lead_rest, track.marks, {states}), float64_table_at(room, 4, {nv})
+    track = array_at(address, (1,), TRACK)[0]
+    rest = array_at(track.rest, (track.samples, {states}), np.float64)
+    qpos = array_at(track.qpos, (track.samples, {nq}), np.float64)
+    qvel = array_at(track.qvel, (track.samples, {nv}), np.float64)
+    time, first = array_at(track.time, (track.samples,), np.float64), array_at(track.first, (track.samples,), np.bool_)
+    stops, active = array_at(track.stops, (track.marks,), np.int64), array_at(track.active, ({places},), np.bool_)
+    dry, inertia = array_at(track.dry, ({nv},), np.float64), array_at(track.inertia, ({nC},), np.float64)
+    lead_rest = array_at(track.lead_rest, (track.marks, {states}), np.float64)
+    scratch = array_at(room, (4, {nv}), np.float64)
     for i in range(begin, end):
-        parameters = float64_at(track.parameters + {parameters} * 8 * i, {parameters})
-        states = float64_at(track.states + {states} * 8 * i, {states})
-        left = float64_table_at(track.left + track.marks * {states} * 8 * i, track.marks, {states})
+        parameters = array_at(track.parameters + {parameters} * 8 * i, ({parameters},), np.float64)
+        states = array_at(track.states + {states} * 8 * i, ({states},), np.float64)
+        left = array_at(track.left + track.marks * {states} * 8 * i, (track.marks, {states}), np.float64)
         mark = 0
         for k in range(track.samples):
             if first[k]:
@@ -49,9 +51,9 @@ def recall_effects(address, begin, end, room):
                 own = left[mark]
                 own[:] = states
                 at = track.lead_qpos + (track.lead + 1) * {nq} * 8 * mark
-                lead_qpos = float64_table_at(at, track.lead, {nq})
+                lead_qpos = array_at(at, (track.lead, {nq}), np.float64)
                 at = track.lead_qvel + (track.lead + 1) * {nv} * 8 * mark
-                lead_qvel = float64_table_at(at, track.lead, {nv})
+                lead_qvel = array_at(at, (track.lead, {nv}), np.float64)
                 for n in range(track.lead):
                     seen = Seen(time[k] + n * track.dt, track.dt, lead_qpos[n], lead_qvel[n], inertia)
                     recall(active, parameters, own, dry, seen, scratch)

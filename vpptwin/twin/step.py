@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.actuators.layer import (
@@ -22,6 +21,7 @@ from vpptwin.actuators.layer import (
 )
 from vpptwin.actuators.numbers import Number, VehicleNumbers
 from vpptwin.effects.base import Craft, Rotor
+from vpptwin.engine.compile import compilable
 from vpptwin.engine.view import View, find_idle, foresee_actuators
 from vpptwin.twin.friction import expand_inertia, rub
 
@@ -76,7 +76,7 @@ class Seen(NamedTuple):
 # The four functions that follow are a catalogue without effects; `vpptwin.twin.pipeline` puts others in their place.
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def shape_thrust(
     active: np.ndarray, parameters: np.ndarray, states: np.ndarray, thrust: Number, rotor: Rotor, dt: float
 ) -> Number:
@@ -84,7 +84,7 @@ def shape_thrust(
     return thrust
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def push_craft(
     active: np.ndarray, parameters: np.ndarray, states: np.ndarray, craft: Craft, dt: float
 ) -> tuple[Number, Number, Number]:
@@ -92,7 +92,7 @@ def push_craft(
     return 0.0, 0.0, 0.0
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def push_joints(
     active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | Seen, load: np.ndarray, lever: float,
     force: np.ndarray,
@@ -100,7 +100,7 @@ def push_joints(
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def muster_friction(
     active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View | Seen,
     load: np.ndarray, lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
@@ -114,7 +114,7 @@ def muster_friction(
     return forward.max() > 0.0
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     """Step k of a drone: command, servos, rotors, thrust, forces, friction; writes `view.ctrl` and `qfrc_applied`."""
     dt = view.timestep
@@ -185,7 +185,7 @@ def step_drone(vehicle: VehicleNumbers, rig: Rig, view: View, row: Row, tape: Ta
     row.memory[0] = on_rail + row.scratch[3, X]
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     """Step k of any other rig: command, actuators, forces, friction; writes `view.ctrl` and `view.qfrc_applied`."""
     push_commands(row.layer)
@@ -204,7 +204,7 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
     resist(rubs, view, row, k)
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def recall(
     active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, seen: Seen, scratch: np.ndarray
 ) -> None:
@@ -215,7 +215,7 @@ def recall(
     muster_friction(active, parameters, states, dry, seen, load, 0.0, forward, backward, force)
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
     """Add to `force`, (nv,), the disturbance of the tape and what leads driven joints along their tracks."""
     if len(tape.push) > 0:
@@ -226,13 +226,13 @@ def drive(view: View, tape: Tape, k: int, force: np.ndarray) -> None:
                 force[i] += tape.driven[i] * (tape.lead[k, i] - view.qvel[i]) / view.timestep
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def last_constraint(view: View, row: Row, k: int, i: int) -> float:
     """Force of the constraints on degree of freedom i in the step before step k [N, N m]."""
     return row.memory[2 + i] if k == 0 else view.qfrc_constraint[i]
 
 
-@register_jitable(forceinline=True)
+@compilable(forceinline=True)
 def resist(rubs: bool, view: View, row: Row, k: int) -> None:
     """Add dry friction, where something rubs, to the forces in `scratch[0]`, and hand them to the engine.
 
