@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from numba import types
 
 from vpptwin.engine import store
-from vpptwin.engine.compile import c_function, can_keep
+from vpptwin.engine.compile import c_function, can_keep, compilable
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.twin.pipeline import fingerprint
 
@@ -267,3 +268,58 @@ def test_compiles_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.
     assert compile_twice(tmp_path) == (0, 4.0)
     assert not list(tmp_path.rglob("*.nb?"))
     assert can_keep.__wrapped__() is False
+
+
+CALLS = """\
+@compilable(keep=True)
+def twice(x):
+    return 2.0 * x
+def more(x):
+    return 1.0 + twice(x)
+"""
+
+
+def compile_both(folder: Path) -> float:
+    """Compile a function that calls one that is kept for others, too; what it makes of 2."""
+    file = folder / "twice.py"
+    file.write_text(
+        "@compilable(keep=True)\ndef twice(x):\n    return 2.0 * x\ndef more(x):\n    return 1.0 + twice(x)\n"
+    )
+    namespace: dict = {"__name__": __name__, "compilable": compilable}
+    exec(compile(file.read_text(), str(file), "exec"), namespace)
+    return c_function(types.float64(types.float64))(namespace["more"]).ctypes(2.0)
+
+
+@pytest.mark.parametrize("pattern", ["twice.twice*.nbi", "twice.twice*.nbc"])
+def test_a_damaged_file_of_what_is_called_is_compiled_over(tmp_path: Path, pattern: str) -> None:
+    """What all rigs share is written anew where it was cut off."""
+    assert compile_both(tmp_path) == 5.0
+    (file,) = tmp_path.rglob(pattern)
+    whole = file.read_bytes()
+    for other in tmp_path.rglob("twice.more*.nb?"):
+        other.unlink()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert compile_both(tmp_path) == 5.0
+    assert len(file.read_bytes()) == len(whole)
+
+
+def test_a_full_disk_keeps_nothing_and_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither what is called nor what calls it is missed."""
+
+    def refuse(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.os.replace", refuse)
+    assert compile_both(tmp_path) == 5.0
+    assert not list(tmp_path.rglob("*.nb?"))
+
+
+def test_what_makes_arrays_compiles() -> None:
+    """An effect of a user's may make an array, whose users numba then counts."""
+
+    def total(x: float) -> float:
+        array = np.zeros(3)
+        array[1] = x
+        return array.sum()
+
+    assert c_function(types.float64(types.float64), keep=False)(total).ctypes(2.0) == 2.0

@@ -11,24 +11,21 @@ from pathlib import Path
 from pickle import UnpicklingError
 from secrets import randbits
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 from numba import cfunc, njit
 from numba.core.bytecode import FunctionIdentity
+from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 # Arrays at addresses belong to nobody; that numba counts who uses them is a third of what there is to compile.
-NOT_COUNTED, UNCOUNTED = {"_nrt": False}, "NRT required but not enabled"
+NOT_COUNTED = {"_nrt": False}
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of functions that only compiled code calls."""
 KEPT = "__pycache__/*.nb?"
 """What numba keeps beside a file."""
-
-
-def compilable(forceinline: bool = False) -> Callable[[Function], Function]:
-    """A decorator for functions that compiled code may call; in Python they stay as they are."""
-    return register_jitable(forceinline=forceinline, **INNER)
 
 
 @cache
@@ -43,6 +40,28 @@ def can_keep() -> bool:
 
 def _probe() -> None:
     """Nothing."""
+
+
+def compilable(forceinline: bool = False, keep: bool = False) -> Callable[[Function], Function]:
+    """A decorator for functions that compiled code may call; in Python they stay as they are.
+
+    Args:
+        forceinline: whether it always becomes part of what calls it.
+        keep: whether what is compiled of it is kept on disk for all rigs; it may use nothing of other files.
+    """
+
+    def make(function: Function) -> Function:
+        options: dict[str, Any] = {}
+        if keep and can_keep():
+            options = {"cache": True, "error_model": "numpy", **NOT_COUNTED}
+            _kept.append(function)
+        made: Function = register_jitable(forceinline=forceinline, **INNER, **options)(function)
+        return made
+
+    return make
+
+
+_kept: list[Callable[..., Any]] = []
 
 
 def name_apart() -> None:
@@ -69,9 +88,7 @@ def c_function(signature: Any, keep: bool = True, **options: Any) -> Callable[[C
         with uncollected():
             try:
                 return _make(function, signature, keep, options | NOT_COUNTED)
-            except NumbaError as error:  # it makes arrays of its own
-                if UNCOUNTED not in str(error):
-                    raise
+            except NumbaError:  # as it makes arrays of its own
                 return _make(function, signature, keep, options)
 
     return make
@@ -83,10 +100,12 @@ def _make(function: Callable[..., Any], signature: Any, keep: bool, options: dic
         try:
             return cfunc(signature, cache=True, **options)(function)
         except (UnpicklingError, EOFError):  # a file was cut off: once more, without it
-            drop_cache(function)
+            for kept in (function, *_kept):
+                drop_cache(kept)
         except (RuntimeError, OSError):  # no folder that can be written, a full disk
             break
-    return cfunc(signature, **options)(function)
+    with patch.object(Dispatcher, "enable_caching"):  # of what is called from it, too
+        return cfunc(signature, **options)(function)
 
 
 @contextmanager

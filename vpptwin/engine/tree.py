@@ -65,7 +65,7 @@ class Pose(NamedTuple):
 Vector = tuple[float, float, float]
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def rotate(turn: np.ndarray, x: float, y: float, z: float) -> Vector:
     """A vector of a body's axes in the world's; turn (9,)."""
     return (
@@ -75,13 +75,13 @@ def rotate(turn: np.ndarray, x: float, y: float, z: float) -> Vector:
     )
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> Vector:
     """Vector product."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def multiply(left: np.ndarray, right: np.ndarray, result: np.ndarray) -> None:
     """Product of two rotations, (9,) each; `result` is none of them."""
     for i in range(3):
@@ -89,7 +89,7 @@ def multiply(left: np.ndarray, right: np.ndarray, result: np.ndarray) -> None:
             result[3 * i + k] = left[3 * i] * right[k] + left[3 * i + 1] * right[3 + k] + left[3 * i + 2] * right[6 + k]
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def turn_about(turn: np.ndarray, axis: np.ndarray, sine: float, cosine: float) -> None:
     """Turn a body, (9,), about an axis of the world, (3,)."""
     for k in range(3):  # Rodrigues' formula on every column
@@ -101,7 +101,7 @@ def turn_about(turn: np.ndarray, axis: np.ndarray, sine: float, cosine: float) -
         turn[6 + k] = z * cosine + c_z * sine + axis[2] * along
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def shift_pull(spin: np.ndarray, twist: np.ndarray, pull: np.ndarray, x: float, y: float, z: float) -> None:
     """Acceleration of another point of a body, (3,), from that of one from which it is so far away."""
     t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], x, y, z)
@@ -112,7 +112,7 @@ def shift_pull(spin: np.ndarray, twist: np.ndarray, pull: np.ndarray, x: float, 
     pull[2] += t_z + s_z
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def place_bodies(tree: Tree, shape: Shape, qpos: np.ndarray, qvel: np.ndarray, gravity: np.ndarray, at: Pose) -> None:
     """Write where bodies and joints are and how bodies are accelerated by velocities alone, gravity upside down."""
     for i in range(3):  # the rest of the world's row is never written, and is zero
@@ -149,7 +149,7 @@ def place_bodies(tree: Tree, shape: Shape, qpos: np.ndarray, qvel: np.ndarray, g
                 pull[0], pull[1], pull[2] = pull[0] + 2.0 * c_x, pull[1] + 2.0 * c_y, pull[2] + 2.0 * c_z
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def point_arms(tree: Tree, at: Pose, body: int, x: float, y: float, z: float) -> None:
     """Write how the joints on the way to a body move a point of the world on it, and turn it, into `at.arm`."""
     j = tree.deepest[body]
@@ -165,7 +165,7 @@ def point_arms(tree: Tree, at: Pose, body: int, x: float, y: float, z: float) ->
         j = tree.before[j]
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def weigh_bodies(tree: Tree, shape: Shape, at: Pose, mass: np.ndarray, bias: np.ndarray) -> None:
     """Write the joint-space inertia, (nv, nv), and the forces of gravity and velocities, (nv,), as MuJoCo has them."""
     nv = len(bias)
@@ -222,7 +222,7 @@ def weigh_bodies(tree: Tree, shape: Shape, at: Pose, mass: np.ndarray, bias: np.
             mass[j, i] = mass[i, j]
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> None:
     """Write what a unit force of each actuator makes on each degree of freedom, (nu, nv)."""
     for i in range(len(tree.seat)):
@@ -244,7 +244,7 @@ def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> No
             j = tree.before[j]
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def solve_inertia(
     mass: np.ndarray, damping: np.ndarray, dt: float, dense: np.ndarray, force: np.ndarray, result: np.ndarray
 ) -> None:
@@ -279,7 +279,7 @@ class Reach(NamedTuple):
     stands: np.ndarray  # place, rotation and half sizes (of a ball the radius first) of what stands beside it, (P, 15)
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def is_clear(reach: Reach, qpos: np.ndarray, at: Pose) -> bool:
     """Whether no joint is at an end stop and no ball touches what it could touch; false, too, where numbers are not."""
     clear = True

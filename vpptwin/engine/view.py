@@ -151,7 +151,7 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
     )
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def foresee_actuators(view: View, exerted: np.ndarray) -> None:
     """Write what the actuators will exert under `view.ctrl`, (nv,) [N, N m], as the engine is about to compute it."""
     exerted[:] = 0.0
@@ -165,7 +165,7 @@ def foresee_actuators(view: View, exerted: np.ndarray) -> None:
             exerted[i] = min(max(exerted[i], view.joint_range[joint, 0]), view.joint_range[joint, 1])
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def find_idle(view: View, i: int) -> float:
     """The control at which a servo exerts nothing: where it is, how fast it is; 0 of what is no servo."""
     gain, stiffness, damping = view.gain[i, 0], view.bias[i, 1], view.bias[i, 2]
@@ -174,7 +174,7 @@ def find_idle(view: View, i: int) -> float:
     return -(view.bias[i, 0] + stiffness * view.length[i] + damping * view.velocity[i]) / gain
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def find_control(view: View, i: int) -> float:
     """The control of actuator i within its range."""
     control = view.ctrl[i]
@@ -183,7 +183,7 @@ def find_control(view: View, i: int) -> float:
     return control
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def find_force(view: View, i: int) -> float:
     """What actuator i would exert without a limit of its force."""
     gain = view.gain[i, 0]
@@ -195,7 +195,7 @@ def find_force(view: View, i: int) -> float:
     return force
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
     """Add to `exerted`, (nv,), what actuator i will exert by itself."""
     force = find_force(view, i)
@@ -205,7 +205,7 @@ def add_actuator_force(view: View, i: int, exerted: np.ndarray) -> None:
         exerted[view.moment_column[k]] += view.moment[k] * force
 
 
-@compilable(forceinline=True)
+@compilable(forceinline=True, keep=True)
 def foresee_drag(view: View, drag: np.ndarray) -> None:
     """Write by how much joints are braked for every unit of velocity, (nv,): by damping and by actuators at them.
 

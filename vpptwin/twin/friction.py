@@ -12,7 +12,7 @@ SETTLED = 1e-12
 """A sweep that changes no force by more than this share of the largest level ends the relaxation."""
 
 
-@compilable()
+@compilable(keep=True)
 def expand_inertia(
     inertia: np.ndarray, row_length: np.ndarray, row_start: np.ndarray, column: np.ndarray, damping: np.ndarray,
     dt: float, dense: np.ndarray,
@@ -33,7 +33,7 @@ def expand_inertia(
     return coupled
 
 
-@compilable()
+@compilable(keep=True)
 def invert_inertia(dense: np.ndarray, inverse: np.ndarray) -> None:
     """Write the inverse of a symmetric positive definite matrix; `dense` is overwritten. Both (nv, nv)."""
     n = len(dense)
@@ -53,7 +53,7 @@ def invert_inertia(dense: np.ndarray, inverse: np.ndarray) -> None:
                     inverse[k, j] -= factor * inverse[i, j]
 
 
-@compilable()
+@compilable(keep=True)
 def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, backward: float, dt: float) -> float:
     """Friction on one joint [N, N m]: what stops it at the end of the step, within what friction can muster.
 
@@ -70,7 +70,7 @@ def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, 
     return np.minimum(np.maximum(-inertia * velocity / dt - push, -forward), backward)
 
 
-@compilable()
+@compilable(keep=True)
 def rub(
     push: np.ndarray, velocity: np.ndarray, forward: np.ndarray, backward: np.ndarray, dense: np.ndarray,
     inverse: np.ndarray, coupled: bool, dt: float, friction: np.ndarray,

@@ -99,12 +99,18 @@ def control(m, d):
     k = counter[i]
     counter[i] = k + 1
     if context.qpos:
-        array_at(context.qpos + steps * {nq} * 8 * i, (steps, {nq}), np.float64)[k, :] = view.qpos
-        array_at(context.qvel + steps * {nv} * 8 * i, (steps, {nv}), np.float64)[k, :] = view.qvel
+        kept_qpos = array_at(context.qpos + steps * {nq} * 8 * i, (steps, {nq}), np.float64)
+        kept_qvel = array_at(context.qvel + steps * {nv} * 8 * i, (steps, {nv}), np.float64)
+        for j in range({nq}):
+            kept_qpos[k, j] = view.qpos[j]
+        for j in range({nv}):
+            kept_qvel[k, j] = view.qvel[j]
     rig = Rig(array_at(context.active, ({places},), np.bool_), array_at(context.dry, ({nv},), np.float64), {carriage})
     {step}
     if context.rotor_speed:
-        array_at(context.rotor_speed + steps * {nu} * 8 * i, (steps, {nu}), np.float64)[k, :] = row.layer.rotor_speed
+        kept_speed = array_at(context.rotor_speed + steps * {nu} * 8 * i, (steps, {nu}), np.float64)
+        for a in range({nu}):
+            kept_speed[k, a] = row.layer.rotor_speed[a]
 """
 
 

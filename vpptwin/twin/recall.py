@@ -46,10 +46,12 @@ def recall_effects(address, begin, end, room):
         mark = 0
         for k in range(track.samples):
             if first[k]:
-                states[:] = rest[k]
+                for j in range({states}):
+                    states[j] = rest[k, j]
             while mark < track.marks and stops[mark] == k:
                 own = left[mark]
-                own[:] = states
+                for j in range({states}):
+                    own[j] = states[j]
                 at = track.lead_qpos + (track.lead + 1) * {nq} * 8 * mark
                 lead_qpos = array_at(at, (track.lead, {nq}), np.float64)
                 at = track.lead_qvel + (track.lead + 1) * {nv} * 8 * mark
