@@ -56,6 +56,8 @@ WRITING = {
     "layouts": ["layouts", "out/layouts"],
 }
 """Commands that write, on one of two inputs."""
+OPENING = re.compile(r'File "[^"]*/vpptwin/__main__\.py", line \d+, in <module>\n +import ')
+"""The frame in which the program imports what its handlers of signals need."""
 MOMENT = re.compile(rb'20\d\d-\d\d-\d\d[T ][\d:.+Z-]*|<script id="commands".*?</script>', re.DOTALL)
 """A date, or a scene with meshcat's random ids: what differs from run to run of one command."""
 INPUTS = ({"LOG": "flip", "SEED": "1", "TWIN": "nominal"}, {"LOG": "steps", "SEED": "2", "TWIN": "typical"})
@@ -156,7 +158,7 @@ def finish(child: subprocess.Popen[bytes], folder: Path, kill: Kill | None = Non
         ended.problems.append(f"{peak / 1024:.0f} MB")
     said = ended.said = (folder / f"{name}stderr").read_text(errors="replace")
     trace = "Traceback" in said or "Exception ignored" in said
-    ours = f"{ROOT}/vpptwin/" in said.replace(f"{ROOT}/vpptwin/__init__.py", "")
+    ours = f"{ROOT}/vpptwin/" in OPENING.sub("", said.replace(f"{ROOT}/vpptwin/__init__.py", ""))
     starting = kill is not None and trace and not ours and "ignored" not in said  # Python itself, importing us
     if trace and not starting:
         ended.problems.append(said[-1500:])

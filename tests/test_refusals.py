@@ -48,6 +48,7 @@ CASES = (
     (rig(pre='<size memory="600M"/>'), JOINTS),
     (rig(joint=""), JOINTS),
     (rig(joint='<joint name="swing" axis="0 0 0"/>'), JOINTS),
+    (rig(joint='<joint name="swing" type="slide" axis="1e300 0 1"/>'), JOINTS),
     (rig(), ""),
     (rig(), "driven: {swing: /joint_states}"),
     (rig(inner=BOB), JOINTS),

@@ -75,6 +75,6 @@ for name in ("ab" if sys.argv[1] == "1" else "ba"):
     (tmp_path / "vpptwin" / "__main__.py").write_text(program)
     monkeypatch.setattr(soak, "ROOT", tmp_path)
     monkeypatch.setitem(soak.WRITING, "worse", ["SEED"])
-    found = soak.try_kills("worse", np.random.default_rng(1), tmp_path, 6)
+    found = soak.try_kills("worse", np.random.default_rng(1), tmp_path, 12)
     assert any("neither old nor new" in problem for problem in found)
     assert any("two runs" in problem for problem in soak.try_pair("worse", tmp_path))

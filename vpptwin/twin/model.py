@@ -61,6 +61,7 @@ def compile_model(
         check(model, path)
     check_size(model, path)
     check_engine(model, path)
+    check_inertia(model, path)
     return model
 
 
@@ -149,6 +150,22 @@ def check_engine(model: mujoco.MjModel, path: Path) -> None:
                 "gain fixed or affine and bias none or affine, such as motor, position and velocity",
                 "replace it: dry friction has to know its force beforehand",
             )
+
+
+def check_inertia(model: mujoco.MjModel, path: Path) -> None:
+    """Refuse joints that move nothing, such as one whose axis is too long for its length to be a number.
+
+    Raises:
+        InputError: if there is one.
+    """
+    inertia = np.diag(inertia_at_rest(model))
+    for dof in np.flatnonzero(~((inertia > 0.0) & np.isfinite(inertia)))[:1]:
+        joint = int(model.dof_jntid[dof])
+        raise InputError(
+            f"{path}: joint {model.joint(joint).name or joint} moves an inertia of {inertia[dof]:g}",
+            "bodies with mass below every joint, and axes of about unit length",
+            "correct the joint or its bodies",
+        )
 
 
 def inertia_at_rest(model: mujoco.MjModel) -> np.ndarray:
