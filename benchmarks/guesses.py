@@ -81,7 +81,7 @@ def score_rig(data: Path, name: str, scratch: Path) -> tuple[int, int, int, int]
     pattern, model, truth = RIGS[name]
     logs, count = sorted((data / name).glob(pattern)), [0, 0, 0]
     if truth is None:
-        for told in (each for log in logs for each in tell_body(survey(log)[1])):
+        for told in (each for log in logs for each in tell_body(survey(log)[1], name)):
             count[1 if not told.sure else 0 if any(re.match(known, told.text) for known in BODIES) else 2] += 1
         return len(logs), *count
     path = EXAMPLES / model if model else write_model(scratch / "arm.xml", dict(SO_ARM), "position")

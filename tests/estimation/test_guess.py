@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.guesses import RIGS, score_rig, write_model
 from vpptwin.cli import main
+from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import guess_signals
 from vpptwin.estimation.inspect import ask
 from vpptwin.logs.survey import survey
@@ -128,6 +129,35 @@ def test_targets_lead_positions(tmp_path: Path, asked: np.ndarray, sure: bool, p
     servo = guess_signals(model, survey(log)[1])[1]
     assert servo.sure == sure, (servo.reasons, servo.doubts)
     assert part in "; ".join([*servo.reasons, *servo.doubts])
+
+
+@pytest.mark.parametrize(("sign", "sure"), [(1.0, True), (-1.0, False)])
+def test_targets_of_speeds_are_held_against_slopes(tmp_path: Path, sign: float, sure: bool) -> None:
+    """`arm_target` is what a velocity servo called as its joint is asked for."""
+    path = write_model(tmp_path / "m.xml", {"arm": (-1.5, 1.5)}, "velocity")
+    log = write_log(tmp_path / "log.csv", {"time": TIME, "arm": SWING, "arm_target": sign * RATE})
+    _, servo = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(log)[1])
+    assert (servo.fields["effort"].label, servo.sure) == ("arm_target", sure)
+    assert "arm_target is " in "; ".join([*servo.reasons, *servo.doubts])
+
+
+@pytest.mark.parametrize("stem", ["cart_", ""])
+def test_a_body_on_wheels_is_known_by_its_name(tmp_path: Path, stem: str) -> None:
+    """Its height does not change; x, y and z that nothing names are no more than likely."""
+    body = "<body name='cart'><freejoint/><geom size='0.1' mass='1'/></body>"
+    (tmp_path / "m.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    turn = {
+        f"{stem}qw": np.cos(SWING / 2),
+        f"{stem}qx": 0.0 * TIME,
+        f"{stem}qy": 0.0 * TIME,
+        f"{stem}qz": np.sin(SWING / 2),
+    }
+    place = {f"{stem}x": SWING, f"{stem}y": np.cos(TIME), f"{stem}z": 0.0 * TIME + 0.1}
+    log = write_log(tmp_path / "log.csv", {"time": TIME, **place, **turn})
+    (cart,) = guess_bodies(mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml")), survey(log)[1])
+    assert [signal.field for signal in cart.vectors["position"]] == list(place)
+    assert [signal.field for signal in cart.vectors["attitude"]] == list(turn)
+    assert cart.sure == bool(stem), cart.doubts
 
 
 def test_a_target_says_its_unit(tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
 ROS_POSITIONS = [f"{columns['position']}." for columns in SPATIAL.values() if "position" in columns]
 """What vectors of positions are called in messages of poses."""
+NAMED = {"p", "pos", "position", "pose"}
+"""Words in names of positions besides the body's."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
 ANGLES = (("rad", 1.0), ("deg", UNITS["deg"][1]))
 GRAVITIES = (("m/s^2", 1.0), ("g", UNITS["g"][1]), ("mg", UNITS["mg"][1]))
@@ -55,7 +57,7 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess
     guesses = []
     for body_name, joint in find_floating(model).items():
         index, wanted = int(model.jnt_bodyid[joint]), ("position", "attitude")[int(model.jnt_type[joint] == BALL) :]
-        told = list(tell_body(signals))
+        told = list(tell_body(signals, body_name))
         sites = [model.site(i).name for i in range(model.nsite) if model.site_bodyid[i] == index]
         imus = [name for name in sites if "imu" in split_words(name)] or sites[: len(sites) == 1]
         body = Guess(body_name, "bodies")
@@ -96,7 +98,7 @@ def find_groups(signals: Sequence[Signal], axes: Sequence[str]) -> dict[str, lis
     return {stem: [group[axis] for axis in axes] for stem, group in groups.items() if len(group) == len(axes)}
 
 
-def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
+def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
     """What a body's signals are: position, attitude and rate, and, without a quantity, what shows the same."""
     attitudes = {}
     for stem, group in find_groups([s for s in signals if not is_commanded(s)], (*AXES, "w")).items():
@@ -107,7 +109,7 @@ def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
             text = f"attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)"
             yield Told("attitude", text, True, (group[3], *group[:3]))
     triples = find_groups([s for s in signals if not is_commanded(s)], AXES)
-    yield from tell_positions({stem: g for stem, g in triples.items() if stem + "q" not in attitudes})
+    yield from tell_positions({stem: group for stem, group in triples.items() if stem not in attitudes}, body)
     for stem, group in find_groups(signals, ("roll", "pitch", "yaw")).items():
         if attitudes and not any(is_commanded(signal) for signal in group):
             yield tell_angles(stem, group, next(iter(attitudes.values())))
@@ -119,12 +121,15 @@ def tell_body(signals: Sequence[Signal]) -> Iterator[Told]:
             yield tell_gravity(stem, group)
 
 
-def tell_positions(triples: Mapping[str, list[Signal]]) -> Iterator[Told]:
-    """Positions, each with the velocity that is its slope."""
+def tell_positions(triples: Mapping[str, list[Signal]], body: str) -> Iterator[Told]:
+    """Positions, by the name of the message or of the body, or each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
         if name in ROS_POSITIONS:
             yield Told("position", f"position: {stem}x, y, z, of a message of poses", True, tuple(group))
+        if split_words(body) == [word for word in split_words(name) if word not in NAMED]:
+            yield Told("position", f"position: {stem}x, y, z: its name", True, tuple(group))
+            continue
         if (
             name.rstrip("._")
             and not re.fullmatch(r"(.*[._])?p", name)

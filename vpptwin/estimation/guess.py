@@ -132,11 +132,12 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
     commands = [Guess(name, "actuators") for name in motors]
     taken = [signal for guess in guesses for signal in guess.fields.values()]
     bare = [s for s in signals if not tell_quantity(s) and s not in taken and not s.name]
-    for servo in (True, False):
-        chosen = [guess for i, guess in enumerate(commands) if is_servo(model, i) == servo]
-        pool = [s for s in signals if is_control(s, servo)]
-        # As of joints: a column that is called like one of them, and nothing more.
-        pool += [s for s in bare if s not in pool and split_words(s.label) in [split_words(g.target) for g in chosen]]
+    for asked in ("position", "velocity", "effort"):
+        chosen = [guess for i, guess in enumerate(commands) if tell_control(model, i) == asked]
+        pool = [s for s in signals if is_control(s, asked)]
+        # As of joints: a column that is called like one of them, and nothing more but that it was asked for.
+        called = [split_words(guess.target) for guess in chosen]
+        pool += [s for s in bare if s not in pool and [w for w in split_words(s.label) if w not in COMMANDED] in called]
         assign(chosen, [guess.target for guess in chosen], pool, "effort")
     for i, guess in enumerate(commands):
         driven = model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] == 0 else ""
@@ -145,18 +146,22 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
     return [*guesses, *commands]
 
 
-def is_control(signal: Signal, servo: bool) -> bool:
+def is_control(signal: Signal, kind: str) -> bool:
     """Whether a signal may be what a servo is asked for, or what a motor is driven by."""
+    if kind == "effort":
+        return signal.field == "effort" if signal.name else tell_quantity(signal) in ("effort", "drive")
     if signal.name:
-        return signal.field == ("position" if servo and is_commanded(signal) else "effort")
-    quantity = tell_quantity(signal)
-    return is_commanded(signal) and quantity in ("position", "") if servo else quantity in ("effort", "drive")
+        return signal.field == (kind if is_commanded(signal) else "effort")
+    return is_commanded(signal) and tell_quantity(signal) in (kind, "")
 
 
-def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator's control input is a position."""
+def tell_control(model: mujoco.MjModel, actuator: int) -> str:
+    """Which quantity an actuator's control input is: position or velocity of what it moves, or effort."""
+    stiffness, damping = model.actuator_biasprm[actuator, 1:3]
     affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-    return bool(affine and model.actuator_biasprm[actuator, 1] and not model.actuator_dynprm[actuator, INTEGRATES])
+    if affine and stiffness:
+        return "velocity" if model.actuator_dynprm[actuator, INTEGRATES] else "position"
+    return "velocity" if affine and damping and damping == -model.actuator_gainprm[actuator, 0] else "effort"
 
 
 def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:
@@ -309,12 +314,12 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         guess.doubts.append("no command in the log looks like it")
         return
     limits = model.actuator_ctrlrange[actuator] if model.actuator_ctrllimited[actuator] else None
-    length = ""
-    if is_servo(model, actuator) and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
+    kind, length = tell_control(model, actuator), ""
+    if kind == "position" and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
         length = name_length(model, model.actuator_trnid[actuator, 0])
         guess.units |= check_unit(guess, "effort", command, length)
     check_range(guess, "effort", UNITS[guess.units.get("effort", length)][1] if length else 1.0, limits, length)
-    if not is_servo(model, actuator):
+    if kind == "effort":
         if tell_quantity(command) == "drive":
             low, high = command.whole.low, command.whole.high
             guess.doubts.append(
@@ -323,8 +328,12 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         elif not command.name and not is_commanded(command):
             guess.doubts.append(f"{command.label} may be measured, not commanded")
     elif moved is not None:
-        correlation, lag = compare_lag(command, moved)
-        told = f"{moved.label} follows {command.label} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
+        if kind == "position":
+            correlation, lag = compare_lag(command, moved)
+            told = f"{moved.label} follows {command.label} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
+        else:
+            (correlation, share), lag = compare_slope(moved, command), 0.0
+            told = f"{command.label} is {share:.2f} of the slope of {moved.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
             guess.doubts.append("too little motion to see the joint follow")
         elif correlation < SLOPE or lag < 0.0:
