@@ -187,6 +187,18 @@ signals:
 MAP = "{topic: flight, effort: {path: pwm%d, polynomial: [0.0, 2.0e-6], voltage: {path: volts, nominal: 4.0}}}"
 
 
+def test_axes_that_never_change_are_believed_no_more_than_others(spec: TwinSpec) -> None:
+    """Odometry of what rolls on a floor has z = 0 and no roll or pitch: nobody measured them to the nanometre."""
+    flown = fly({}, 6.0, 3, gusts=0.0)
+    pose, yaw = flown.spatial["/pose"], 0.5 * np.sin(flown.spatial["/pose"].time)
+    pose["position"][:, 2] = 0.1
+    pose["attitude"][:] = np.stack([np.cos(0.5 * yaw), 0.0 * yaw, 0.0 * yaw, np.sin(0.5 * yaw)], axis=1)
+    measured = read_measurements(spec, flown)
+    moving = [measured.positions[dof].std for dof in (0, 1)]
+    assert measured.positions[2].std == max(moving) > 1e-5
+    assert measured.attitudes[3].std == measured.positions[5].std
+
+
 def test_a_table_of_columns_is_a_flight_too(tmp_path: Path) -> None:
     """Poses, rates, PWM at a battery that sags, in a lone CSV; where columns lie an extended twin says too."""
     write_twin(tmp_path)

@@ -178,6 +178,8 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
             track = Stream(stream.time, {name: values[:, axis] for name, values in columns.items()})
             name = spec.robot.name_dof(first + axis)
             found.add(first + axis, read_track(track, name, first == turn), label)
+        for kept in (found.positions, found.velocities):
+            share_noise(kept, range(first, first + 3))
     for axis in range(3):
         rate_seen = found.velocities.get(turn + axis)
         if gyro is not None and rate_seen is not None:
@@ -190,6 +192,15 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
     found.attitudes[turn] = Series(f"{tracked.name} attitude", "rad", time, attitude, std, white=False)
     for axis in range(3):  # all three or none: a spike in one is one in the attitude
         found.positions[turn + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)
+
+
+def share_noise(kept: dict[int, Series], dofs: range) -> None:
+    """Believe axes of a body that never change, as of one that rolls on a floor, no more than those that do."""
+    axes = {dof: kept[dof] for dof in dofs if dof in kept}
+    most = max((series.std for series in axes.values()), default=0.0)
+    for dof, series in axes.items():
+        if np.ptp(series.value) == 0.0:
+            kept[dof] = replace(series, std=most)
 
 
 def read_gyro(spec: TwinSpec, flight: Flight, joint: int, found: Found) -> Stream | None:
