@@ -34,6 +34,14 @@ def test_nothing_is_believed_better_than_a_tenth_of_its_share() -> None:
     assert estimate_noise(TIME, noisy, POSITION_SHARE) == pytest.approx(0.1 * POSITION_SHARE * (high - low))
 
 
+def test_a_wheel_errs_no_more_after_ten_turns() -> None:
+    """A hinge is believed by a share of one turn at most, a slide by one of all its way."""
+    stream = Stream(TIME, {"position": 30.0 * TIME + draw(1e-4)})
+    of_wheel, of_slide = (read_track(stream, "wheel", rotary)[0].std for rotary in (True, False))
+    assert of_wheel == pytest.approx(0.1 * POSITION_SHARE * 2.0 * np.pi)
+    assert of_slide == pytest.approx(0.1 * POSITION_SHARE * 0.98 * 30.0 * np.ptp(TIME), rel=1e-3)
+
+
 @pytest.mark.parametrize("smoothed", [PATH, PATH + np.convolve(draw(0.01), np.hanning(9) / 4.0, mode="same")])
 def test_what_somebody_smoothed_is_not(smoothed: np.ndarray) -> None:
     """A noise-free signal, or a smooth mean of some samples: the share of its range."""

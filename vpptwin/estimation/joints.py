@@ -138,7 +138,8 @@ def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series 
     late, apart = compare_streams(stream)
     # The one that runs behind was filtered: what is still apart is its fault.
     of_position, of_velocity = (None if late > 0.0 else apart), (None if late < 0.0 or apart is None else apart)
-    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, of_position)
+    widest = TURN if rotary else np.inf
+    noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, of_position, widest)
     position = Series(name, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
     if "velocity" not in stream.values:
         return position, None
@@ -317,7 +318,9 @@ def compare_streams(stream: Stream) -> tuple[float, float | None]:
     return late, after
 
 
-def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None) -> float:
+def estimate_noise(
+    time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None, widest: float = np.inf
+) -> float:
     """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
 
     Third differences remove what is smooth and leave the noise; but estimators smooth that away too. How far position
@@ -330,9 +333,10 @@ def estimate_noise(time: np.ndarray, value: np.ndarray, share: float, apart: flo
         value: (n,).
         share: of its range.
         apart: the disagreement; None for not known.
+        widest: range of the sensor: one that turns for ever errs no more in the tenth turn than in the first.
     """
     low, high = np.percentile(value, [1.0, 99.0])
-    floor = max(share * float(high - low), 1e-9)
+    floor = max(share * min(float(high - low), widest), 1e-9)
     if len(value) < MIN_SAMPLES:
         return floor
     spread = find_spread(value)
