@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
@@ -26,6 +27,12 @@ from vpptwin.twin.spec import TwinSpec
 CONTRADICTED = (
     "left out {}: the logs that were fitted ask for it, held-out log is predicted worse with it; one set of parameters "
     "may not fit all of these logs: diagnose them one by one"
+)
+STIFF = 0.99
+"""Least impedance (`solimp`) of an equality that couples as a gear does."""
+SOFT = (
+    "equality {} of the MJCF gives (solimp up to {:.4g}): if it is rigid, such as a gear or a linkage, "
+    'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
 UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
@@ -76,8 +83,9 @@ def conclude(
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
     cleared, unseen = judge_power(search, fit, fit.effects | alike)
     warnings = [*describe_turned(spec), *denied.values(), *(doubts[e].format(e) for e in sorted(doubts))]
-    if missed and guessed:
-        warnings += describe_weak_inputs(spec, measurements, criteria)
+    if missed:
+        warnings += describe_soft_couplings(spec.model)
+        warnings += describe_weak_inputs(spec, measurements, criteria) if guessed else []
     if selection.left_out:
         warnings.append(CONTRADICTED.format(" and ".join(sorted(selection.left_out))))
     warnings += filter(None, (describe_input_error(spec, find_effect(spec.catalogue, e)) for e in sorted(fit.effects)))
@@ -99,6 +107,12 @@ def conclude(
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
     )
+
+
+def describe_soft_couplings(model: mujoco.MjModel) -> list[str]:
+    """Equalities of an MJCF that give: MuJoCo's own softness lets joints that a gear couples part by millimetres."""
+    soft = np.flatnonzero(model.eq_active0 & (model.eq_solimp[:, 1] < STIFF))
+    return [SOFT.format(model.equality(int(i)).name or i, model.eq_solimp[i, 1]) for i in soft]
 
 
 def is_doubtful(search: Search, held_out: HeldOut, fit: Fit, unexplained: Unexplained, chi2: float) -> bool:
