@@ -285,6 +285,7 @@ def test_weak_motors_are_named(spec: TwinSpec, weak: tuple[int, ...], named: str
     assert verdict.after.chi2 - 1.0 < (verdict.before.chi2 - 1.0) / 3.0
 
 
+@pytest.mark.slow
 def test_what_tolerances_hide_is_told(spec: TwinSpec) -> None:
     """Motors up to 1.5 % apart, which any may be: none is accused, and those that explain the error are told."""
     hidden = {f"m{i}.gain": {"gain": gain} for i, gain in ((1, 0.985), (2, 0.99), (3, 1.012), (4, 1.015))}

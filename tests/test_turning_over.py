@@ -33,6 +33,7 @@ def fly_flips(hidden: Effects, seed: int, folder: Path) -> Flown:
     return Flown(hidden, {}, Wind(), rig, logs, f"VPPTWIN_SEED={read_seed()} pytest tests/test_turning_over.py")
 
 
+@pytest.mark.slow
 def test_an_asymmetry_of_either_sign_is_named_beside_weak_rotors(tmp_path: Path) -> None:
     """Drawn: rotors that lack a tenth of their thrust and differ by a tenth. Both are named, with their sizes.
 

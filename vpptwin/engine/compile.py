@@ -11,7 +11,6 @@ from pathlib import Path
 from pickle import UnpicklingError
 from secrets import randbits
 from typing import Any, TypeVar
-from unittest.mock import patch
 
 from numba import cfunc, njit
 from numba.core.bytecode import FunctionIdentity
@@ -104,8 +103,19 @@ def _make(function: Callable[..., Any], signature: Any, keep: bool, options: dic
                 drop_cache(kept)
         except (RuntimeError, OSError):  # no folder that can be written, a full disk
             break
-    with patch.object(Dispatcher, "enable_caching"):  # of what is called from it, too
+    with unkept():
         return cfunc(signature, **options)(function)
+
+
+@contextmanager
+def unkept() -> Iterator[None]:
+    """Nothing that is compiled in the block is looked for on disk or kept there, nor what is called from it."""
+    enable = Dispatcher.enable_caching
+    Dispatcher.enable_caching = lambda self: None  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        Dispatcher.enable_caching = enable  # type: ignore[method-assign]
 
 
 @contextmanager

@@ -109,6 +109,7 @@ def test_a_body_turns_as_logged_where_inputs_do_not_tell_what_turned_it(tmp_path
     assert (sorted(measured.positions), sorted(measured.velocities), list(measured.driven)) == ([0, 1, 2], [], [3])
 
 
+@pytest.mark.slow
 def test_weak_rotors_are_named_of_a_body_that_turns_as_logged(tmp_path: Path) -> None:
     """A fifth less thrust of all of them, or as much more weight, which are one there."""
     spec = load_twin(write_twin(tmp_path))
