@@ -197,6 +197,12 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     return described
 
 
+def list_followers(model: mujoco.MjModel) -> list[str]:
+    """Joints that an equality couples to another one, as a gear does, by the name of the one that follows."""
+    coupled = model.eq_active0.astype(bool) & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0)
+    return [model.joint(int(joint)).name for joint in model.eq_obj1id[coupled]]
+
+
 def find_free(model: mujoco.MjModel) -> list[int]:
     """Indices of the free joints."""
     return [int(i) for i in np.flatnonzero(model.jnt_type == FREE)]

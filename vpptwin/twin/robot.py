@@ -41,6 +41,7 @@ from vpptwin.twin.model import (
     find_meeting,
     group_rotors,
     is_driven,
+    list_followers,
     list_swung,
     tell_rotary,
     tells_mount,
@@ -274,8 +275,12 @@ class Robot:
     def hides(self, effect: Effect) -> bool:
         """Whether an effect cannot show: nothing touches in what is compared, bodies that are `turned` turn anyhow.
 
-        Then their gyros tell nothing, nor do rotors that are alike one by one.
+        Then their gyros tell nothing, nor do rotors that are alike one by one. What brakes or pushes a joint that
+        follows another by an equality cannot be told from the same there.
         """
+        sensed = effect.writes and all(name.startswith(("pose.", "rate.")) for name in effect.writes)
+        if not sensed and effect.target in list_followers(self.model):
+            return True
         if effect.touching or not self.signals.turned:
             return effect.touching
         bodies = {self.model.body(name).id for name in self.signals.turned}

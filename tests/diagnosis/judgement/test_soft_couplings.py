@@ -1,14 +1,20 @@
-"""Equalities of an MJCF that give, which is told where a twin is far off."""
+"""Equalities of an MJCF: what gives is told, what follows is no suspect, and noise is no load."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
+import numpy as np
 import pytest
 
+from vpptwin.diagnosis.evidence.forces import invert
 from vpptwin.diagnosis.judgement.conclusion import describe_soft_couplings
+from vpptwin.twin import load_twin
+from vpptwin.twin.model import list_followers
 
-FINGERS = """<mujoco><worldbody><body><joint name="left" type="slide"/><geom size="0.01" mass="0.2"/></body>
-<body><joint name="right" type="slide"/><geom size="0.01" mass="0.2"/></body></worldbody>
+FINGERS = """<mujoco><default><geom size="0.01" mass="0.2" contype="0"/><joint type="slide" axis="1 0 0"/></default>
+<worldbody><body><joint name="left"/><geom/></body><body><joint name="right"/><geom/></body></worldbody>
 <equality><joint joint1="right" joint2="left" %s/></equality></mujoco>"""
 
 
@@ -22,3 +28,23 @@ def test_soft_couplings_are_told(setting: str, told: str | None) -> None:
     """With MuJoCo's own softness or more; not where it is rigid, or does nothing."""
     lines = describe_soft_couplings(mujoco.MjModel.from_xml_string(FINGERS % setting))
     assert [line.split(":")[0] for line in lines] == ([] if told is None else [told])
+
+
+def test_what_follows_is_no_suspect(tmp_path: Path) -> None:
+    """Friction of the finger that follows is that of the one that leads; its encoder is its own."""
+    (tmp_path / "m.xml").write_text(FINGERS % "")
+    (tmp_path / "t.yaml").write_text("model: m.xml\nsignals: {joints: {left: /joint_states, right: /joint_states}}\n")
+    robot = load_twin(tmp_path / "t.yaml").robot
+    hidden = [effect.id for effect in robot.list_effects() if robot.hides(effect) and not effect.touching]
+    assert list_followers(robot.model) == ["right"]
+    assert {"right.coulomb", "right.viscous", "right.inertia"} <= set(hidden)
+    assert all(name.startswith("right.") for name in hidden)
+    assert not {"right.rate_scale", "right.delay"} & set(hidden)
+
+
+def test_noise_between_coupled_joints_is_no_load() -> None:
+    """Fingers of 0.2 kg that part by 10 um, which the coupling answers with newtons: 1 m/s^2 takes 0.2 N of either."""
+    model = mujoco.MjModel.from_xml_string(FINGERS % 'solimp="0.9999 0.9999 0.001" solref="0.004 1"')
+    inertial, _, missing = invert(model, np.array([[0.0, 1e-5]]), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 0)))
+    np.testing.assert_allclose(inertial, 0.2)
+    np.testing.assert_allclose(missing, 0.2)
