@@ -98,6 +98,13 @@ class Case:
         return self.found is not None and self.plan.known <= self.found.suspected
 
     @property
+    def owned(self) -> list[bool]:
+        """Of every hidden effect that is neither named nor in a group, whether it is said not to show in these logs."""
+        if self.found is None:
+            return []
+        return [effect in self.found.unseen for effect in sorted(self.plan.known - self.found.suspected)]
+
+    @property
     def wrong(self) -> list[str]:
         """Causes claimed of which neither they nor their group are there."""
         known = self.plan.known

@@ -12,8 +12,8 @@ from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import chain, islice
 from itertools import count as count_up
-from itertools import islice
 from pathlib import Path
 
 from hidden.campaign import open_pool
@@ -151,6 +151,7 @@ def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
         count("two effects, these logs tell both: both named", (c.all_named for c in clear_two), ">= 0.80"),
         count("two effects, these logs tell both: named or in groups", (c.all_suspected for c in clear_two)),
         count("two effects: both named", (c.all_named for c in two)),
+        count("missed effects: said not to show in these logs", chain(*(c.owned for c in cases))),
         count("confidently wrong", (bool(c.wrong) for c in cases if c.plan.kind != "alien"), "<= 0.02"),
         count("nothing hidden, jitter does not show: silent", (is_silent(c) for c in none if c.plan.quiet), ">= 0.98"),
         count("nothing hidden: silent", map(is_silent, none)),

@@ -1,4 +1,4 @@
-"""Equalities of an MJCF: what gives is told, what follows is no suspect, and noise is no load."""
+"""Equalities of an MJCF: what gives is told, what follows is no suspect, and noise is no load, of contacts neither."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ from vpptwin.twin.model import list_followers
 FINGERS = """<mujoco><default><geom size="0.01" mass="0.2" contype="0"/><joint type="slide" axis="1 0 0"/></default>
 <worldbody><body><joint name="left"/><geom/></body><body><joint name="right"/><geom/></body></worldbody>
 <equality><joint joint1="right" joint2="left" %s/></equality></mujoco>"""
+
+WHEEL = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 0.1"><joint type="slide" axis="1 0 0"/>
+<joint type="slide" axis="0 0 1"/><joint axis="0 1 0"/><geom type="sphere" size="0.1" mass="1"/></body></worldbody>
+</mujoco>"""
 
 
 @pytest.mark.parametrize(
@@ -48,3 +52,12 @@ def test_noise_between_coupled_joints_is_no_load() -> None:
     inertial, _, missing = invert(model, np.array([[0.0, 1e-5]]), np.zeros((1, 2)), np.ones((1, 2)), np.zeros((1, 0)))
     np.testing.assert_allclose(inertial, 0.2)
     np.testing.assert_allclose(missing, 0.2)
+
+
+def test_noise_of_a_wheel_on_the_ground_is_no_load() -> None:
+    """A ball that seems to slip by 10 mm/s, 10 um deep in the ground: what moves it is none of friction's newtons."""
+    model = mujoco.MjModel.from_xml_string(WHEEL)
+    pose, slips = np.array([[0.0, -1e-5, 0.0]]), np.array([[0.01, 0.0, 0.0]])
+    inertial, _, missing = invert(model, pose, slips, np.zeros((1, 3)), np.zeros((1, 0)))
+    np.testing.assert_allclose(inertial, 0.0)
+    np.testing.assert_allclose(missing, [[0.0, 9.81, 0.0]], atol=1e-12)

@@ -71,12 +71,12 @@ def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: 
 def invert(
     model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, control: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inertial, actuators' and missing force at n instants, (n, nv) each, as if no equality coupled joints.
+    """Inertial, actuators' and missing force at n instants, (n, nv) each, as if no equality or contact held anything.
 
-    A gear that is stiff would answer the noise of either side by a thousand times what moves the rig.
+    A stiff gear answers the noise of either side by a thousand times what moves the rig, a wheel that of slip.
     """
     model = copy(model)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
     data = mujoco.MjData(model)
     inertial, actuator, missing = (np.zeros_like(velocity) for _ in range(3))
     for i in range(len(pose)):
