@@ -9,8 +9,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from tests.diagnosis.fakes import lay_starts
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.conclusion import is_outweighed, is_unfelt, order_causes
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.judgement.conclusion import OUTWEIGHED, UNFELT, doubt_gain, order_causes
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
@@ -96,19 +98,35 @@ def test_one_window_that_is_disturbed_is_no_veto(after: list[float], farther: bo
 
 
 @pytest.mark.parametrize(
-    ("after", "gain", "outweighed"), [(140.0, 0.001, True), (140.0, 0.96, False), (0.9, 0.0, False)]
-)
-def test_what_explains_less_than_it_leaves_is_suggested(after: float, gain: float, outweighed: bool) -> None:
-    """A small cause beside a large one of 4600 times the noise, of which 140 stay: it may be what mends the large."""
-    assert is_outweighed(4600.0, after, gain) == outweighed
+    ("chi2", "errors", "doubt"),
+    [((144.6, 140.0), (9.0, 8.9), OUTWEIGHED), ((4600.0, 140.0), (9.0, 1.0), ""), ((0.9, 0.9), (9.0, 8.9), UNFELT),
+     ((3.76, 3.74), (9.0, 8.9), OUTWEIGHED), ((1.51, 1.49), (9.0, 8.9), OUTWEIGHED), ((1.02, 1.0), (9.0, 8.9), UNFELT),
+     ((2.2, 0.5), (9.0, 8.9), ""), ((0.78, 0.56), (260.0, 40.0), ""), ((0.78, 0.56), (9.0, 8.5), UNFELT)],
+)  # fmt: skip
+def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[float, float], doubt: str) -> None:
+    """More than it leaves, and more than noise makes: of chi², or of errors ahead where windows are short.
 
+    Squares of errors are in multiples of the noise's, in ten blocks alike.
+    """
 
-@pytest.mark.parametrize(
-    ("before", "gain", "unfelt"), [(3.76, 0.0065, True), (427916.0, 1e-4, False), (2.2, 1.7, False)]
-)
-def test_a_cause_that_noise_hides_is_unfelt(before: float, gain: float, unfelt: bool) -> None:
-    """Below the sensors' noise evidence tells of the model of noise; a ten thousandth of a large error is much."""
-    assert is_unfelt(before, gain, CRITERIA) == unfelt
+    class Judges(HeldOut):
+        """Errors and chi² that are given: off, on."""
+
+        criteria = CRITERIA
+
+        def __init__(self) -> None:
+            self._noise = {"m": np.ones(len(HORIZONS_S))}
+            self.long = cast(Any, SimpleNamespace(windows=lay_starts([3.0 * i for i in range(10)]).windows))
+
+        def chi2(self, values: Mapping[Any, float]) -> float:
+            """Held out."""
+            return chi2[len(values)]
+
+        def squares(self, values: Mapping[Any, float]) -> dict[str, np.ndarray]:
+            """Of positions."""
+            return {"m": np.full((10, len(HORIZONS_S)), errors[len(values)])}
+
+    assert doubt_gain(Judges(), {}, {KEY: 0.3}) == doubt
 
 
 def test_what_held_out_log_does_not_show_comes_last() -> None:

@@ -127,7 +127,7 @@ def test_a_share_is_between_nothing_and_all() -> None:
         cause = replace(SURE, gain=gain)
         assert describe_cause(cause, {}).endswith(" does not reduce the error on held-out log.")
     below = describe_cause(replace(SURE, gain=8e6), {}, chi2=0.9)
-    assert below.endswith("reduces the error on held-out log, in which there was little beyond the assumed noise.")
+    assert below.endswith("held-out log, in whose windows there was little beyond the assumed noise.")
     assert "%" not in below
     doubtful = replace(SURE, gain=0.12, gain_interval=(-0.05, 0.3))
     assert describe_cause(doubtful, {}).endswith(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.judgement.contradiction import weigh_causes
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import share_left
@@ -71,10 +71,8 @@ def conclude(
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        if guessed and is_unfelt(before.chi2, gain, criteria):
-            doubts.setdefault(effect, UNFELT)
-        if guessed and is_outweighed(before.chi2, after.chi2, gain):
-            doubts[effect] = OUTWEIGHED
+        if guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
+            doubts[effect] = doubt if doubt == OUTWEIGHED else doubts.get(effect, doubt)
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
         confidence = min(confidence, criteria.sober) if effect in denied else confidence
@@ -141,14 +139,13 @@ def order_causes(causes: Sequence[Cause], unconfirmed: Collection[str]) -> list[
     return sorted(causes, key=lambda cause: (cause.effect in unconfirmed, -cause.gain))
 
 
-def is_outweighed(before: float, after: float, gain: float) -> bool:
-    """Whether more of held-out chi² above the noise stays `after` than a cause explains, `gain` of that `before`."""
-    return after - 1.0 > gain * (before - 1.0)
-
-
-def is_unfelt(before: float, gain: float, criteria: Criteria) -> bool:
-    """Whether a cause, which explains `gain` of held-out chi² above the noise `before`, takes less away than noise."""
-    return gain * (before - 1.0) < criteria.felt
+def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[Key, float]) -> str:
+    """Why a cause, of a twin `without` it and one with all `values`, is but suggested by its gain; "" if it is more."""
+    after = held_out.chi2(values)
+    drop = held_out.chi2(without) - after
+    if after - 1.0 > drop:
+        return OUTWEIGHED
+    return "" if drop >= held_out.criteria.felt or held_out.feels(without, values) else UNFELT
 
 
 def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:

@@ -25,6 +25,8 @@ from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
+LEAST = 0.01
+"""Least excess chi² of which there are shares."""
 ALONE = 1.0 + 1e-6
 """Standard errors that a sum over windows has where one alone differs from zero, and rounding."""
 
@@ -163,6 +165,16 @@ class HeldOut:
         ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
         mean, error = tell_apart(np.nanmean(ratios, axis=0)[:, None])
         return float(-mean[0] / max(error[0], 1e-12))
+
+    def feels(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether errors of the pose up to `watched` ahead fall by as much as noise makes, and not by chance.
+
+        In short windows, whose starting states are fitted, those take up much of what such errors show.
+        """
+        (first, second), noise = map(self.squares, (before, after)), self._noise
+        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
+        drops = [(np.nanmean(first[n] - second[n], axis=0) / noise[n])[:near] for n in set(first) & {"m", "rad"}]
+        return bool(np.max(drops) > self.criteria.felt) and self.prefer(before, after) > self.criteria.sigmas_held_out
 
     def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
@@ -309,7 +321,7 @@ class HeldOut:
         sums = np.stack([sum_blocks(row[:, None], blocks) for row in (*squares, number)])
         drawn = resample(sums)[..., 0]
         drawn = np.concatenate([sums.sum(axis=1).T, drawn])
-        excess = np.maximum(drawn[:, 2] - drawn[:, 3], 1e-9 * drawn[:, 3])
+        excess = np.maximum(drawn[:, 2] - drawn[:, 3], LEAST * drawn[:, 3])
         share = (drawn[:, 0] - drawn[:, 1]) / excess
         low, high = np.quantile(share[1:], [0.05, 0.95])
         return float(share[0]), (float(low), float(high))

@@ -210,7 +210,7 @@ def describe_gain(cause: Cause, chi2: float) -> str:
     if not cause.gain > NOTHING:
         return f"{'do' if many else 'does'} not reduce the error on held-out log"
     if cause.gain > 1.0 and chi2 <= FLOOR:
-        return f"{reduce} the error on held-out log, in which there was little beyond the assumed noise"
+        return f"{reduce} the error on held-out log, in whose windows there was little beyond the assumed noise"
     share = f"{explain} {'all' if cause.gain > 1.0 else f'{100.0 * cause.gain:.0f} %'} of the error"
     if cause.blows:
         return f"{share} in {cause.blows} blows, each predicted from the others"
