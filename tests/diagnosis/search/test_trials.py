@@ -103,9 +103,9 @@ def test_secants_stop_at_a_bound_where_neither_way_has_room() -> None:
 
 
 def test_limits_are_tried_where_the_commands_run_into_them() -> None:
-    """|u| uniform on 0 to 1 exceeds 0.98, 0.9, 0.75 and 0.5 for 2, 10, 25 and 50 % of the time: 3 % less than those."""
+    """What |u| uniform on 0 to 1 has above L is (1 - L)^1.5 of its root mean square, from 1/128 of it to a half."""
     found = list_limits(CLIP, UNIFORM)
-    np.testing.assert_allclose(found, 0.97 * np.array([0.98, 0.9, 0.75, 0.5]), rtol=1e-4)
+    np.testing.assert_allclose(found, 1.0 - np.array(CUT) ** (2.0 / 3.0), rtol=1e-3)
 
 
 def test_rates_are_tried_by_how_long_the_commands_span_takes() -> None:
@@ -118,14 +118,14 @@ def test_limits_beyond_their_bounds_are_not_tried() -> None:
     """Commands ten times as small: rates under 0.5 rad/s and angles under 0.05 rad drop out; still ones try nothing."""
     small = command(0.1 * UNIFORM.windows.command)
     np.testing.assert_allclose(list_limits(RATE, small), 0.192 / np.array([0.03, 0.06, 0.12, 0.25]), rtol=1e-4)
-    np.testing.assert_allclose(list_limits(CLIP, small), 0.097 * np.array([0.98, 0.9, 0.75]), rtol=1e-4)
+    np.testing.assert_allclose(list_limits(CLIP, small), 0.1 - 0.1 * np.array(CUT[:5]) ** (2.0 / 3.0), rtol=1e-3)
     assert list_limits(RATE, command(np.zeros((2, 5, 1)))) == []
 
 
 def test_on_a_rig_that_nobody_knows_limits_cut_off_shares_of_their_own_input() -> None:
-    """What |u| uniform on 0 to 1 has above L has (1 - L)^1.5 of its root mean square; one input of two says nothing.
+    """One input of two says nothing of the other.
 
-    Nor does how often it is run into: of peaks of 4 for a thousandth of the time, beside a rest of 0.58, a limit of 2
+    Nor does how often a limit is run into: of peaks of 4 for a thousandth of the time, beside a rest of 0.58, a limit of 2
     cuts off 0.063, a ninth of all, and the four smallest shares less.
     """
     robot = SimpleNamespace(locate=lambda effect: SimpleNamespace(actuator=1))

@@ -20,7 +20,7 @@ MANY = 40
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
 CUT = tuple(0.5**halved for halved in range(7, 0, -1))
-"""What limits that are tried on a rig that nobody knows cut off an input, as shares of its root mean square."""
+"""What limits that are tried cut off an input, as shares of its root mean square."""
 
 
 @dataclass(frozen=True)
@@ -161,10 +161,8 @@ def list_limits(limit: Unknown, bench: Bench) -> list[float]:
         command = command[..., own]
     if limit.effect.follows == "command change":
         found = float(np.ptp(np.percentile(command, [2.0, 98.0]))) / np.array([0.03, 0.06, 0.12, 0.25, 0.5])
-    elif bench.guessed:
-        found = cut_off(command)
     else:
-        found = np.percentile(np.abs(command), [98.0, 90.0, 75.0, 50.0]) * 0.97
+        found = cut_off(command)
     return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
 
 
