@@ -109,23 +109,23 @@ def test_limits_are_tried_where_the_commands_run_into_them() -> None:
 
 
 def test_rates_are_tried_by_how_long_the_commands_span_takes() -> None:
-    """96 % of a uniform command of ±1 span 1.92; crossed in 30, 60, 120, 250 and 500 ms."""
+    """96 % of a uniform command of ±1 span 1.92; crossed in 15, 30, 60, 120, 250 and 500 ms."""
     found = list_limits(RATE, UNIFORM)
-    np.testing.assert_allclose(found, 1.92 / np.array([0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)
+    np.testing.assert_allclose(found, 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)
 
 
 def test_limits_beyond_their_bounds_are_not_tried() -> None:
     """Commands ten times as small: rates under 0.5 rad/s and angles under 0.05 rad drop out; still ones try nothing."""
     small = command(0.1 * UNIFORM.windows.command)
-    np.testing.assert_allclose(list_limits(RATE, small), 0.192 / np.array([0.03, 0.06, 0.12, 0.25]), rtol=1e-4)
-    np.testing.assert_allclose(list_limits(CLIP, small), 0.1 - 0.1 * np.array(CUT[:5]) ** (2.0 / 3.0), rtol=1e-3)
+    np.testing.assert_allclose(list_limits(RATE, small), 0.192 / np.array([0.015, 0.03, 0.06, 0.12, 0.25]), rtol=1e-4)
+    np.testing.assert_allclose(list_limits(CLIP, small), 0.1 - 0.1 * np.array(CUT[:6]) ** (2.0 / 3.0), rtol=1e-3)
     assert list_limits(RATE, command(np.zeros((2, 5, 1)))) == []
 
 
 def test_on_a_rig_that_nobody_knows_limits_cut_off_shares_of_their_own_input() -> None:
     """One input of two says nothing of the other.
 
-    Nor does how often a limit is run into: of peaks of 4 for a thousandth of the time, beside a rest of 0.58, a limit of 2
+    Nor does how often one is run into: of peaks of 4 for a thousandth of the time, beside a rest of 0.58, a limit of 2
     cuts off 0.063, a ninth of all, and the four smallest shares less.
     """
     robot = SimpleNamespace(locate=lambda effect: SimpleNamespace(actuator=1))
@@ -133,7 +133,7 @@ def test_on_a_rig_that_nobody_knows_limits_cut_off_shares_of_their_own_input() -
     bench = SimpleNamespace(windows=SimpleNamespace(command=both), guessed=True, spec=SimpleNamespace(robot=robot))
     found = list_limits(CLIP, bench)  # type: ignore[arg-type]
     np.testing.assert_allclose(found, 1.0 - np.array(CUT) ** (2.0 / 3.0), rtol=1e-3)
-    np.testing.assert_allclose(list_limits(RATE, bench), 1.92 / np.array([0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)  # type: ignore[arg-type]
+    np.testing.assert_allclose(list_limits(RATE, bench), 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)  # type: ignore[arg-type]
     peaks = np.where(np.arange(10000) % 1000 == 0, 4.0, np.linspace(-1.0, 1.0, 10000))
     assert sum(limit > 2.0 for limit in cut_off(peaks)) == 4
     assert not np.any(cut_off(np.zeros(9)))
@@ -163,7 +163,7 @@ def test_trials_switch_an_effect_on_at_every_place() -> None:
     unknowns += (Unknown(bias(PLACE), bias(PLACE).parameters[0], 0.0), CLIP)
     trials = list_trials(unknowns, UNIFORM)
     springs, limits = trials[:7], trials[7:]
-    assert [t.effect for t in trials] == ["rail.spring"] * 7 + ["servo.clip"] * 4
+    assert [t.effect for t in trials] == ["rail.spring"] * 7 + ["servo.clip"] * 7
     stiffness = effect.parameters[0].size
     for trial, rest in zip(springs, 0.48 * np.arange(-3, 4)):
         assert not trial.limit

@@ -160,7 +160,7 @@ def list_limits(limit: Unknown, bench: Bench) -> list[float]:
     if bench.guessed and (own := bench.spec.robot.locate(limit.effect).actuator) >= 0:
         command = command[..., own]
     if limit.effect.follows == "command change":
-        found = float(np.ptp(np.percentile(command, [2.0, 98.0]))) / np.array([0.03, 0.06, 0.12, 0.25, 0.5])
+        found = float(np.ptp(np.percentile(command, [2.0, 98.0]))) / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5])
     else:
         found = cut_off(command)
     return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
