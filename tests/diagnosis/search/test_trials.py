@@ -133,7 +133,8 @@ def test_on_a_rig_that_nobody_knows_limits_cut_off_shares_of_their_own_input() -
     bench = SimpleNamespace(windows=SimpleNamespace(command=both), guessed=True, spec=SimpleNamespace(robot=robot))
     found = list_limits(CLIP, bench)  # type: ignore[arg-type]
     np.testing.assert_allclose(found, 1.0 - np.array(CUT) ** (2.0 / 3.0), rtol=1e-3)
-    np.testing.assert_allclose(list_limits(RATE, bench), 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)  # type: ignore[arg-type]
+    rates = list_limits(RATE, bench)  # type: ignore[arg-type]
+    np.testing.assert_allclose(rates, 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)
     peaks = np.where(np.arange(10000) % 1000 == 0, 4.0, np.linspace(-1.0, 1.0, 10000))
     assert sum(limit > 2.0 for limit in cut_off(peaks)) == 4
     assert not np.any(cut_off(np.zeros(9)))
