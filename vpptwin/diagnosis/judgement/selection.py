@@ -382,12 +382,18 @@ def is_faint(search: Search, fit: Fit, effect: str) -> bool:
 
 
 def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool:
-    """Whether held-out windows alone show that a fit is better, where errors have the last word; else they need not."""
-    if not trusts_errors(search):
+    """Whether held-out windows alone show that a fit is better; they need not where errors have no last word.
+
+    Unless it has an effect for which a place was looked for: somewhere chance always is.
+    """
+    looked_for = {u.effect.id for u in search.unknowns if u.effect.placed} & (after.effects - before.effects)
+    if not trusts_errors(search) and not looked_for:
         return True
     gain, error = compare(search, held_out, before, after)
-    shown = gain > search.criteria.sigmas_held_out * error
-    return shown and (held_out.count < search.criteria.judges or held_out.prefer(before.values, after.values) > 0.0)
+    if gain <= search.criteria.sigmas_held_out * error:
+        return False
+    few = not trusts_errors(search) or held_out.count < search.criteria.judges
+    return few or held_out.prefer(before.values, after.values) > 0.0
 
 
 def find_near(search: Search, step: Step, effect: str) -> frozenset[str]:
