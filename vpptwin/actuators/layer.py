@@ -69,11 +69,11 @@ def constants_dtype(actuators: int, dofs: int) -> np.dtype:
         actuator.sag: of it 1/s. All (nu,).
         rotor.drag_gain: factor on drag torque. battery.sag: 1/s.
         Of what sensors say of every degree of freedom, (nv,): pose.delay, rate.delay: s. pose.drift, rate.drift: s/s.
-        pose.scale, rate.scale: factors. pose.offset: m, rad. rate.bias: m/s, rad/s.
+        pose.scale, rate.scale: factors. pose.offset: m, rad. rate.bias: m/s, rad/s. rate.turn: rad.
     """
     of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit", "dead_band", "sag")
     of_sensors = ("pose.delay", "pose.drift", "pose.offset", "pose.scale", "rate.delay", "rate.drift", "rate.bias",
-                  "rate.scale")  # fmt: skip
+                  "rate.scale", "rate.turn")  # fmt: skip
     return np.dtype(
         [
             *((f"actuator.{name}", np.float64, (actuators,)) for name in of_actuators),

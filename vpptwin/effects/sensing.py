@@ -105,18 +105,19 @@ def drift(sensor: Sensor, alike: tuple[str, ...] = ()) -> Effect:
 
 
 def misalignment(sensor: Sensor, dofs: Dofs, alike: tuple[str, ...] = ()) -> Effect:
-    """A marker body that is not aligned with what carries it, turned about one axis, or about the body's three."""
+    """A marker body, or a gyro, that is not aligned with what carries it: turned about one axis or the body's three."""
     names = ("angle",) if len(dofs) == 1 else AXES
     equation = "θ + angle" if len(dofs) == 1 else "attitude turned by (x, y, z)"
     parameters = [
         Parameter(name=name, unit="rad", off=0.0, low=-0.3, high=0.3, prior=Prior("normal", 0.0, 0.01), size=0.02,
-                  tolerance=0.002, source="assumption: marker body set by hand to 0.6 degrees")
+                  tolerance=0.002, source="assumption: set by hand to 0.6 degrees")
         for name in names
     ]  # fmt: skip
-    summary = f"{sensor.what} of a marker body that is not aligned"
-    return sensor.misread(
-        "misalignment", summary, equation, parameters, (("pose.offset", dofs),), alike, follows="position"
-    )
+    if not sensor.pose:
+        summary, about = f"{sensor.what} that is not aligned", "rates about axes turned by (x, y, z)"
+        return sensor.misread("misalignment", summary, about, parameters, (("rate.turn", dofs),), alike)
+    summary, places = f"{sensor.what} of a marker body that is not aligned", (("pose.offset", dofs),)
+    return sensor.misread("misalignment", summary, equation, parameters, places, alike, follows="position")
 
 
 def length_scale(sensor: Sensor, lengths: Dofs, rates: Dofs = (), alike: tuple[str, ...] = ()) -> Effect:
@@ -192,18 +193,20 @@ def late_joint(joint: str, dof: int) -> Effect:
 
 
 def effects_for_pose(body: str, dof: int, gyro: str) -> list[Effect]:
-    """`BODY.delay`, `.drift`, `.misalignment`, `.scale` of a free body's poses; `GYRO.bias`, `.scale` of an IMU on it.
+    """`BODY.delay`, `.drift`, `.misalignment`, `.scale` of a free body's poses; `GYRO.bias`, `.scale`, `.misalignment`.
 
     Rates that no gyro tells come with the poses.
     """
     moved, turned = (tuple(dof + i for i in part) for part in (LINEAR, ANGULAR))
     rates = moved if gyro else (*moved, *turned)
     poses = Sensor(body, f"poses of {body}", (*moved, *turned), rates, BODY_SHOWS[:1], body)
-    found = [*effects_for_clock(poses), misalignment(poses, turned), length_scale(poses, moved, moved)]
+    other = (f"{gyro}.misalignment",) if gyro else ()
+    found = [*effects_for_clock(poses), misalignment(poses, turned, other), length_scale(poses, moved, moved)]
     if not gyro:
         return found
     sensor = Sensor(gyro, f"the gyro {gyro}", rate=turned, shows=BODY_SHOWS[1:], target=gyro)
-    return [*found, rate_bias(sensor), rate_scale(sensor)]
+    aside = misalignment(sensor, turned, (f"{body}.misalignment",))
+    return [*found, rate_bias(sensor), rate_scale(sensor), aside]
 
 
 def effects_for_clock(sensor: Sensor) -> list[Effect]:

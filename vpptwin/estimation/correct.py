@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.manifold import rotate
-from vpptwin.twin.sensors import PERFECT, Constants, find_age
+from vpptwin.twin.sensors import PERFECT, Constants, find_age, turn_rates
 
 
 def is_perfect(sensors: Constants) -> bool:
@@ -34,6 +34,10 @@ def correct_measurements(measurements: Measurements, sensors: Constants) -> Meas
     velocities = {
         dof: correct(series, "rate", dof, errors["rate.bias"][dof]) for dof, series in measurements.velocities.items()
     }
+    for first in (first for first in measurements.attitudes if sensors["rate.turn"][0, first : first + 3].any()):
+        rates = np.stack([velocities[first + axis].value for axis in range(3)], axis=-1)
+        for axis, value in enumerate(turn_rates(sensors, rates, first, True).T):
+            velocities[first + axis] = replace(velocities[first + axis], value=value)
     attitudes = {}
     for first, series in measurements.attitudes.items():
         back = np.broadcast_to(-errors["pose.offset"][first : first + 3], (len(series.time), 3))

@@ -11,7 +11,7 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
-from vpptwin.estimation.series import Measurements, Series, integrate
+from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
 from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, integrate_input
@@ -172,7 +172,7 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
     gyro = read_gyro(spec, flight, joint, found)
     if gyro is not None:
         rate = np.stack([np.interp(stream.time, gyro.time, column) for column in gyro["rate"].T], axis=1)
-        angular["velocity"] = rate
+        angular["velocity"] = align_rates(stream.time, turned, rate)  # how noisy it is, not how it is mounted
     turn = dof + 3 if free else dof
     for first, columns in ((dof, linear), (turn, angular)):
         for axis in range(3) if columns else ():

@@ -9,6 +9,9 @@ import numpy as np
 
 from vpptwin.logs.clocks import Clock
 
+ALIGNED, FEWEST_STEPS = 0.25, 20
+"""Length of the steps [s] over which a gyro is compared with attitudes, and fewest of them."""
+
 
 @dataclass(frozen=True)
 class Series:
@@ -89,3 +92,19 @@ def integrate(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
     parts = np.cumsum(steps * (values[1:] + values[:-1]) / 2.0, axis=0)
     return np.concatenate((np.zeros((1, *values.shape[1:])), parts))
+
+
+def align_rates(time: np.ndarray, turned: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Rates (n, 3) about axes that may be turned, scaled and shifted, as attitudes have them that `turned` so, (n, 3).
+
+    By least squares over steps long enough for what attitudes miss to be small: 3 x 3 numbers and three biases.
+    """
+    at, given = np.arange(time[0], time[-1], ALIGNED), np.column_stack([integrate(rate, time), time, turned])
+    moved = np.diff(np.stack([np.interp(at, time, column) for column in given.T], axis=1), axis=0)
+    steps, told = moved[:, :4], moved[:, 4:]
+    if len(steps) < FEWEST_STEPS or np.linalg.matrix_rank(steps) < 4:
+        return rate
+    weight = 1.0 / np.maximum(np.linalg.norm(told - steps[:, :3], axis=1, keepdims=True), 1e-9)
+    weight = np.minimum(weight / np.median(weight), 1.0)  # an attitude that jumps does not decide
+    found = np.linalg.lstsq(weight * steps, weight * told, rcond=None)[0]
+    return np.asarray(rate @ found[:3] + found[3])

@@ -2,8 +2,8 @@
 
 A coordinate stamped t shows what it was at t - pose.delay - pose.drift * t, times pose.scale plus pose.offset; a
 rate likewise what it was by rate.delay and rate.drift, times rate.scale plus rate.bias. Attitudes are turned by
-pose.offset, about the body's axes. In flight nothing shows the future: where a slow clock asks for it, the present is
-what there is.
+pose.offset, about the body's axes, and so are the axes of a gyro by rate.turn. In flight nothing shows the future:
+where a slow clock asks for it, the present is what there is.
 
 Constants come by name, each with a last axis of degrees of freedom: rows of `Twin.constants` or a dict of
 `Twin.constant(name)`. The drone has its poses from motion capture, its rate of pitch from a gyro.
@@ -16,6 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from vpptwin.arrays import library
+from vpptwin.twin.manifold import rotate, turn_to_world
 from vpptwin.twin.past import SensorState, look_back
 from vpptwin.vehicle import Vehicle
 
@@ -24,6 +25,7 @@ Constants = Mapping[str, np.ndarray] | np.ndarray
 PERFECT = {
     "pose.delay": 0.0, "pose.drift": 0.0, "pose.scale": 1.0, "pose.offset": 0.0,
     "rate.delay": 0.0, "rate.drift": 0.0, "rate.scale": 1.0, "rate.bias": 0.0,
+    "rate.turn": 0.0,
 }  # fmt: skip
 """Constants of sensors that show the truth, of every degree of freedom, and the names of all."""
 X, Z, PITCH = 0, 1, 2
@@ -75,6 +77,15 @@ def measure_rate(constants: Constants, rate: np.ndarray, dof: int | np.ndarray =
     """A rate as its sensor gives it, noise and age apart, (N,) m/s, rad/s: by default the drone's gyro's."""
     shown: np.ndarray = constants["rate.scale"][..., dof] * rate + constants["rate.bias"][..., dof]
     return shown
+
+
+def turn_rates(constants: Constants, rates: np.ndarray, first: int, back: bool = False) -> np.ndarray:
+    """Rates about a body's axes, (..., 3) rad/s, about those of a gyro that rate.turn has turned against it; or `back`.
+
+    The body's degrees of freedom of rotation begin at `first`.
+    """
+    turn = np.stack([constants["rate.turn"][..., first + axis] for axis in range(3)], axis=-1)
+    return turn_to_world(rotate(np.array([1.0, 0.0, 0.0, 0.0]), turn if back else -turn), rates)
 
 
 def body_force(pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float) -> np.ndarray:

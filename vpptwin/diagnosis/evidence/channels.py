@@ -10,7 +10,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
 from vpptwin.twin.manifold import difference_attitudes, rotate
-from vpptwin.twin.sensors import Constants, body_force, find_age, measure_coordinate, measure_rate
+from vpptwin.twin.sensors import Constants, body_force, find_age, measure_coordinate, measure_rate, turn_rates
 
 BIN = 0.01
 """Samples are averaged over bins of this length [s]."""
@@ -40,7 +40,7 @@ class Channel:
     offset: np.ndarray  # time of each sample after the window's start, (K, B, S) s
     weight: np.ndarray  # 1/samples in the bin, 0 beyond them, (K, B, S)
     sensor_std: float  # noise of one sample
-    turn: int = -1  # first of the three degrees of freedom of a body's rotation; -1 for a coordinate
+    turn: int = -1  # first of the three degrees of freedom of a body's rotation; -1 for all else
     # the attitude of each sample then, (K, B, S, 4): compared is the rotation from it, whose mean is 0
     measured: np.ndarray | None = None
 
@@ -57,7 +57,7 @@ def bin_channel(
 ) -> Channel:  # fmt: skip
     """Average a series over the bins of each window (all of one flight), from `lead` [s] after its start.
 
-    Of a rotation the `attitude` at the samples is kept, (n, 4), and `turn` as `Channel` has it.
+    Of a rotation the `attitude` at the samples is kept, (n, 4), and of its rates too `turn` as `Channel` has it.
 
     No rigid-body twin is believed below the roughness `floor`, which is added to the sensors' noise. Noise that is not
     white is that of a mean over `BIN`.
@@ -101,7 +101,8 @@ def observe_windows(
         channels.append(bin_channel(windows, series, series.value, *told, attitude, turn))
     for dof, series in sorted(measurements.velocities.items()):
         told = "velocity", dof, False, 0.0, series.name, criteria.velocity_floor, bin_length
-        channels.append(bin_channel(windows, series, series.value, *told))
+        turn = next((first for first in measurements.attitudes if first <= dof < first + 3), -1)
+        channels.append(bin_channel(windows, series, series.value, *told, None, turn))
     if (force := measurements.specific_force) is not None:
         for axis, label in ((0, "body x"), (1, "body z")):
             name, value, floor = f"{force.name}, {label}", force.value[:, axis], criteria.specific_force_floor
@@ -181,8 +182,13 @@ def predict_channel(
             turned = rotate(turned, np.stack([sensors["pose.offset"][..., axis] for axis in axes], axis=-1))
         left = difference_attitudes(channel.measured, turned)[..., channel.axis - channel.turn]
         return np.asarray((left * channel.weight).sum(axis=2))
-    sampled = track[rows, whole] * (1.0 - part) + track[rows, np.minimum(whole + 1, track.shape[1] - 1)] * part
+    then = np.minimum(whole + 1, track.shape[1] - 1)
+    sampled = track[rows, whole] * (1.0 - part) + track[rows, then] * part
     if channel.kind == "velocity":
+        if channel.turn >= 0 and sensors["rate.turn"].any():
+            body = velocity[..., channel.turn : channel.turn + 3]
+            rates = body[rows, whole] * (1.0 - part)[..., None] + body[rows, then] * part[..., None]
+            sampled = turn_rates(sensors, rates, channel.turn)[..., channel.axis - channel.turn]
         sampled = measure_rate(sensors, sampled, channel.axis)
     elif channel.kind == "position":
         sampled = measure_coordinate(sensors, channel.axis, sampled)

@@ -145,7 +145,7 @@ def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[
     drop = held_out.chi2(without) - after
     if after - 1.0 > drop:
         return OUTWEIGHED
-    return "" if drop >= held_out.criteria.felt or held_out.feels(without, values) else UNFELT
+    return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.feels(without, values)) else UNFELT
 
 
 def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:

@@ -11,7 +11,7 @@ from vpptwin.estimation.measurements import Series, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.manifold import difference_attitudes, find_place, rotate
-from vpptwin.twin.sensors import Constants, find_age, measure_coordinate, measure_rate
+from vpptwin.twin.sensors import Constants, find_age, measure_coordinate, measure_rate, turn_rates
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -60,15 +60,15 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
     tracks = []
     for kind, quantities in (("position", measurements.positions), ("velocity", measurements.velocities)):
         for dof, series in sorted(quantities.items()):
-            first = next((f for f in measurements.attitudes if kind == "position" and f <= dof < f + 3), None)
-            if first is not None:
+            first = next((f for f in measurements.attitudes if f <= dof < f + 3), None)
+            if first is not None and kind == "position":
                 attitude, place = measurements.attitudes[first], find_place(twins[0].model, first)
                 shown = (read_attitude(r, c, attitude, first, place) for r, c in zip(replays, constants, strict=True))
                 turned = [each[:, dof - first] for each in shown]
                 predicted = [series.value + each for each in turned]
             else:
                 place = find_place(twins[0].model, dof) if kind == "position" else dof
-                given = series, dof, kind, place
+                given = series, dof, kind, place, first
                 predicted = [read_sensor(r, c, *given) for r, c in zip(replays, constants, strict=True)]
             logged = (series.time, series.value, float(series.std))
             tracks.append(Track(series.name, series.unit, kind, dof, *logged, np.array(predicted)))
@@ -76,8 +76,9 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
 
 
 def read_sensor(
-    prediction: Prediction, constants: Constants, series: Series, dof: int, kind: str, place: int
-) -> np.ndarray:
+    prediction: Prediction, constants: Constants, series: Series, dof: int, kind: str, place: int,
+    first: int | None = None,
+) -> np.ndarray:  # fmt: skip
     """What the sensor of one quantity would have shown in a twin, (n,); NaN where the twin was not simulated.
 
     Args:
@@ -87,10 +88,13 @@ def read_sensor(
         dof: degree of freedom.
         kind: `position` or `velocity`.
         place: where in a pose its coordinate lies.
+        first: degree of freedom at which the body's rotation begins, of its rates.
     """
     time = series.time - find_age(constants, "pose" if kind == "position" else "rate", dof, series.time)
     before, ahead, known = find_steps(prediction, time)
     velocity = prediction.qvel[before, dof]
+    if kind == "velocity" and first is not None:
+        velocity = turn_rates(constants, prediction.qvel[before, first : first + 3], first)[:, dof - first]
     if kind == "velocity":
         value = measure_rate(constants, velocity, dof)
     else:
