@@ -44,7 +44,7 @@ def test_logs_are_cut_to_the_flight(flights: list[Path]) -> None:
         flight = read_flight(path, signals=spec.robot.signals.entries)
         measured = read_measurements(spec, flight)
         assert 2.5 < measured.start < 3.5
-        assert any("it stands there" in line for line in measured.warnings)
+        assert any("it is still there" in line for line in measured.warnings)
         height = measured.positions[2]
         inside = (height.time > measured.start) & (height.time < measured.end)
         assert height.value[inside].min() > height.value[0] + 0.02

@@ -7,7 +7,7 @@ import pytest
 
 from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.sensors import find_age, measure_coordinate, measure_rate, perfect_sensors
+from vpptwin.twin.sensors import find_age, measure_coordinate, measure_rate, perfect_sensors, turn_rates
 
 STAMPS = np.arange(0.0, 20.0, 0.01)
 FLAWS = {
@@ -79,3 +79,17 @@ def test_without_errors_nothing_changes() -> None:
     """Perfect sensors give back the very flight."""
     flight = measure(perfect_sensors(1))
     assert correct_measurements(flight, perfect_sensors(1)) is flight
+
+
+def test_rates_are_turned_back() -> None:
+    """A gyro whose x axis points where the body's y does shows turns about y as about x; scale and bias go first."""
+    sensors = perfect_sensors(1, 6)
+    sensors["rate.turn"][:, 5], sensors["rate.bias"][:, 3:], sensors["rate.scale"][:, 4] = np.pi / 2.0, 0.1, 2.0
+    shown = turn_rates(sensors, np.array([[0.0, 3.0, 1.0]]), 3)
+    np.testing.assert_allclose(shown, [[3.0, 0.0, 1.0]], atol=1e-12)
+    rates = {3 + i: Series("", "rad/s", np.zeros(1), measure_rate(sensors, shown[:, i], 3 + i), 0.1) for i in range(3)}
+    still = Series("", "rad", np.zeros(1), np.array([[1.0, 0.0, 0.0, 0.0]]), 0.1)
+    command = Series("command", "", np.zeros(1), np.zeros((1, 0)), 0.0)
+    flight = Measurements("by hand", {}, rates, None, command, None, (), 0.0, 1.0, attitudes={3: still})
+    back = correct_measurements(flight, sensors).velocities
+    np.testing.assert_allclose([back[3 + i].value[0] for i in range(3)], [0.0, 3.0, 1.0], atol=1e-12)

@@ -33,7 +33,7 @@ def test_standing_is_left_out(body: str) -> None:
     assert start == pytest.approx(3.0 + OFF / 0.5, abs=0.02)
     assert end == pytest.approx(8.0 - OFF / 1.0, abs=0.02)
     span = f"the first {start:.1f} s and the last {10.0 - end:.1f} s"
-    assert told == [f"{span} are left out: it stands there, and the MJCF has nothing to stand on"]
+    assert told == [f"{span} are left out: it is still there, and the MJCF has nothing to stand on"]
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,18 @@ def test_standing_is_left_out(body: str) -> None:
 def test_all_else_is_left_alone(body: str, height: np.ndarray) -> None:
     """Whatever may stand by its model's own means, or never stands, keeps its log."""
     assert find(body, height) == (0.0, 10.0, [])
+
+
+def test_who_comes_by_where_it_started_flies_on() -> None:
+    """Still for a second in a hover, then up and down by it for the rest: no more than the first climb is left out."""
+    swing = 1.0 + np.where(TIME > 1.0, 0.3 * np.sin(1.5 * (TIME - 1.0)), 0.0)
+    start, end, _ = find(FREE.format(BARE), swing)
+    assert start == pytest.approx(1.0 + np.arcsin(OFF / 0.3) / 1.5, abs=0.03)
+    assert end == 10.0
+
+
+def test_a_hop_is_no_flight() -> None:
+    """0.2 s in the air a second before it climbs, and bouncing once as it lands."""
+    hops = [CLIMB + 0.1 * (np.abs(TIME - middle) < 0.1) for middle in (2.0, 9.0)]
+    assert find(FREE.format(BARE), hops[0])[0] == find(FREE.format(BARE), CLIMB)[0]
+    assert find(FREE.format(BARE), hops[1])[1] == find(FREE.format(BARE), CLIMB)[1]

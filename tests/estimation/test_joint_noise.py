@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, estimate_noise, read_track
+from vpptwin.estimation.series import align_rates, integrate
 from vpptwin.logs.flight import Stream
+from vpptwin.twin.manifold import turn_to_world
 
 TIME = np.arange(4000) / 200.0
 PATH = np.sin(TIME) + 0.3 * np.sin(2.7 * TIME)
@@ -129,3 +131,15 @@ def test_what_lags_is_moved_and_the_other_believed() -> None:
         assert TIME[0] - position.time[0] == pytest.approx(moved[0], abs=0.003)
         assert TIME[0] - velocity.time[0] == pytest.approx(moved[1], abs=0.003)
         assert position.std < 0.5 * FLOOR
+
+
+def test_how_a_gyro_is_mounted_is_no_noise() -> None:
+    """Turned by 0.1 rad, 3 % too large, 0.02 rad/s off: aligned with attitudes it is off by its noise, 0.01 rad/s."""
+    rates = np.stack([SPEED, np.cos(1.3 * TIME), 0.5 * np.sin(0.7 * TIME)], axis=1)
+    mounted = turn_to_world(np.array([np.cos(0.05), 0.0, 0.0, np.sin(0.05)]), rates)
+    noise = 0.01 * np.random.default_rng(3).standard_normal(rates.shape)
+    turned = integrate(rates, TIME) + 2e-3 * np.random.default_rng(4).standard_normal(rates.shape)
+    found = align_rates(TIME, turned, 1.03 * mounted + 0.02 + noise)
+    assert np.std(mounted - rates) > 0.05
+    assert np.std(found - rates) == pytest.approx(0.01, rel=0.1)
+    np.testing.assert_array_equal(align_rates(TIME, turned, np.zeros_like(rates)), 0.0)

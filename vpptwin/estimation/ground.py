@@ -47,15 +47,16 @@ def find_flown(
             away = np.abs((place - stood) @ (model.opt.gravity / strength if along == 3 else np.ones(1)))
             if (np.linalg.norm(place[rows] - stood, axis=1) < STOOD).all():
                 clear &= away > OFF
-        edges = np.flatnonzero(np.diff(clear, prepend=False, append=False)).reshape(-1, 2)  # of runs; one bounces
-        if len(edges):
-            begin, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+        edges = np.flatnonzero(np.diff(clear, prepend=False, append=False)).reshape(-1, 2)  # of runs; one hops, bounces
+        aloft = edges[time[edges[:, 1] - 1] - time[edges[:, 0]] > STILL]
+        if len(aloft):  # whoever comes by that height again, as from a hover, flies on
+            begin, stop = aloft[0, 0], aloft[-1, 1]
             first = max(first, float(time[begin])) if begin else first
             last = min(last, float(time[stop - 1])) if stop < len(time) else last
     if (first == start and last == end) or last <= first:
         return start, end, []
     left = [f"the first {first - start:.1f} s"] * (first > start) + [f"the last {end - last:.1f} s"] * (last < end)
-    return first, last, [f"{' and '.join(left)} are left out: it stands there, and the MJCF has nothing to stand on"]
+    return first, last, [f"{' and '.join(left)} are left out: it is still there, and the MJCF has nothing to stand on"]
 
 
 def slides_down(model: mujoco.MjModel, joint: int) -> bool:

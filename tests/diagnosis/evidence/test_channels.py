@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,6 +109,18 @@ def test_poses_and_velocities_of_a_known_motion() -> None:
         predicted = predict_channel(channel, *move(windows), DT, GRAVITY, START, PERFECT)
         # The chord misses an arc of curvature up to 27 by 27 dt²/8 = 3.4e-6.
         np.testing.assert_allclose(predicted, channel.value, atol=4e-6)
+
+
+def test_a_gyro_that_is_turned_shows_other_axes() -> None:
+    """Its x axis points where the body's y does, about which the body turns by 2t; its own y against the body's x."""
+    windows, turned = lay_windows([0.2, 0.9], 0.3), perfect_sensors(1)
+    turned["rate.turn"][:, 2] = np.pi / 2.0
+    time = 0.0004 + np.arange(300) / 241.0
+    channel = replace(bin_one(windows, Series("x", "rad/s", time, 2.0 * time, 1e-3), "velocity"), turn=0)
+    predicted = predict_channel(channel, *move(windows), DT, GRAVITY, START, turned)
+    np.testing.assert_allclose(predicted, channel.value, atol=1e-9)
+    predicted = predict_channel(replace(channel, axis=1), *move(windows), DT, GRAVITY, START, turned)
+    np.testing.assert_allclose(predicted, -3.0 * np.cos(1.5 * channel.value), atol=3e-4)
 
 
 def test_delayed_poses_show_the_past() -> None:

@@ -23,6 +23,8 @@ MOST_COUPLED = 432
 """Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STORMS = np.geomspace(1.0, 1e4, 81)
 """By which gusts' variance may be larger in a window."""
+ROUNDING = 1e-12
+"""Share of the largest variance that is added to all where a covariance is not positive definite to rounding."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
 
@@ -60,7 +62,11 @@ class Response:
         sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
         diagonal = np.arange(sensor.shape[1])
         sensor[:, diagonal, diagonal] += self.std[:, columns] ** 2
-        return np.linalg.cholesky(sensor)
+        try:
+            return np.linalg.cholesky(sensor)
+        except np.linalg.LinAlgError:  # a twin that runs away leaves nothing of the noise beside its own rounding
+            sensor[:, diagonal, diagonal] += ROUNDING * sensor[:, diagonal, diagonal].max(axis=1, keepdims=True)
+            return np.linalg.cholesky(sensor)
 
     @cached_property
     def _pushed(self) -> tuple[np.ndarray, np.ndarray]:
