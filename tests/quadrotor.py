@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numba import njit
+from scipy.spatial.transform import Rotation
 
 from tests.crafts import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
@@ -186,7 +187,8 @@ def fly(hidden: Hidden, duration: float, seed: int, gusts: float = 0.002, noise:
         [_turn(q, 1.5e-3 * noise) for q, noise in zip(seen[:, 3:], rng.standard_normal((len(seen), 3)))]
     )
     position = seen[:, :3] + noise * 3e-4 * rng.standard_normal((len(seen), 3))
-    rate = hidden.get("imu.scale", {}).get("scale", 1.0) * log[:, 10:13]
+    mounted = Rotation.from_rotvec([hidden.get("imu.misalignment", {}).get(axis, 0.0) for axis in "xyz"])
+    rate = hidden.get("imu.scale", {}).get("scale", 1.0) * mounted.inv().apply(log[:, 10:13])
     rate = rate + [hidden.get("imu.bias", {}).get(axis, 0.0) for axis in "xyz"]
     rate = rate + noise * 0.01 * rng.standard_normal((len(log), 3))
     motors = {f"m{i + 1}": Stream(time, {"effort": log[:, 13 + i]}) for i in range(4)}

@@ -35,6 +35,7 @@ from vpptwin.twin.manifold import (
     turn_to_world,
 )
 from vpptwin.twin.robot import Loads
+from vpptwin.twin.signals import Signals
 from vpptwin.viz.panels import tell_angles, tell_flight
 from vpptwin.viz.show import prepare_show
 
@@ -133,6 +134,7 @@ def test_effects_on_a_free_body_push_as_they_say(spec: TwinSpec, effect: dict, a
 MISREAD = [
     ("quad.delay", {"delay": 0.012}), ("quad.drift", {"drift": 2e-3}), ("quad.misalignment", {"x": 0.03, "z": -0.05}),
     ("quad.scale", {"scale": 1.04}), ("imu.bias", {"y": 0.08}), ("imu.scale", {"scale": 0.9}),
+    ("imu.misalignment", {"x": 0.03, "z": -0.09}),
 ]  # fmt: skip
 
 
@@ -168,6 +170,19 @@ def test_a_log_of_poses_and_an_imu_reads_back(spec: TwinSpec, tmp_path: Path) ->
     show = prepare_show(flight, None, spec)
     turns = difference_attitudes(show.log.qpos[0, 3:7], show.log.qpos[:, 3:7])
     assert 0.2 < np.abs(turns).max() < 3.0
+
+
+def test_an_imu_may_be_on_the_topic_of_the_drone(spec: TwinSpec, tmp_path: Path) -> None:
+    """/imu/data and /mocap/pose, which a twin's signals name, are an IMU's and a body's as any other topics."""
+    flown = fly({}, 2.0, 5)
+    renamed = {"/mocap/pose": flown.spatial["/pose"], "/imu/data": flown.spatial["/imu"]}
+    log = write_log(replace(flown, spatial=renamed), tmp_path / "flight.mcap")
+    signals = Signals(bodies={"quad": "/mocap/pose"}, sites={"imu": "/imu/data"})
+    assert signals.as_dict() == {"joints": {}, "bodies": {"quad": "/mocap/pose"}, "sites": {"imu": "/imu/data"},
+                                 "actuators": {}, "driven": {}}  # fmt: skip
+    flight = read_flight(log, signals=signals.entries)
+    assert set(flight.spatial) == set(renamed)
+    assert set(flight.spatial["/imu/data"].values) >= {"rate"}
 
 
 def test_inspect_knows_messages_of_poses_and_of_an_imu(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries |
 
     Args:
         path: YAML file, or None for the names of SPEC 3.
-        signals: JointState topic -> name -> the fields that a twin names for it.
+        signals: topic -> name -> the fields that a twin names for it; what it names is none of the drone's.
 
     Raises:
         InputError: naming the key that is wrong.
@@ -181,7 +181,7 @@ def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries |
             routes[canonical] = Route(channel, entry.topic, sources, stamp, str(path))
         else:
             raise InputError(f"{where}", f"one of {', '.join((*CHANNELS, *JOINT_TOPICS))} as key", "correct the key")
-    taken = {route.topic for route in routes.values() if route.origin}
+    taken = {route.topic for route in routes.values() if route.origin} | {*(signals or ())}
     routes = {topic: route for topic, route in routes.items() if route.origin or route.topic not in taken}
     return TopicMap(routes, joints, tuple(_build_joint(*key, *item) for key, item in named.items()))
 

@@ -25,7 +25,7 @@ class Signals(BaseModel):
     out of the question. Bodies are those that fly, float or hang by a ball joint; of those that are `turned` too, only
     where they go is simulated, and their attitude follows its log; sites are those where an IMU sits on a body.
     Instead of a topic a YAML may name fields of any topic, which come to lie in `entries`: topic that they are read as
-    → name → where they are.
+    → name → where they are. There are topics of bodies, of IMUs and of what is driven, without a name where none is.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -53,7 +53,10 @@ class Signals(BaseModel):
                 for name, entry in fields.items():
                     entries.setdefault(told[name], {})[name] = entry
                 split[group] = {**signals, **told}
-        return {**split, "entries": {topic: names for topic, names in entries.items() if names}}
+        spatial = [split.get(group) for group in ("bodies", "sites", "driven")]
+        for topic in {topic for names in spatial if isinstance(names, dict) for topic in names.values()}:
+            entries.setdefault(topic, {})
+        return {**split, "entries": entries}
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """What a twin YAML says."""
