@@ -160,3 +160,25 @@ def test_a_knee_that_rubs_is_named(spec: TwinSpec) -> None:
     verdict = diagnose(spec, [move({"knee.coulomb": {"torque": 0.1}}, 16.0, 100 + i) for i in range(2)]).verdict
     assert verdict.causes[0].effect == "knee.coulomb"
     assert verdict.causes[0].parameters["torque"].value == pytest.approx(0.1, rel=0.1)
+
+
+BEARING = """<mujoco><worldbody><body name="sat"><joint name="bearing" type="ball"/><geom size="0.1" mass="5"/>
+<site name="imu"/></body></worldbody></mujoco>"""
+
+
+def test_a_gyro_on_a_ball_joint_may_be_off(tmp_path: Path) -> None:
+    """A satellite on an air bearing, whose attitude is named under `bodies`, without a position: it has none."""
+    (tmp_path / "m.xml").write_text(BEARING)
+    (tmp_path / "t.yaml").write_text(
+        "model: m.xml\nsignals: {bodies: {sat: {topic: log, attitude: [qw, qx, qy, qz]}}, "
+        "sites: {imu: {topic: log, rate: [gx, gy, gz]}}}\n"
+    )
+    robot = load_twin(tmp_path / "t.yaml").robot
+    found = {effect.id: effect for effect in robot.list_misread()}
+    kinds = {"sat": ("delay", "drift", "misalignment"), "imu": ("bias", "scale", "misalignment")}
+    assert set(found) == {f"{name}.{kind}" for name, listed in kinds.items() for kind in listed}
+    assert found["imu.bias"].apply.places == (("rate.bias", (0, 1, 2)),)  # type: ignore[attr-defined]
+    rows = "".join(f"{0.01 * i},1,0,0,0,0.1,0,0\n" for i in range(9))
+    (tmp_path / "log.csv").write_text("t,qw,qx,qy,qz,gx,gy,gz\n" + rows)
+    flight = read_flight(tmp_path / "log.csv", signals=robot.signals.entries)
+    assert flight.spatial[robot.signals.bodies["sat"]]["attitude"].shape == (9, 4)

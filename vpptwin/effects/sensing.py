@@ -192,16 +192,18 @@ def late_joint(joint: str, dof: int) -> Effect:
     return replace(late, parameters=(replace(parameter, high=LATEST, source="assumption: a camera, some 50 ms"),))
 
 
-def effects_for_pose(body: str, dof: int, gyro: str) -> list[Effect]:
+def effects_for_pose(body: str, dof: int, gyro: str, free: bool = True) -> list[Effect]:
     """`BODY.delay`, `.drift`, `.misalignment`, `.scale` of a free body's poses; `GYRO.bias`, `.scale`, `.misalignment`.
 
-    Rates that no gyro tells come with the poses.
+    Rates that no gyro tells come with the poses. A body that hangs by a ball joint has an attitude alone.
     """
-    moved, turned = (tuple(dof + i for i in part) for part in (LINEAR, ANGULAR))
+    moved, turned = (tuple(dof + i for i in part) for part in (LINEAR, ANGULAR if free else LINEAR))
+    moved = moved if free else ()
     rates = moved if gyro else (*moved, *turned)
     poses = Sensor(body, f"poses of {body}", (*moved, *turned), rates, BODY_SHOWS[:1], body)
     other = (f"{gyro}.misalignment",) if gyro else ()
-    found = [*effects_for_clock(poses), misalignment(poses, turned, other), length_scale(poses, moved, moved)]
+    found = [*effects_for_clock(poses), misalignment(poses, turned, other)]
+    found += [length_scale(poses, moved, moved)] if free else []
     if not gyro:
         return found
     sensor = Sensor(gyro, f"the gyro {gyro}", rate=turned, shows=BODY_SHOWS[1:], target=gyro)

@@ -295,15 +295,14 @@ class Robot:
         return int(self.model.joint(joint).dofadr[0])
 
     def list_misread(self) -> list[Effect]:
-        """Errors of the signals of free bodies, and of joints that are logged on topics of their own."""
+        """Errors of the signals of bodies that turn any way, and of joints that are logged on topics of their own."""
         model, signals = self.model, self.signals
         found: list[Effect] = []
         for joint in self.list_free():
-            if model.jnt_type[joint] != FREE:
-                continue
             body, dof = model.body(int(model.jnt_bodyid[joint])), int(model.jnt_dofadr[joint])
             gyros = [name for name in signals.sites if model.site(name).bodyid[0] == body.id]
-            found += sensing.effects_for_pose(body.name, dof, gyros[0] if gyros else "")
+            free = bool(model.jnt_type[joint] == FREE)
+            found += sensing.effects_for_pose(body.name, dof, gyros[0] if gyros else "", free)
         topics: dict[str, list[int]] = {}
         for name, topic in signals.joints.items():
             topics.setdefault(topic, []).append(self.find_dof(name))

@@ -74,12 +74,10 @@ NO_SIGNALS = Signals()
 
 
 def place_entry(topic: str, name: str, entry: dict[str, Any]) -> str:
-    """The topic that an entry is read as: one of its own for bodies, IMUs and joints that turn any way."""
-    if topic.endswith("/"):
-        return topic + name
-    if "attitude" not in entry:
-        return topic
-    return (BODIES if "position" in entry else TURNS) + name
+    """The topic that an entry is read as: one of its own for bodies, IMUs and what turns any way about a place."""
+    if "attitude" in entry:
+        return (BODIES if "position" in entry else TURNS) + name
+    return topic + name if topic.endswith("/") else topic
 
 
 class Tracked(NamedTuple):
