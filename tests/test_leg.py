@@ -23,6 +23,7 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import Twin, TwinSpec, load_twin
 from vpptwin.twin.manifold import difference_attitudes, difference_poses, follow_sign, rotate
+from vpptwin.twin.robot import Loads
 from vpptwin.viz.panels import tell_flight
 from vpptwin.viz.show import prepare_show
 
@@ -177,6 +178,9 @@ def test_a_gyro_on_a_ball_joint_may_be_off(tmp_path: Path) -> None:
     found = {effect.id: effect for effect in robot.list_misread()}
     kinds = {"sat": ("delay", "drift", "misalignment"), "imu": ("bias", "scale", "misalignment")}
     assert set(found) == {f"{name}.{kind}" for name, listed in kinds.items() for kind in listed}
+    bearing = int(robot.model.joint("bearing").id)
+    weak = replace(robot, loads=Loads(*(np.full(3, value) for value in (0.1, 1.0, 1.0, 0.0, 0.02)), np.ones(0)))
+    assert weak.list_free()[bearing].shift == pytest.approx(0.02 * 0.1 / (5.0 * 9.81))
     assert found["imu.bias"].apply.places == (("rate.bias", (0, 1, 2)),)  # type: ignore[attr-defined]
     rows = "".join(f"{0.01 * i},1,0,0,0,0.1,0,0\n" for i in range(9))
     (tmp_path / "log.csv").write_text("t,qw,qx,qy,qz,gx,gy,gz\n" + rows)

@@ -25,6 +25,7 @@ class FreeBody:
         size: a radius of gyration [m].
         force, torque: that typically drive, accelerate or weigh on it [N], [N m].
         speed: that it typically reaches [m/s].
+        shift: of its centre of mass that would show [m]; 0 for a share of its size.
     """
 
     name: str
@@ -34,6 +35,7 @@ class FreeBody:
     force: float
     torque: float
     speed: float
+    shift: float = 0.0
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
@@ -113,7 +115,8 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
     return (
         add("mass", "a wrong mass of", "m + mass", (mass,), ("wind",), "command", apply_mass, ("body_mass",)),
         add("com", "a centre of mass that is not where it should be in", "c + (x, y, z)",
-            along_axes("m", 0.0, body.size, 0.05 * body.size), ("twist",), "position", apply_com, ("body_ipos",)),
+            along_axes("m", 0.0, body.size, body.shift or 0.05 * body.size), ("twist",), "position", apply_com,
+            ("body_ipos",)),
         add("inertia", "a wrong inertia of", "I times (x, y, z)", moments, (), "command", apply_inertia,
             ("body_inertia",)),
         add("drag", "drag of the air on", "-(along v_z + across v_xy) in its axes", drag, ("wind",), "velocity",

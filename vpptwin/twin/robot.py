@@ -381,7 +381,10 @@ class Robot:
             size = float(np.sqrt(model.body_inertia[body].max() / mass))
             push, twist = (float(force[part].max()) for part in (slice(dof, dof + 3), slice(turn, turn + 3)))
             inertia = tuple(map(float, model.body_inertia[body]))
-            found[joint] = FreeBody(name, mass, inertia, size, push, twist, speed)
+            weight = mass * float(np.linalg.norm(model.opt.gravity))
+            hangs = model.jnt_type[joint] != FREE and weight > 0.0  # its weight turns it, were it not balanced
+            shift = min(0.05 * size, 0.02 * twist / weight) if hangs else 0.0
+            found[joint] = FreeBody(name, mass, inertia, size, push, twist, speed, shift)
         return found
 
     def list_of_body(self, joint: int, body: FreeBody) -> list[Effect]:

@@ -284,10 +284,16 @@ class Search(Fitter):
     def _refit(
         self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start], iterations: int = ITERATIONS
     ) -> None:  # fmt: skip
-        """Add to `found` the best refit of one suspect beside the effects of a fit, unless a better one is there."""
+        """Add to `found` the best refit of one suspect beside the effects of a fit, unless a better one is there.
+
+        One that ends far above the fit without it went astray on its way, and starts once more from where it is off.
+        """
         effect = starts[0].effect
         freed, turned = fit.effects | {effect}, frozenset({effect}) if iterations == BRIEF else None
         refits = [self.fit(freed, start.values, fit.about, iterations, turned) for start in starts]
+        if all(each.evidence_against(fit) < -self.criteria.bar for each in refits):
+            off = {u.key: float(u.nominal) for u in self.unknowns if u.effect.id == effect}
+            refits.append(self.fit(freed, {**fit.values, **off}, fit.about, iterations, turned))
         found[effect] = find_cheapest(refits + ([found[effect]] if effect in found else []))
 
     def without(self, fit: Fit, effect: str) -> Fit:
