@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from ctypes import CFUNCTYPE, c_int64
@@ -277,7 +277,7 @@ def delay_depth(effects: Iterable[Effect], dt: float) -> int:
 
     Delays of one actuator and of all together add up.
     """
-    longest = Counter[str]()
+    longest = defaultdict[str, float](float)
     for effect in (effect for effect in effects if "actuator.delay" in effect.writes):
         for place in effect.members or (effect.target,):
             longest[place] += sum(p.high for p in effect.parameters)
