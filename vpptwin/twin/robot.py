@@ -316,9 +316,9 @@ class Robot:
                     found += sensing.effects_for_clock(sensing.Sensor(name, f"joints on {topic}", shown, shown))
         for topic in topics:
             names = [name for name, its in signals.joints.items() if its == topic]
-            # The delay of what an actuator moves is the actuator's, and what leads is as late as it is.
-            late = [name for name in names if name not in signals.driven and not is_driven(model, name)]
-            if len(late) < len(names):  # else nothing tells later than what
+            late = [name for name in names if not is_driven(model, name)]  # else it is a delay of what drives it
+            known = len(late) < len(names) or topic in signals.driven.values()
+            if len(names) > 1 and known:  # else nothing tells later than what
                 found += [sensing.late_joint(name, self.find_dof(name)) for name in late]
         return found
 
