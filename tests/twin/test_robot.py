@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import mujoco
@@ -11,6 +12,7 @@ import pytest
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.twin import load_twin
+from vpptwin.twin.model import is_driven, is_geared
 from vpptwin.twin.robot import GUST, GUST_TIME, Loads, Robot, Signals
 
 ARM = mujoco.MjModel.from_xml_string("""
@@ -50,6 +52,46 @@ def test_commands_of_the_drone() -> None:
     mass = find_effect(robot.list_effects(), "airframe.mass")
     np.testing.assert_array_equal(robot.weigh_commands(mass, 1)[0], [0.5, 0.5])
     np.testing.assert_array_equal(robot.weigh_commands(mass, 2)[0], [-1.0, 1.0])
+
+
+CRANE = mujoco.MjModel.from_xml_string("""
+<mujoco><worldbody>
+  <body><joint name="yaw" axis="0 0 1"/><geom size="0.1" pos="0.2 0 0"/>
+    <body><joint name="pitch" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/><site name="rotor" pos="0.3 0 0"/>
+      <body pos="0.3 0 0"><joint name="load" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/></body></body></body>
+  <body pos="0 1 0"><joint name="reel" axis="0 1 0"/><geom size="0.1"/></body>
+</worldbody>
+<tendon><fixed name="rope"><joint joint="reel" coef="0.1"/></fixed></tendon>
+<actuator><general name="thrust" site="rotor" gear="0 0 1 0 0 0"/><motor name="winch" tendon="rope"/></actuator>
+</mujoco>
+""")
+
+
+def test_what_actuators_move_is_driven_wherever_they_act() -> None:
+    """Through a site or a tendon, also with no arm in the first pose; what hangs below is not driven, nor geared."""
+    joints = "yaw", "pitch", "load", "reel"
+    assert [is_driven(CRANE, joint) for joint in joints] == [False, True, False, True]
+    twisted = copy.copy(CRANE)
+    twisted.actuator_gear[0] = np.eye(6)[3]  # a torque along the beam turns the yaw where the beam is not level
+    assert [is_driven(twisted, joint) for joint in joints] == [True, False, False, True]
+    assert not any(is_geared(CRANE, joint) for joint in joints)
+    assert is_geared(ARM, "j3")
+    assert not is_driven(ARM, "j2")
+
+
+@pytest.mark.parametrize(
+    ("topics", "driven", "late"),
+    [
+        ({"pitch": "a", "load": "a", "reel": "a"}, {}, ["load.delay"]),
+        ({"yaw": "a", "load": "a"}, {}, []),
+        ({"yaw": "a", "load": "a"}, {"reel": "a"}, ["yaw.delay", "load.delay"]),
+        ({"yaw": "a", "load": "a"}, {"reel": "b"}, []),
+    ],
+)
+def test_late_is_later_than_something(topics: dict[str, str], driven: dict[str, str], late: list[str]) -> None:
+    """Where nothing on a topic is driven or leads, none of its joints is seen later than the others."""
+    robot = Robot("crane", CRANE, Signals(joints=topics, driven=driven))
+    assert [e.id for e in robot.list_misread()] == late
 
 
 def test_disturbances(arm: Robot) -> None:

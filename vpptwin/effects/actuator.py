@@ -15,6 +15,8 @@ from vpptwin.effects.base import Constants, Effect, Site, Stage
 from vpptwin.effects.parameter import UNLIMITED, Parameter, Prior
 
 ACTUATOR_SHOWS = ("/joint_states",)
+WHOLE = "actuators"
+"""What ids of effects on all actuators of a rig begin with."""
 
 
 def apply_gain(constants: Constants, site: Site, /, gain: np.ndarray) -> None:
@@ -108,10 +110,11 @@ def attach(
     """An effect below, which any actuator may have, as that of one whose inputs are about `typical` [ctrl].
 
     So are its look-alikes. What is in units of the input is scaled, with `room` times as much between its bounds. With
-    `members` it is that of all of these alike: their battery, their make.
+    `members` it is that of all of these alike: their battery, their make; `WHOLE` is what all of a rig are called.
     """
     parameters = tuple(scale_input(p, typical, room) if p.unit.startswith("ctrl") else p for p in effect.parameters)
     whose = f"all of {', '.join(members)} alike" if members else f"actuator {actuator}"
+    whose = "all actuators" if members and actuator == WHOLE else whose
     return replace(
         effect, id=f"{actuator}.{effect.id}", summary=f"{effect.summary} of {whose}", members=members,
         look_alikes=tuple(f"{actuator}.{kind}" for kind in effect.look_alikes), parameters=parameters,

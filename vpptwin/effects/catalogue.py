@@ -123,6 +123,14 @@ GENERIC_GROUP = tuple(
     replace(effect, look_alikes=()) for effect in (actuator.GAIN, actuator.DELAY, actuator.LAG, actuator.SAG)
 )
 """What becomes a+b+c.gain and so on of rotors that are alike: one battery and one make may be off for all of them."""
+GENERIC_WHOLE = tuple(
+    replace(effect, look_alikes=alike, parameters=tuple(replace(p, tolerance=0.0) for p in effect.parameters))
+    for effect, alike in ((actuator.GAIN, ()), (actuator.DELAY, ("lag",)), (actuator.LAG, ("delay",)))
+)
+"""What becomes actuators.gain and so on of several: one supply, bus, or unit in the log may be off for all of them.
+
+What is tolerated of each is tolerated of all, so that these tolerate nothing beside.
+"""
 
 
 def generic_place(
@@ -139,7 +147,7 @@ def generic_place(
 def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
     loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
-    links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (),
+    links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (), whole: tuple[str, ...] = (),
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -152,6 +160,7 @@ def effects_for_rig(
         links: bodies that joints move.
         mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
         contacts: what `contact.effects_for_contacts` makes of what may touch.
+        whole: names of all actuators that are logged.
     """
     effects, groups = [], list(groups)
     for place in joints:
@@ -162,6 +171,10 @@ def effects_for_rig(
     for group in groups:
         size = max(actuators[name] for name in group)
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
+    called = ["+".join(group) for group in groups] or (list(actuators) if len(actuators) == 1 else [])
+    if len(whole) > 1 and whole not in groups:
+        effects += [actuator.attach(effect, actuator.WHOLE, members=whole) for effect in GENERIC_WHOLE]
+        called.append(actuator.WHOLE)
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
         if any(name in group for group in groups):  # whose battery is one
@@ -171,8 +184,7 @@ def effects_for_rig(
             alike = tuple(kind for kind in effect.look_alikes if kind in kinds)
             effects.append(actuator.attach(replace(effect, look_alikes=alike), name, size, room))
     weights = link.effects_for_links(links)
-    whole = [*map("+".join, groups)] or (list(actuators) if len(actuators) == 1 else [])
-    found = tie_alike([*effects, *weights], [f"{name}.gain" for name in whole], [effect.id for effect in weights])
+    found = tie_alike([*effects, *weights], [f"{name}.gain" for name in called], [effect.id for effect in weights])
     return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from ctypes import CFUNCTYPE, c_int64
@@ -272,9 +273,15 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
 
 
 def delay_depth(effects: Iterable[Effect], dt: float) -> int:
-    """Commands that a delay line must hold for these effects at a step of `dt` [s]; 0 when none delays."""
-    longest = [p.high for e in effects if "actuator.delay" in e.writes for p in e.parameters]
-    return int(np.ceil(max(longest) / dt)) + 2 if longest else 0
+    """Commands that a delay line must hold for these effects at a step of `dt` [s]; 0 when none delays.
+
+    Delays of one actuator and of all together add up.
+    """
+    longest = defaultdict[str, float](float)
+    for effect in (effect for effect in effects if "actuator.delay" in effect.writes):
+        for place in effect.members or (effect.target,):
+            longest[place] += sum(p.high for p in effect.parameters)
+    return int(np.ceil(max(longest.values()) / dt)) + 2 if longest else 0
 
 
 def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> np.ndarray:

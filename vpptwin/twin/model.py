@@ -17,6 +17,8 @@ from vpptwin.twin.actuation import BIASES, GAINS, simplify_actuators
 from vpptwin.twin.bounds import bound_memory, check_claims, check_size
 from vpptwin.twin.manifold import BALL, FREE
 
+POSES, NO_ARM = 4, 1e-9
+"""In how many poses moment arms are looked at, and the share of an actuator's largest that is none."""
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
 
@@ -238,10 +240,23 @@ def find_carrier(model: mujoco.MjModel, rotor: str) -> int:
     return int(model.site_bodyid[model.actuator_trnid[model.actuator(rotor).id, 0]])
 
 
-def is_driven(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether an actuator acts on a joint itself."""
+def is_geared(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether an actuator acts on a joint itself, as through gears."""
     acting = model.actuator_trntype <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
     return bool((acting & (model.actuator_trnid[:, 0] == model.joint(joint).id)).any())
+
+
+def is_driven(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether an actuator has a moment arm on a joint in any of a few poses: at it, through a tendon or as a rotor."""
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    dof, arms = int(model.joint(joint).dofadr[0]), np.zeros((model.nu, model.nv))
+    for _ in range(POSES if model.nu else 0):
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        if (np.abs(arms[:, dof]) > NO_ARM * np.abs(arms).max(axis=1)).any():
+            return True
+        mujoco.mj_integratePos(model, data.qpos, rng.standard_normal(model.nv), 1.0)
+    return False
 
 
 ALIKE = 1e-3

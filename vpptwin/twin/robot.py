@@ -27,7 +27,7 @@ from vpptwin.effects import (
     generic_place,
     sensing,
 )
-from vpptwin.effects.actuator import list_loop_effects
+from vpptwin.effects.actuator import WHOLE, list_loop_effects
 from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.joint import JOINT_SHOWS
@@ -41,6 +41,7 @@ from vpptwin.twin.model import (
     find_meeting,
     group_rotors,
     is_driven,
+    is_geared,
     list_followers,
     list_swung,
     tell_rotary,
@@ -255,11 +256,12 @@ class Robot:
         apart = [effect for joint, body in self.list_free().items() for effect in self.list_of_body(joint, body)]
         apart += self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
-        more = about, group_rotors(model), self.list_links(), tells_mount(model), self.list_contacts()
+        whole = tuple(name for name in names if name in self.signals.actuators)
+        more = about, group_rotors(model), self.list_links(), tells_mount(model), self.list_contacts(), whole
         if loads is None:
             unit = {name: 1.0 for name in names if name}
             places = [
-                generic_place(*joint, driven=is_driven(model, joint[0]), dof=self.find_dof(joint[0]))
+                generic_place(*joint, driven=is_geared(model, joint[0]), dof=self.find_dof(joint[0]))
                 for joint in joints
             ]
             return self.tie_signals((*effects_for_rig(places, unit, INPUT_ROOM, *more), *apart))
@@ -267,7 +269,7 @@ class Robot:
         for name, rotary, _ in joints:
             dof = self.find_dof(name)
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "middle", "carried")}
-            driven = is_driven(model, name)
+            driven = is_geared(model, name)
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, dof, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
         return self.tie_signals((*effects_for_rig(places, controls, 1.0, *more), *apart))
@@ -311,9 +313,12 @@ class Robot:
                 if topic not in signals.actuators.values():
                     name, shown = topic.strip("/").replace("/", "_"), tuple(dofs)
                     found += sensing.effects_for_clock(sensing.Sensor(name, f"joints on {topic}", shown, shown))
-        for name, topic in signals.joints.items():
-            if len(topics[topic]) > 1 and not is_driven(model, name):  # else it is a delay of what drives it
-                found.append(sensing.late_joint(name, self.find_dof(name)))
+        for topic in topics:
+            names = [name for name, its in signals.joints.items() if its == topic]
+            late = [name for name in names if not is_driven(model, name)]  # else it is a delay of what drives it
+            known = len(late) < len(names) or topic in signals.driven.values()
+            if len(names) > 1 and known:  # else nothing tells later than what
+                found += [sensing.late_joint(name, self.find_dof(name)) for name in late]
         return found
 
     def tie_signals(self, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
@@ -322,6 +327,7 @@ class Robot:
         # A joint that is late beside others is not what drives them.
         late = [e.id for e in effects if "pose.delay" in e.writes and e.target not in self.signals.joints]
         whole = ["+".join(group) for group in group_rotors(self.model)] or [*self.signals.actuators]
+        whole += [WHOLE] if f"{WHOLE}.gain" in ids else []
         tied = tie_alike(effects, late, [f"{name}.{kind}" for name in whole for kind in ("delay", "lag")
                                          if f"{name}.{kind}" in ids and late])  # fmt: skip
         for body in self.signals.bodies:
