@@ -29,7 +29,7 @@ PROBE = 0.3
 def usable_starts(measurements: Measurements, starts: np.ndarray, length: float) -> np.ndarray:
     """Whether windows of a length [s] from `starts` (K,) [s] touch no gap or strike that spoils them, (K,) bool."""
     back = max([LOOK_BACK, *(find_horizon(series, causal=True) for series in measurements.positions.values())])
-    spoilt = touch(measurements.strikes, starts - back, starts + length)
+    spoilt = touch(measurements.strikes, starts - back, starts + length) | (starts < measurements.start + back)
     for _, rows in spoil_starts(measurements, starts, length):
         spoilt |= rows
     return ~spoilt
