@@ -49,7 +49,7 @@ def find_reach(several: Sequence[Series], start: float, end: float) -> float | N
     time = several[0].time
     white = [series for series in several if len(time) >= FEWEST and is_white(series.value)]
     times = np.linspace(start + FARTHEST, end - FARTHEST, TRIALS)
-    times = times[(times[-1] > times[0]) & ~touch(find_gaps(time, 0.0), times - FARTHEST, times + FARTHEST)]
+    times = times[(end - start > 4.0 * FARTHEST) & ~touch(find_gaps(time, 0.0), times - FARTHEST, times + FARTHEST)]
     period = float(np.median(np.diff(time)))
     reaches = [float(reach) for reach in period * REACHES if reach <= FARTHEST]
     if not white or len(reaches) < 2 or len(times) < FEWEST:
