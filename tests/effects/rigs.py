@@ -51,7 +51,8 @@ signals:
 
 CART_EFFECTS = effects_for_rig(
     [generic_place("slide", False, 1.0, room=1.0, driven=True), generic_place("swing", True, 1.0, room=1.0, dof=1)],
-    {"motor": 1.0}, loops={"motor": (SAG,)}, links=[Link("pole", 0.2, (0.0, 0.0, -0.6), 0.3)], mounted=True,
+    {"motor": 1.0}, loops={"motor": (SAG,)}, mounted=True,
+    links=[Link("pole", 0.2, (0.0, 0.0, -0.6), 0.3, ways="xz", lever=0.1, hinge="swing")],
     contacts=effects_for_contacts(JOINT_SHOWS, [(0.02, 1.0)], 0.001),
 )  # fmt: skip
 EFFECTS = {"flown": CATALOGUE, "replayed": CATALOGUE, "cart": CART_EFFECTS}

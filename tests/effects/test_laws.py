@@ -200,6 +200,12 @@ CONSTANT_LAWS = [
             "body_inertia": [[[0] * 3, [0] * 3, [i] * 3] for i in (8e-3, 4e-3)],
         },
     ),
+    # Along the axes that show; mass and inertia about it stay.
+    (
+        "pole.com",
+        {"x": (0.02, 0.0), "z": (-0.1, 0.1)},
+        {"body_ipos": [[[0] * 3, [0] * 3, [x, 0, z]] for x, z in ((0.02, -0.1), (0.0, 0.1))]},
+    ),
     # 0.15 kg at 0.4 m of 0.45 kg: a quarter of the way, and a reduced mass of 0.1125 kg at 0.4 m; none changes nothing.
     (
         "pole.payload",

@@ -72,7 +72,11 @@ SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia
                     "rate_bias", "rate_scale", "cogging", "tight_spot", "fade",
                     "drag"}  # fmt: skip
 SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
-BODY_KINDS = {"mass", "payload", "tilt"}
+BODY_KINDS = {"mass", "com", "payload", "tilt"}
+MOVED = {f"swing.{kind}" for kind in ("bias", "spring", "offset")}
+WEIGHED = {f"pole.{kind}": {"motor.gain"} for kind in ("mass", "payload", "com")} | {key: {"pole.com"} for key in MOVED}
+WEIGHED |= {"motor.gain": {"pole.mass", "pole.payload", "pole.com"}, "pole.com": {"motor.gain", *MOVED}}
+"""Look-alikes of other targets: of a pole's weight, and of where it pulls."""
 CONTACT_KINDS = {"compliance", "friction"}
 SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
 RATIOS = {"gain", "fraction", "mu", "loss", "scale", "share", "zeta"}
@@ -106,7 +110,8 @@ def test_any_rig_has_the_generic_effects() -> None:
         "swing.load",
         "swing.fade",
     }
-    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.payload", "mount.tilt"}
+    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.com", "pole.payload"}
+    wanted |= {"mount.tilt"}
     wanted |= {f"contact.{kind}" for kind in CONTACT_KINDS}
     assert {effect.id for effect in CART_EFFECTS} == wanted
     assert len(CART_EFFECTS) == len(wanted)
@@ -165,9 +170,8 @@ def test_generic_ids_name_their_target(effect: Effect) -> None:
     kinds = special.get(target, SPEC_JOINT_KINDS)
     assert effect.target == ("" if target in ("mount", "contact") else target)
     assert kind in kinds
-    weighed = {"motor.gain": {"pole.mass", "pole.payload"}, "pole.mass": {"motor.gain"}, "pole.payload": {"motor.gain"}}
-    alike = set(effect.look_alikes) - weighed.get(effect.id, set())
-    assert len(alike) == len(effect.look_alikes) - len(weighed.get(effect.id, ()))
+    alike = set(effect.look_alikes) - WEIGHED.get(effect.id, set())
+    assert len(alike) == len(effect.look_alikes) - len(WEIGHED.get(effect.id, ()))
     assert {other.rpartition(".")[2] for other in alike} <= kinds
     assert {other.rpartition(".")[0] for other in alike} <= {target}
 

@@ -153,3 +153,51 @@ def test_what_a_urdf_may_exert_drives_it(tmp_path: Path, effort: float) -> None:
         data.ctrl[:] = given
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(data.qfrc_actuator, exerted if effort else 0.0)
+
+
+GIMBAL = """<mujoco><worldbody>
+  <body name="yoke" pos="0 0 0.3"><joint name="yaw" axis="0 0 1"/>
+    <inertial pos="0 0 0.02" mass="0.4" diaginertia="1e-3 1e-3 1e-3"/>
+    <body name="camera" pos="0 0 0.06"><joint name="pitch" axis="0 1 0"/>
+      <inertial pos="0.001 0 0" mass="0.8" diaginertia="2e-3 3e-3 2e-3"/><site name="lens" pos="0.3 0 0"/></body></body>
+</worldbody></mujoco>"""
+PLANAR = """<mujoco><worldbody>
+  <body name="upper"><joint name="shoulder" axis="0 1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 -0.3"/>
+    <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
+      <geom type="capsule" size="0.01" fromto="0 0 0 0 0 -0.3"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("mjcf", "ways", "reach"),
+    [(GIMBAL, {"yoke": "", "camera": "xyz"}, 0.15), (PLANAR, {"upper": "xz", "lower": "xz"}, 0.155)],
+    ids=["gimbal", "planar"],
+)
+def test_along_which_axes_a_centre_of_mass_shows(mjcf: str, ways: dict[str, str], reach: float) -> None:
+    """Not where but one joint's inertia feels it, nor along axes that all joints turn about; a link is half its span.
+
+    The camera's balanced body reaches to its lens; its centre moves at a lever that its hinge's typical torque tells.
+    """
+    robot = Robot("rig", mujoco.MjModel.from_xml_string(mjcf))
+    links = {link.name: link for link in robot.list_links()}
+    assert {name: link.ways for name, link in links.items()} == ways
+    ids = {effect.id: effect for effect in robot.list_effects()}
+    for name, axes in ways.items():
+        assert (f"{name}.com" in ids) == bool(axes)
+        assert not axes or "".join(p.name for p in ids[f"{name}.com"].parameters) == axes
+    last = list(links.values())[-1]
+    assert last.reach == pytest.approx(reach)
+    weight = 9.81 * last.mass
+    assert last.lever == pytest.approx(min(robot.forces[-1] / weight, reach))
+    light = robot.scale(Loads(*(np.full(2, x) for x in (0.01 * weight, 1.0, 1.0, 0.0, 1.0)), np.zeros(0)))
+    com = next(e for e in light.list_effects() if e.id == f"{last.name}.com")
+    assert com.parameters[0].size == pytest.approx(0.05 * 0.01)
+    assert {f"{last.hinge}.bias", f"{last.name}.mass", f"{last.name}.payload"} <= set(com.look_alikes)
+
+
+def test_a_balanced_body_keeps_its_own_centre_where_it_turns_any_way() -> None:
+    """On a ball joint `b.com` is the one of bodies that turn freely, once."""
+    mjcf = PLANAR.replace('<joint name="elbow" axis="0 1 0"/>', '<joint name="elbow" type="ball"/>')
+    ids = [effect.id for effect in Robot("rig", mujoco.MjModel.from_xml_string(mjcf)).list_effects()]
+    assert ids.count("lower.com") == 1
+    assert "upper.com" in ids

@@ -43,9 +43,10 @@ def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
     constants["body_mass"][:, site.body] += mass
 
 
-def apply_com(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:
-    """Centre of mass moved in the body's axes [m]."""
-    constants["body_ipos"][:, site.body] += np.stack([x, y, z], axis=1)
+def apply_com(constants: Constants, site: Site, /, **moved: np.ndarray) -> None:
+    """Centre of mass moved along those of the body's axes x, y, z that are given [m]."""
+    for axis, by in moved.items():
+        constants["body_ipos"][:, site.body, AXES.index(axis)] += by
 
 
 def apply_inertia(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:

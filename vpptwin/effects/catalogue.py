@@ -183,8 +183,14 @@ def effects_for_rig(
         for effect in own:
             alike = tuple(kind for kind in effect.look_alikes if kind in kinds)
             effects.append(actuator.attach(replace(effect, look_alikes=alike), name, size, room))
+    links = list(links)
     weights = link.effects_for_links(links)
     found = tie_alike([*effects, *weights], [f"{name}.gain" for name in called], [effect.id for effect in weights])
+    known = {effect.id for effect in found}
+    for each in links:
+        hinged = [f"{each.hinge}.{kind}" for kind in link.LOOK_ALIKES if f"{each.hinge}.{kind}" in known]
+        if each.ways:
+            found = tie_alike(found, [f"{each.name}.com"], hinged)
     return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
 
 

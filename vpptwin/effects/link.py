@@ -1,4 +1,4 @@
-"""Effects on what a base holds: masses of links, a payload somewhere on the last one, a mount that is not level."""
+"""Effects on what a base holds: masses of links and where they are, a payload on the last one, a tilted mount."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.effects.base import Constants, Effect, Site, Stage
+from vpptwin.effects.body import AXES, apply_com
 from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.effects.parameter import Parameter, Prior
 
-AXES = ("x", "y", "z")
+LOOK_ALIKES = ("bias", "spring", "offset")
+"""Effects of a link's hinge that its weight looks like when it pulls elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,10 @@ class Link:
     mass: float  # kg
     # where a payload is looked for first, in the body's frame [m]; None where none is
     tip: tuple[float, float, float] | None = None
-    reach: float = 0.1  # how far from there it may be [m]
+    reach: float = 0.1  # half of how far the body gets from its joint [m]
+    ways: str = ""  # axes of the body along which it shows where its centre of mass is, such as "xz"
+    lever: float = 0.1  # at which its weight is what typically drives its hinge [m]
+    hinge: str = ""  # that turns it
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
@@ -83,7 +88,7 @@ def apply_tilt(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray
 
 
 def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
-    """`NAME.mass` of every link, `NAME.payload` of those that may carry one."""
+    """`NAME.mass` of every link, `NAME.com` where it shows, `NAME.payload` of those that may carry one."""
     found: list[Effect] = []
     for link in links:
         source, size = "assumption: shares of what the model has", 0.05 * link.mass
@@ -91,11 +96,14 @@ def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
             name="mass", unit="kg", off=0.0, low=-0.8 * link.mass, high=4.0 * link.mass, size=size,
             tolerance=0.05 * size, prior=Prior("normal", 0.0, 2.0 * size), source=source,
         )  # fmt: skip
-        payload, own = f"{link.name}.payload", f"{link.name}.mass"
+        kinds = ("mass", *(("com",) if link.ways else ()), *(("payload",) if link.tip else ()))
+        alike = {kind: tuple(f"{link.name}.{other}" for other in kinds if other != kind) for kind in kinds}
         found.append(Effect(
-            own, f"a wrong mass of {link.name}", "(m, I) × (1 + mass/m)", (mass,), Stage.CONSTANT, apply_mass,
-            JOINT_SHOWS, (payload,) if link.tip else (), ("body_mass", "body_inertia"), link.name, follows="position",
+            f"{link.name}.mass", f"a wrong mass of {link.name}", "(m, I) × (1 + mass/m)", (mass,), Stage.CONSTANT,
+            apply_mass, JOINT_SHOWS, alike["mass"], ("body_mass", "body_inertia"), link.name, follows="position",
         ))  # fmt: skip
+        if link.ways:
+            found.append(displace(link, alike["com"]))
         if link.tip is None:
             continue
         held = Parameter(
@@ -109,12 +117,27 @@ def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
             for axis, at in zip(AXES, link.tip)
         )  # fmt: skip
         found.append(Effect(
-            payload, f"a payload on {link.name}",
+            f"{link.name}.payload", f"a payload on {link.name}",
             "a point mass at (place_x, place_y, place_z)", (held, *place), Stage.CONSTANT,
-            apply_payload, JOINT_SHOWS, (own,), ("body_mass", "body_ipos", "body_iquat", "body_inertia"), link.name,
-            follows="position",
+            apply_payload, JOINT_SHOWS, alike["payload"], ("body_mass", "body_ipos", "body_iquat", "body_inertia"),
+            link.name, follows="position",
         ))  # fmt: skip
     return tuple(found)
+
+
+def displace(link: Link, alike: tuple[str, ...]) -> Effect:
+    """`NAME.com` of a link: mass, and inertia about its centre, stay as they are."""
+    size = 0.05 * link.lever
+    parameters = tuple(
+        Parameter(name=axis, unit="m", off=0.0, low=-link.reach, high=link.reach, size=size, tolerance=0.05 * size,
+                  prior=Prior("normal", 0.0, 1.5 * size), source="assumption: shares of what drives its hinge")
+        for axis in link.ways
+    )  # fmt: skip
+    return Effect(
+        f"{link.name}.com", f"a centre of mass that is not where it should be in {link.name}",
+        f"c + ({', '.join(axis if axis in link.ways else '0' for axis in AXES)})", parameters, Stage.CONSTANT,
+        apply_com, JOINT_SHOWS, alike, ("body_ipos",), link.name, follows="position",
+    )  # fmt: skip
 
 
 MOUNT_TILT = Effect(

@@ -38,12 +38,15 @@ from vpptwin.twin.model import (
     describe_joints,
     find_carrier,
     find_floating,
+    find_hinge,
     find_meeting,
     group_rotors,
     is_driven,
     is_geared,
+    list_balanced,
     list_followers,
     list_swung,
+    measure_reach,
     tell_rotary,
     tells_mount,
     typical_forces,
@@ -55,6 +58,8 @@ GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
 TURNING = ("com", "inertia", "twist")
 """Effects of a body that show as it turns."""
+WEIGHT = 9.81
+"""By which a force on a hinge is told as where a weight pulls [m/s²]."""
 WAYS = ("x", "y", "z", "roll", "pitch", "yaw")
 """What a free body's degrees of freedom are called: along the world's axes, about its own; a ball joint's are three."""
 GUST_TIME = 0.2
@@ -347,19 +352,25 @@ class Robot:
         return list_loop_effects(float(gain[0]), float(bias[1]), float(bias[2]), limited)
 
     def list_links(self) -> list[Link]:
-        """The bodies whose mass shows, and where the last ones of a chain may carry something."""
-        model = self.model
+        """The bodies whose mass and its place show, and where the last ones of a chain may carry something."""
+        model, apart = self.model, {free.name for free in self.list_free().values()}
         found = []
         for body in list_swung(model, self.driven):
             name, mass = model.body(body).name, float(model.body_mass[body])
-            centre, tip = model.body_ipos[body], None
+            if not name or mass <= 0.0:
+                continue
+            centre, tip, ways = model.body_ipos[body], None, ""
             away = centre - model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else centre
-            reach = float(np.linalg.norm(away)) or 0.1
-            if not (model.body_parentid == body).any() and not model.body_simple[body]:
+            reach = measure_reach(model, body) or 0.1
+            joint, fixed = find_hinge(model, body), bool(model.body_simple[body])  # MuJoCo takes it to be balanced
+            if not (model.body_parentid == body).any() and not fixed:
                 x, y, z = map(float, centre + away)
                 tip = x, y, z
-            if name and mass > 0.0:
-                found.append(Link(name, mass, tip, reach))
+            if name not in apart and not fixed:
+                balanced = list_balanced(model, body, 0.1 * reach, self.driven)
+                ways = "".join(axis for axis, nothing in zip("xyz", balanced) if not nothing)
+            lever = float(self.forces[model.jnt_dofadr[joint]]) / (WEIGHT * mass)
+            found.append(Link(name, mass, tip, reach, ways, min(lever, reach), str(model.joint(joint).name)))
         return found
 
     def list_contacts(self) -> tuple[Effect, ...]:

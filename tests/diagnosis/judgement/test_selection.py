@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.diagnosis.fakes import FRAME, guess
+from tests.diagnosis.fakes import FRAME, guess, linear
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.blocks import improvement
 from vpptwin.diagnosis.judgement.holdout import HeldOut
@@ -20,6 +20,7 @@ from vpptwin.diagnosis.judgement.rivals import (
     look_alike,
     tell_nothing,
     tell_roughness,
+    weigh_freedom,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.selection import (
@@ -42,6 +43,7 @@ from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.body import FreeBody, effects_for_body
 from vpptwin.effects.friction import asymmetry, coulomb, stiction
 from vpptwin.effects.joint import Place, bias, spring, viscous
+from vpptwin.effects.link import Link, effects_for_links
 
 PLACE = Place("a", "on a", tolerance=0.02)
 UNKNOWNS = tuple(
@@ -233,6 +235,28 @@ def test_evidence_that_scatters_tells_little(spread: float, left: float, other: 
     nothing = tell_nothing(search, judges, fit(400.0), cause, rival, 32.0)  # type: ignore[arg-type]
     told = (32.0 - max(nothing, 0.0)) / CRITERIA.temper
     assert told == pytest.approx(counts, rel=0.1)
+
+
+def test_freedom_tells_no_weight_hung_on_from_one_that_lies_elsewhere() -> None:
+    """A payload pays for four numbers where a centre of mass pays for one: that tells them apart no more than data do.
+
+    Between a wrong mass and a payload, which also say how heavy a body is, it does; and the simpler one has no excuse.
+    """
+    effects = effects_for_links([Link("a", 1.0, (0.0, 0.0, -0.1), 0.1, ways="z")])
+    unknowns = tuple(Unknown(e, p, p.off) for e in effects for p in e.parameters)
+    search = SimpleNamespace(unknowns=unknowns)
+    rows = np.eye(len(unknowns)) / [u.parameter.size for u in unknowns]
+    about = linear(np.array([u.nominal for u in unknowns]), 30.0 * rows, np.zeros(len(unknowns)))
+    fits = {e.id: replace(guess({(e.id, e.parameters[0].name): 0.0}), about=about) for e in effects}
+
+    def weigh(cause: str, rival: str) -> float:
+        return weigh_freedom(search, fits[cause], fits[rival], cause, rival)  # type: ignore[arg-type]
+
+    price = {e.id: sum(np.log(1.0 + 900.0 * (u.width / u.parameter.size) ** 2) for u in unknowns if u.effect is e)
+             for e in effects}  # fmt: skip
+    assert weigh("a.com", "a.payload") == pytest.approx(price["a.payload"] - price["a.com"], rel=1e-3)
+    assert weigh("a.com", "a.payload") > 20.0
+    assert weigh("a.payload", "a.com") == weigh("a.mass", "a.payload") == weigh("a.com", "a.mass") == 0.0
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

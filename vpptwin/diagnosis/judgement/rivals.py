@@ -12,6 +12,7 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search
+from vpptwin.diagnosis.search.solution import price_of_freedom, solve_hypothesis
 from vpptwin.effects import Effect
 from vpptwin.effects import Stage as EffectStage
 
@@ -145,6 +146,21 @@ def handicap(search: Search, effect: str, rival: str, earlier_drops: Mapping[str
         return better
     inexact = max(better, search.criteria.kinship * earlier_drops.get(effect, 0.0))
     return inexact if richer > 0 else -inexact
+
+
+def weigh_freedom(search: Search, fit: Fit, rival: Fit, effect: str, other: str) -> float:
+    """How much of the evidence for a cause against a rival is the freedom of a rival that moves the same weight.
+
+    Where logs show only mass times distance, a weight hung on a body is one that lies elsewhere in it: that it has more
+    numbers, from a range that nobody knows, does not tell them apart.
+    """
+    effects = {u.effect.id: u.effect for u in search.unknowns}
+    one, two = effects[effect], effects[other]
+    if one.target != two.target or not set(one.writes) & set(two.writes) & {"body_ipos"}:
+        return 0.0
+    solved = [(each, solve_hypothesis(each.about, search.unknowns, each.effects)) for each in (fit, rival)]
+    own, price = (price_of_freedom(solution, search.unknowns, each.effects) for each, solution in solved)
+    return max(price - own, 0.0)
 
 
 def tell_roughness(search: Search, effect: str, rival: str, drops: Mapping[str, float]) -> float:

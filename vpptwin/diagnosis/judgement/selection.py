@@ -22,6 +22,7 @@ from vpptwin.diagnosis.judgement.rivals import (
     tell_nothing,
     tell_roughness,
     trusts_errors,
+    weigh_freedom,
     weigh_rivals,
 )
 from vpptwin.diagnosis.judgement.verdict import Rival
@@ -203,7 +204,8 @@ class Choosing:
             for rival, tried in step.tried.items():
                 told = step.before, self.fit, tried, evidence[effect][rival]
                 nothing = tell_nothing(self.search, self.held_out, *told)
-                rough[effect][rival] = max(rough[effect][rival], nothing)
+                freedom = weigh_freedom(self.search, self.fit, tried, effect, rival)
+                rough[effect][rival] = max(rough[effect][rival], nothing, freedom)
         return rough
 
     def conclude(
