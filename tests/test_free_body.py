@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from tests.crafts import write_log
 from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
@@ -241,9 +242,24 @@ def test_a_table_of_columns_is_a_flight_too(tmp_path: Path) -> None:
     assert load_twin(tmp_path / "again.yaml").robot.signals == spec.robot.signals
 
 
+@pytest.mark.parametrize(("names", "size"), [("roll,pitch,yaw", 1.0), ("roll_deg,pitch_deg,yaw_deg", 180.0 / np.pi)])
+def test_an_attitude_may_be_roll_pitch_and_yaw(tmp_path: Path, names: str, size: float) -> None:
+    """As inspect finds it, in degrees if a name says so: it yaws about z, pitches about y, rolls about x."""
+    write_twin(tmp_path)
+    pose = fly({}, 4.0, 5).spatial["/pose"]
+    yaw, pitch, roll = size * Rotation.from_quat(np.roll(pose["attitude"], -1, axis=1)).as_euler("ZYX").T
+    rows = np.column_stack([pose.time, pose["position"], roll, pitch, yaw])
+    np.savetxt(tmp_path / "today.csv", rows, delimiter=",", header=f"t,quad_x,quad_y,quad_z,{names}", comments="")
+    inspect_logs([tmp_path / "today.csv"], str(tmp_path / "quadrotor.xml"), tmp_path / "found.yaml")
+    signals = load_twin(tmp_path / "found.yaml").robot.signals
+    found = read_flight(tmp_path / "today.csv", signals=signals.entries).spatial[signals.bodies["quad"]]["attitude"]
+    np.testing.assert_allclose(np.abs((found * pose["attitude"]).sum(axis=1)), 1.0, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("entry", "line"),
     [
+        ("{topic: flight, position: [px, py, pz], attitude: [a, b]}", "2 fields, 1 factors; expected 4 fields, or"),
         ("{topic: flight, position: [px, py, pz]}", "with position; expected position and attitude"),
         ("{topic: flight, position: px, attitude: [a, b, c, d]}", "position: 1 fields, 1 factors; expected 3 fields"),
         ("{topic: flight, position: [x, y, z], attitude: [a, b, c, d], effort: u}", "expected position and attitude"),

@@ -21,7 +21,8 @@ from vpptwin.estimation.guess import (
     split_words,
 )
 from vpptwin.fields import UNITS
-from vpptwin.logs.channels import SPATIAL
+from vpptwin.logs.channels import EULER, SPATIAL
+from vpptwin.logs.samples import turn_by_angles
 from vpptwin.logs.survey import Signal
 from vpptwin.twin.manifold import BALL
 from vpptwin.twin.model import find_floating
@@ -35,6 +36,8 @@ NAMED = {"p", "pos", "position", "pose"}
 """Words in names of positions besides the body's."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
 ANGLES = (("rad", 1.0), ("deg", UNITS["deg"][1]))
+TURN, UNIT_AT_END = 2.2 * np.pi, r"(?:[_.\s\[(]*(?:deg|degrees|rad|radians)[\])]*)?"
+"""Angles that go farther are in degrees [rad]; what may stand behind their names."""
 GRAVITIES = (("m/s^2", 1.0), ("g", UNITS["g"][1]), ("mg", UNITS["mg"][1]))
 
 
@@ -88,11 +91,17 @@ def take(guess: Guess, told: Sequence[Told]) -> None:
             guess.units[each.quantity] = each.unit
 
 
-def find_groups(signals: Sequence[Signal], axes: Sequence[str]) -> dict[str, list[Signal]]:
-    """Signals that differ in the end of their name alone, by what they share."""
+def turn_signals(angles: Sequence[Signal], size: float) -> list[Signal]:
+    """The quaternion x, y, z, w of roll, pitch and yaw in a unit of that size [rad], at the times of roll."""
+    known = np.stack([np.interp(angles[0].time, s.time, size * s.values) for s in angles], axis=1)
+    return [replace(angles[0], values=column) for column in np.roll(turn_by_angles(known), -1, axis=1).T]
+
+
+def find_groups(signals: Sequence[Signal], axes: Sequence[str], end: str = "") -> dict[str, list[Signal]]:
+    """Signals that differ in the end of their name alone, by what they share; an `end` matches what is beyond that."""
     groups: dict[str, dict[str, Signal]] = {}
     for signal in signals:
-        match = re.fullmatch(rf"(.*?)({'|'.join(axes)})", signal.label.lower())
+        match = re.fullmatch(rf"(.*?)({'|'.join(axes)}){end}", signal.label.lower())
         if match:
             groups.setdefault(f"{signal.topic} {match.group(1)}", {})[match.group(2)] = signal
     return {stem: [group[axis] for axis in axes] for stem, group in groups.items() if len(group) == len(axes)}
@@ -108,10 +117,19 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
             attitudes[stem] = group
             text = f"attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)"
             yield Told("attitude", text, True, (group[3], *group[:3]))
+    angles = {} if attitudes else find_groups([s for s in signals if not is_commanded(s)], EULER, UNIT_AT_END)
+    for stem, group in angles.items():
+        if not all(signal.is_constant for signal in group):
+            unit = group[0].unit
+            told, small = unit in dict(ANGLES), all(np.ptp(signal.finite) < TURN for signal in group)
+            unit = unit if told else "rad" if small else "deg"
+            attitudes[stem] = turn_signals(group, dict(ANGLES)[unit])
+            text = f"attitude: {stem}roll, pitch, yaw in {unit}{'' if told else ' by how far they go'}"
+            yield Told("attitude", text, False, tuple(group), "" if unit == "rad" else unit)
     triples = find_groups([s for s in signals if not is_commanded(s)], AXES)
-    yield from tell_positions({stem: group for stem, group in triples.items() if stem not in attitudes}, body)
-    for stem, group in find_groups(signals, ("roll", "pitch", "yaw")).items():
-        if attitudes and not any(is_commanded(signal) for signal in group):
+    yield from tell_positions({stem: group for stem, group in triples.items() if angles or stem not in attitudes}, body)
+    for stem, group in find_groups(signals, EULER).items():
+        if attitudes and not angles and not any(is_commanded(signal) for signal in group):
             yield tell_angles(stem, group, next(iter(attitudes.values())))
     for stem, group in triples.items():
         words = set(split_words(stem.split(" ", 1)[1]))

@@ -155,6 +155,8 @@ SPATIAL_COLUMNS = {BODIES: {"position": 3, "attitude": 4}, SITES: {"rate": 3}, T
 """Bodies, IMUs and ball joints out of fields: root of the topics that they are read as -> column -> numbers."""
 
 SIGNAL_COLUMNS = (*JOINT_COLUMNS, "attitude", "rate")
+EULER = ("roll", "pitch", "yaw")
+"""What may stand for the four numbers of an attitude [rad]: it yaws about z, then pitches about y, rolls about x."""
 
 
 def is_spatial(message_type: str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.channels import JOINT_COLUMNS, SPATIAL, Column
+from vpptwin.logs.channels import EULER, JOINT_COLUMNS, SPATIAL, Column
 from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.layout import STAMP
 from vpptwin.logs.messages import shorten_type
@@ -112,6 +112,8 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     if not len(found.stamp):
         return found
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
+    if "attitude" in values and len(route.sources["attitude"].paths) == len(EULER):
+        values["attitude"] = turn_by_angles(values["attitude"])
     for column, data in values.items():
         if data.ndim != 1 and len(route.sources[column].paths) == 1:
             path = route.sources[column].paths[0]
@@ -125,6 +127,14 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     if empty.any():
         warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
     return replace(found, fields=values).take(~empty if empty.any() else slice(None))
+
+
+def turn_by_angles(angles: np.ndarray) -> np.ndarray:
+    """Unit quaternions w, x, y, z, (n, 4), of roll, pitch and yaw, (n, 3) rad."""
+    half = 0.5 * angles.T
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
+    w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
+    return np.column_stack([w, x, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy])
 
 
 def list_stamp_fields(stamp: Stamp) -> list[str]:

@@ -16,6 +16,7 @@ from vpptwin.fields import FieldEntry, SignalEntry, Stamp, TopicEntry, text_as
 from vpptwin.logs.channels import (
     AXES,
     CHANNELS,
+    EULER,
     JOINT_COLUMNS,
     JOINT_TOPICS,
     SIGNAL_COLUMNS,
@@ -198,9 +199,11 @@ def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> J
     sources = {}
     for column, item in given.items():
         paths, wanted = (item.path,) if isinstance(item.path, str) else tuple(item.path), widths.get(column, 0)
+        wanted = len(EULER) if column == "attitude" and len(paths) == len(EULER) else wanted
         if len(paths) != wanted or len(item.factors) not in (1, wanted):
             found = f"{where}{name}.{column}: {len(paths)} fields, {len(item.factors)} factors"
-            raise InputError(found, f"{wanted} fields" if wanted else "none, as it is no such signal", "correct it")
+            expected = f"{wanted} fields{', or roll, pitch and yaw' * (column == 'attitude')}"
+            raise InputError(found, expected if wanted else "none, as it is no such signal", "correct it")
         sources[column] = _make_source(paths, item, item.axis)
     return JointRoute(canonical, name, slash(entry.topic), sources, entry.stamp)
 
