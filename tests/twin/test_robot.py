@@ -12,7 +12,7 @@ import pytest
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.twin import load_twin
-from vpptwin.twin.model import is_driven, is_geared
+from vpptwin.twin.model import is_driven, is_geared, step_inertia
 from vpptwin.twin.robot import GUST, GUST_TIME, Loads, Robot, Signals
 
 ARM = mujoco.MjModel.from_xml_string("""
@@ -201,3 +201,19 @@ def test_a_balanced_body_keeps_its_own_centre_where_it_turns_any_way() -> None:
     ids = [effect.id for effect in Robot("rig", mujoco.MjModel.from_xml_string(mjcf)).list_effects()]
     assert ids.count("lower.com") == 1
     assert "upper.com" in ids
+
+
+@pytest.mark.parametrize(("integrator", "seen"), [("implicitfast", 0.06), ("Euler", -0.02), ("RK4", 0.0)])
+def test_steps_seem_to_change_inertia(integrator: str, seen: float) -> None:
+    """Half a step of what damps a slide is most: 2 kg, 10 N s/m, a servo of 5 at a gear of 2, 4 ms; Euler is both."""
+    text = (
+        '<mujoco><option timestep="0.004" integrator="%s" gravity="0 0 0"/><worldbody><body><joint type="slide" '
+        'damping="10"/><geom size="0.1" mass="2"/></body></worldbody><actuator><velocity joint="j" kv="5" gear="2"/>'
+        "</actuator></mujoco>"
+    )
+    model = mujoco.MjModel.from_xml_string(text.replace("<joint", '<joint name="j"') % integrator)
+    np.testing.assert_allclose(step_inertia(model), 0.06 * (integrator != "RK4"))
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    mujoco.mj_step(model, data)
+    assert -30.0 * 0.004 / np.log(data.qvel[0]) == pytest.approx(2.0 + seen, abs=2e-3)

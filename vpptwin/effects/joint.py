@@ -37,6 +37,7 @@ class Place:
         room: factor on bounds of forces: what a YAML may say has more room than what a diagnosis looks through.
         driven: whether an actuator acts on it.
         dof: its degree of freedom.
+        stepped: inertia that the engine's step seems to add [kg, kg m²].
     """
 
     joint: str
@@ -53,6 +54,7 @@ class Place:
     room: float = 1.0
     driven: bool = False
     dof: int = 0
+    stepped: float = 0.0
 
     @property
     def reach(self) -> float:
@@ -197,8 +199,8 @@ def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     carried = place.carried or place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
     parameter = Parameter(
         name="inertia", unit=unit, off=0.0, low=-0.8 * carried, high=20.0 * carried,
-        prior=Prior("normal", 0.0, 0.2 * carried), size=0.05 * carried, tolerance=0.005 * carried,
-        source="assumption: shares of what the joint carries, 20 % likely",
+        prior=Prior("normal", 0.0, 0.2 * carried), size=0.05 * carried,
+        tolerance=0.005 * carried + place.stepped, source="assumption: shares of what the joint carries, 20 % likely",
     )  # fmt: skip
     return Effect(
         f"{place.joint}.inertia", f"a wrong {kind} {place.where}", "M + inertia", (parameter,), Stage.CONSTANT,

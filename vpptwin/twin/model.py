@@ -248,15 +248,34 @@ def is_geared(model: mujoco.MjModel, joint: str) -> bool:
 
 def is_driven(model: mujoco.MjModel, joint: str) -> bool:
     """Whether an actuator has a moment arm on a joint in any of a few poses: at it, through a tendon or as a rotor."""
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
-    dof, arms = int(model.joint(joint).dofadr[0]), np.zeros((model.nu, model.nv))
+    data, rng, dof = mujoco.MjData(model), np.random.default_rng(0), int(model.joint(joint).dofadr[0])
     for _ in range(POSES if model.nu else 0):
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        arms = measure_arms(model, data)
         if (np.abs(arms[:, dof]) > NO_ARM * np.abs(arms).max(axis=1)).any():
             return True
         mujoco.mj_integratePos(model, data.qpos, rng.standard_normal(model.nv), 1.0)
     return False
+
+
+def measure_arms(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Moment arms of all actuators in a pose, (nu, nv) m or 1."""
+    arms = np.zeros((model.nu, model.nv))
+    mujoco.mj_fwdPosition(model, data)
+    if model.nu:
+        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return arms
+
+
+def step_inertia(model: mujoco.MjModel) -> np.ndarray:
+    """By how much the engine's step may seem to change the inertia of every degree of freedom, (nv,) kg, kg m².
+
+    Half a step times the damping of joints and servos, which is taken at the end of the step (more), or at its start.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        return np.zeros(model.nv)
+    servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) * np.abs(model.actuator_biasprm[:, 2])
+    arms = measure_arms(model, mujoco.MjData(model))
+    return np.asarray(0.5 * model.opt.timestep * (model.dof_damping + servos @ arms**2))
 
 
 ALIKE = 1e-3

@@ -47,6 +47,7 @@ from vpptwin.twin.model import (
     list_followers,
     list_swung,
     measure_reach,
+    step_inertia,
     tell_rotary,
     tells_mount,
     typical_forces,
@@ -270,11 +271,11 @@ class Robot:
                 for joint in joints
             ]
             return self.tie_signals((*effects_for_rig(places, unit, INPUT_ROOM, *more), *apart))
-        places = []
+        places, stepped = [], step_inertia(model)
         for name, rotary, _ in joints:
             dof = self.find_dof(name)
             known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "middle", "carried")}
-            driven = is_geared(model, name)
+            known["stepped"], driven = float(stepped[dof]), is_geared(model, name)
             places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, dof, **known))
         controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
         return self.tie_signals((*effects_for_rig(places, controls, 1.0, *more), *apart))
