@@ -123,3 +123,15 @@ def test_starts_are_not_read_across_strikes() -> None:
     starts = np.arange(1.0, 5.0, 0.01) + 0.005
     usable = starts[usable_starts(measured, starts, 0.3)]
     np.testing.assert_array_equal(usable, starts[(starts > 1.3) & ((starts < 2.7) | (starts > 3.4))])
+
+
+def test_blows_do_not_count() -> None:
+    """A swing that turns back at once, every second: with such kinks what is read from close by seems best."""
+    bounced = np.abs(np.sin(np.pi * TIME)) - np.sin(TIME) + draw()
+    kinked = measure(1.0, bounced)
+    at = np.arange(1.0, 19.0)
+    spans = np.stack([at - 0.03, at + 0.03], axis=1)
+    known, told = (reach_back(m).positions[0].reach for m in (kinked, replace(kinked, blows=spans)))
+    assert known is not None
+    assert told is not None
+    assert known < told

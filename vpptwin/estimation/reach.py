@@ -23,13 +23,17 @@ TRIALS, FEWEST = 300, 50
 
 def reach_back(measurements: Measurements) -> Measurements:
     """The measurements with the reach of positions beside which no velocities were logged."""
-    positions, attitudes, span = measurements.positions, measurements.attitudes, (measurements.start, measurements.end)
+    positions, attitudes = measurements.positions, measurements.attitudes
+    start, end = measurements.start + FARTHEST, measurements.end - FARTHEST
+    times = np.linspace(start, end, TRIALS if end - start > 2.0 * FARTHEST else 0)
+    for spans in (measurements.strikes, measurements.blows):  # across which no start is read
+        times = times[~touch(spans, times - FARTHEST, times + FARTHEST)]
     turning = {first: range(first, first + 3) for first in attitudes}
     turned = [dof for axes in turning.values() for dof in axes]
     reaches: dict[int, float | None] = {}
     for axes in (*turning.values(), *([dof] for dof in positions if dof not in turned)):
         if not any(dof in measurements.velocities for dof in axes):
-            reaches |= dict.fromkeys(axes, find_reach([positions[dof] for dof in axes], *span))
+            reaches |= dict.fromkeys(axes, find_reach([positions[dof] for dof in axes], times))
     return replace(
         measurements,
         positions={dof: replace(series, reach=reaches.get(dof)) for dof, series in positions.items()},
@@ -37,8 +41,8 @@ def reach_back(measurements: Measurements) -> Measurements:
     )
 
 
-def find_reach(several: Sequence[Series], start: float, end: float) -> float | None:
-    """How far back samples best tell speeds between start and end [s], of series with the same times [s].
+def find_reach(several: Sequence[Series], times: np.ndarray) -> float | None:
+    """How far back samples of series of the same times best tell speeds at `times` (K,) [s].
 
     Close by there are few to average their noise, and farther back the motion is no parabola. What is best comes
     closest to the speed of a cubic through the samples on either side, which knows of neither if noise is white.
@@ -47,9 +51,8 @@ def find_reach(several: Sequence[Series], start: float, end: float) -> float | N
         None if noise is not white, or too few samples tell.
     """
     time = several[0].time
-    white = [series for series in several if len(time) >= FEWEST and is_white(series.value)]
-    times = np.linspace(start + FARTHEST, end - FARTHEST, TRIALS)
-    times = times[(end - start > 4.0 * FARTHEST) & ~touch(find_gaps(time, 0.0), times - FARTHEST, times + FARTHEST)]
+    white = [s for s in several if not s.white and len(time) >= FEWEST and is_white(s.value)]
+    times = times[~touch(find_gaps(time, 0.0), times - FARTHEST, times + FARTHEST)]
     period = float(np.median(np.diff(time)))
     reaches = [float(reach) for reach in period * REACHES if reach <= FARTHEST]
     if not white or len(reaches) < 2 or len(times) < FEWEST:
