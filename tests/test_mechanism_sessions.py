@@ -93,7 +93,7 @@ def test_names_of_parameters_are_the_catalogues(tmp_path: Path) -> None:
     joints, drives = dict(zip(rig.joints, (0, 1))), {d.name: d.joint for d in rig.drives}
     checked = 0
     for effect in load_twin(tmp_path / "rig.yaml").catalogue:
-        if effect.id.rpartition(".")[2] in ("lugre", "load", "dead_band", "sag", "mass", "payload", "tilt"):
+        if effect.id.rpartition(".")[2] in ("lugre", "load", "dead_band", "sag", "mass", "com", "payload", "tilt"):
             continue  # not hidden there
         if effect.target in joints and effect.id.endswith(".delay"):
             continue  # what cameras are late by, tests/test_partly_seen.py hides

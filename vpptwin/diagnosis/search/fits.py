@@ -302,11 +302,8 @@ class Fitter:
         """Share of a typical size that a secant spans: a small one of what acts smoothly where motion is followed.
 
         Pulses of a track leave of a parameter what is alike in all windows: about the same motion, which a typical size
-        would turn by a third of a radian. A small one, too, of what hangs somewhere: logs may show only how heavy it is
-        times where, and motion that long secants bend would seem to tell these apart.
+        would turn by a third of a radian.
         """
-        if unknown.effect.stage is Stage.CONSTANT and unknown.effect.strengths != unknown.effect.parameters:
-            return SMALL
         rough = unknown.is_limit or unknown.effect.placed or unknown.effect.stage in (Stage.FRICTION, Stage.SLIP)
         return 1.0 if self.bench.followed is None or rough else SMALL
 
