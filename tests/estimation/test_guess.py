@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from benchmarks.guesses import RIGS, score_rig, write_model
+from tests.logs.bags import EPOCH, JOINTS, Bag, stamp_header
 from vpptwin.cli import main
+from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import guess_signals
-from vpptwin.estimation.inspect import ask
+from vpptwin.estimation.inspect import ask, inspect_logs
+from vpptwin.logs.read import read_flight
 from vpptwin.logs.survey import survey
 from vpptwin.twin import load_twin
 
@@ -233,3 +236,33 @@ def test_a_column_that_is_called_like_an_actuator_drives_it(tmp_path: Path) -> N
     columns = {"time": TIME, "swing": SWING, "drive": np.sign(RATE)}
     joint, motor = guess_signals(model, survey(write_log(tmp_path / "l.csv", columns))[1])
     assert [motor.target, joint.fields["position"].field, motor.fields["effort"].field] == ["drive", "swing", "drive"]
+
+
+def test_a_target_is_called_as_the_joint_that_its_servo_moves(tmp_path: Path) -> None:
+    """`arm_target` of a servo called otherwise."""
+    path = write_model(tmp_path / "m.xml", {"arm": None, "wrist": None}, "position")
+    path.write_text(re.sub("<position name='(arm|wrist)'", r"<position name='servo_\1_1'", path.read_text()))
+    columns = {"time": TIME, "arm_pos": DELAYED, "arm_target": SWING, "wrist_pos": -DELAYED, "wrist_target": -SWING}
+    log = write_log(tmp_path / "log.csv", columns)
+    servos = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(log)[1])[2:]
+    assert [servo.fields["effort"].label for servo in servos] == ["arm_target", "wrist_target"]
+    assert "arm_target: the name of the joint that it moves" in servos[0].reasons
+
+
+def test_the_topic_tells_what_numbers_without_names_are(tmp_path: Path) -> None:
+    """Of a Float64MultiArray by its order, by the log's time, as it has no header; `diagnose` reads what is written."""
+    path = write_model(tmp_path / "m.xml", {"left": None, "right": None}, "motor")
+    stamps, bag = [EPOCH + 10**6 * i for i in range(len(TIME))], Bag(tmp_path / "log.mcap")
+    joints = [{"header": stamp_header(now), "name": ["left", "right"], "position": [moved, -moved], "velocity": [],
+               "effort": []} for now, moved in zip(stamps, SWING)]  # fmt: skip
+    bag.add("/joint_states", JOINTS, joints)
+    bag.add("/motor_torques", "std_msgs/msg/Float64MultiArray", [{"data": [r, -r]} for r in RATE], "float64[] data")
+    bag.write()
+    inspect_logs([tmp_path / "log.mcap"], str(path), tmp_path / "t.yaml")
+    signals = load_twin(tmp_path / "t.yaml").robot.signals
+    found = read_flight(tmp_path / "log.mcap", signals=signals.entries).joints[signals.actuators["right"]]
+    np.testing.assert_allclose(found["right"]["effort"], -RATE)
+    bare = tmp_path / "bare.yaml"
+    bare.write_text((tmp_path / "t.yaml").read_text().replace(", stamp: log_time", ""))
+    with pytest.raises(InputError, match=r"header\.stamp.*say `stamp: log_time` of it"):
+        read_flight(tmp_path / "log.mcap", signals=load_twin(bare).robot.signals.entries)

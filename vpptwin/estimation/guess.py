@@ -18,7 +18,7 @@ from vpptwin.twin.actuation import INTEGRATES
 WORDS = {
     "acceleration": "acc accel acceleration ax ay az ddot",
     "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate dot gyro vx vy vz wx wy wz",
-    "effort": "tau torque torques effort efforts force moment thrust current",
+    "effort": "tau torque torques effort efforts force forces moment moments thrust thrusts current",
     "position": "pos position positions q qpos angle angles theta phi psi alpha beta gamma state",
     "drive": "pwm throttle duty voltage volt volts u motor motors rotor rotors",
 }
@@ -78,6 +78,8 @@ def tell_quantity(signal: Signal) -> str:
     if signal.name:
         return signal.field
     words = split_words(signal.label)
+    if words[:1] == ["data"]:  # of an array without names: its topic tells what it is
+        words = split_words(signal.topic)
     places = {*WORDS["position"].split(), *PLACES["m"]}
     rates = {f"d{word}" for word in places} | {f"{word}dot" for word in places}
     if rates & set(words):
@@ -139,9 +141,12 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         called = [split_words(guess.target) for guess in chosen]
         pool += [s for s in bare if s not in pool and [w for w in split_words(s.label) if w not in COMMANDED] in called]
         assign(chosen, [guess.target for guess in chosen], pool, "effort")
+        for guess in (guess for guess in chosen if not guess.fields):
+            joint_words = split_words(find_moved(model, motors.index(guess.target)))
+            own = [s for s in pool if [w for w in split_words(s.label) if w not in COMMANDED] == joint_words]
+            settle(guess, "effort", own, "the name of the joint that it moves")
     for i, guess in enumerate(commands):
-        driven = model.joint(model.actuator_trnid[i, 0]).name if model.actuator_trntype[i] == 0 else ""
-        moved = next((g.fields.get("position") for g in guesses if g.target == driven), None)
+        moved = next((g.fields.get("position") for g in guesses if g.target == find_moved(model, i)), None)
         check_actuator(guess, model, i, moved)
     return [*guesses, *commands]
 
@@ -153,6 +158,11 @@ def is_control(signal: Signal, kind: str) -> bool:
     if signal.name:
         return signal.field == (kind if is_commanded(signal) else "effort")
     return is_commanded(signal) and tell_quantity(signal) in (kind, "")
+
+
+def find_moved(model: mujoco.MjModel, actuator: int) -> str:
+    """Name of the joint that an actuator acts on itself; "" for none."""
+    return str(model.joint(model.actuator_trnid[actuator, 0]).name) if model.actuator_trntype[actuator] == 0 else ""
 
 
 def tell_control(model: mujoco.MjModel, actuator: int) -> str:

@@ -20,7 +20,7 @@ from vpptwin.files import write_whole
 from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.recording import find_files, list_flights
 from vpptwin.logs.survey import Signal, survey
-from vpptwin.logs.topic_map import slash
+from vpptwin.logs.topic_map import LOG_TIME, slash
 from vpptwin.terminal import open_console
 from vpptwin.twin.model import compile_model
 
@@ -146,6 +146,8 @@ def compose_line(guess: Guess) -> str:
     for quantity, path in paths.items():
         unit = guess.units.get(quantity)
         entry[quantity] = {"path": path, "unit": unit} if unit else path
+    if signals[0].headless:
+        entry["stamp"] = LOG_TIME
     text = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True).strip()
     return f"    {name}: {text}  # {one_line(said)}"
 

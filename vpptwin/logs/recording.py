@@ -166,10 +166,11 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
 
 def refuse_messages(path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError) -> InputError:
     """What to say of messages that do not decode."""
+    headless = " header.stamp" in str(error)
     return InputError(
         f"{path}: {channel.topic} ({channel.message_type}) has {error}",
         f"messages with {', '.join(paths)} as the definition in the file says",
-        "check the field names and the program that wrote it",
+        "say `stamp: log_time` of it" if headless else "check the field names and the program that wrote it",
     )
 
 

@@ -19,6 +19,7 @@ from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fie
 from vpptwin.logs.raw import RawChannel, RawFile, Wish
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
+from vpptwin.logs.topic_map import LOG_TIME
 
 _WIDEST = 64  # elements of a list that are signals of their own
 _DULL = re.compile(r"header\.|(^|\.)stamp\.|covariance|(^|\.)sequence$")
@@ -104,6 +105,7 @@ class Signal:
         time: (n,) s since the log's first sample, increasing.
         values: (n,), NaN where there was none.
         stretches: all of it, where time and values hold but the first of several.
+        headless: whether its messages have no time of their own, but the log's.
     """
 
     topic: str
@@ -115,6 +117,7 @@ class Signal:
     time: np.ndarray
     values: np.ndarray
     stretches: tuple[Stretch, ...] = ()
+    headless: bool = False
 
     @property
     def title(self) -> str:
@@ -227,7 +230,7 @@ def list_columns(recording: Recording, channel: RawChannel) -> Iterator[Signal]:
     for path, leaf in layout.leaves.items():
         if not _DULL.search(path) and (leaf.count is None or 0 < leaf.count <= _WIDEST):
             paths[path] = leaf
-    stamped = Stamp() if layout.leaves.keys() & {STAMP, f"{STAMP}.sec"} else Stamp(path="log_time")
+    stamped = Stamp() if layout.leaves.keys() & {STAMP, f"{STAMP}.sec"} else Stamp(path=LOG_TIME)
     samples = read_fields(recording, channel.topic, stamped, list(paths), channel.topic)
     for path, leaf in paths.items():
         said = re.fullmatch(r"(.*?)(?: \[([^\[\]]*)\])?", comments.get(path, path))
@@ -237,4 +240,5 @@ def list_columns(recording: Recording, channel: RawChannel) -> Iterator[Signal]:
             suffix = "" if leaf.count is None else f"[{index}]"
             values = data if leaf.count is None else data[:, index]
             kind = np.dtype(leaf.code).name
-            yield Signal(channel.topic, label + suffix, label + suffix, "", kind, unit, samples.stamp, values)
+            named = channel.topic, label + suffix, label + suffix, "", kind, unit
+            yield Signal(*named, samples.stamp, values, headless=stamped.path == LOG_TIME)
