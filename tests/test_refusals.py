@@ -69,7 +69,7 @@ LOGGED = (
     (rig(), JOINTS),
     (rig(), "joints: {swing: {topic: log, velocity: v}}"),
     (rig(joint=BALL), "joints: {hook: {topic: log, position: v}}"),
-    (rig(joint=BALL), "joints: {hook: {topic: log, attitude: [v, v, v]}}"),
+    (rig(joint=BALL), "joints: {hook: {topic: log, attitude: [v, v]}}"),
     (rig(joint=FREE), "bodies: {arm: {topic: log, position: [v, v, v]}}"),
     (driven('<motor name="m" joint="swing"/>'),
      "joints: {swing: {topic: log, position: v}}, actuators: {m: {topic: log, position: v, velocity: v}}"),

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from vpptwin.estimation.initial import find_horizon
 from vpptwin.estimation.series import Measurements
 
 LOOK_BACK = 0.15
@@ -14,8 +13,7 @@ LOOK_BACK = 0.15
 MAX_HOLD = 0.05
 """A command is believed to have been held for so long without a new one, at most [s]."""
 MAX_POSE_GAP, MAX_INERTIAL_GAP, MAX_SPEED_GAP = 0.12, 0.02, 0.1
-"""Gaps that estimates of pose, of inertial displacement and of rotor speed bridge [s]; where no accelerometer carries
-poses, half of what they are read from at most."""
+"""Gaps that estimates of pose, of inertial displacement and of rotor speed bridge [s]."""
 PERIODS = 4.0
 """No gap is shorter than this many median periods of its stream."""
 UNSTEADY = 5.0
@@ -28,8 +26,7 @@ PROBE = 0.3
 
 def usable_starts(measurements: Measurements, starts: np.ndarray, length: float) -> np.ndarray:
     """Whether windows of a length [s] from `starts` (K,) [s] touch no gap or strike that spoils them, (K,) bool."""
-    back = max([LOOK_BACK, *(find_horizon(series, causal=True) for series in measurements.positions.values())])
-    spoilt = touch(measurements.strikes, starts - back, starts + length) | (starts < measurements.start + back)
+    spoilt = touch(measurements.strikes, starts - LOOK_BACK, starts + length)
     for _, rows in spoil_starts(measurements, starts, length):
         spoilt |= rows
     return ~spoilt
@@ -41,12 +38,8 @@ def spoil_starts(measurements: Measurements, starts: np.ndarray, length: float) 
     command = measurements.command
     yield command.name, touch(find_gaps(command.time, MAX_HOLD) + np.array([MAX_HOLD, 0.0]), before, ends)
     for series in measurements.positions.values():
-        longest, back = MAX_POSE_GAP, LOOK_BACK
-        if measurements.specific_force is None:
-            back = find_horizon(series, causal=True)
-            longest = min(longest, 0.5 * back)
-        gaps = find_gaps(series.time, longest)
-        lost = touch(gaps, starts - back, starts + MAX_HOLD) | (overlap(gaps, starts, ends) > 0.5 * length)
+        gaps = find_gaps(series.time, MAX_POSE_GAP)
+        lost = touch(gaps, before, starts + MAX_HOLD) | (overlap(gaps, starts, ends) > 0.5 * length)
         yield "poses" if measurements.delayed else series.name, lost
     for inertial in (*measurements.velocities.values(), measurements.specific_force):
         if inertial is not None and measurements.specific_force is not None:

@@ -193,9 +193,7 @@ def fit_local(
     Returns:
         Positions (K,) and velocities (K,).
     """
-    horizon = SMOOTH if track else HORIZON
-    if moved is None:
-        horizon = find_horizon(series, bool((until <= times).all()))
+    horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
     index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
@@ -216,10 +214,8 @@ def fit_local(
     return solve_local(parts, FREE if moved is None else moved.prior)
 
 
-def find_horizon(series: Series, causal: bool = False) -> float:
-    """How far around, or before, an instant samples are used where nothing carries from one to the next [s]."""
-    if causal and series.reach is not None:
-        return series.reach
+def find_horizon(series: Series) -> float:
+    """How far around an instant samples are used where nothing carries from one to the next [s]."""
     if series.white or len(series.time) < 2:
         return HORIZON
     return min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
@@ -233,19 +229,17 @@ def taper(t: np.ndarray, horizon: float) -> np.ndarray:
 def weigh_samples(
     t: np.ndarray, weight: np.ndarray, std: float, columns: Sequence[np.ndarray], value: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (K, S, C) and right sides (K, S) of samples in units of their noise, times their weights (K, S)."""
+    """Rows (K, S, 3) and right sides (K, S) of samples in units of their noise, times their weights (K, S)."""
     scaled = weight / std
     return scaled[..., None] * np.stack(columns, axis=2), scaled * value
 
 
 def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Value and slope at t = 0 of polynomials by least squares, (K,) each; `curvature` is its prior."""
-    count, _, columns = parts[0][0].shape
-    wide = np.full(columns, FREE)
-    wide[2] = curvature
-    prior = np.broadcast_to(np.diag(1.0 / wide), (count, columns, columns))
+    """Value and slope at t = 0 of parabolas by least squares, (K,) each; `curvature` is its prior."""
+    count = len(parts[0][0])
+    prior = np.broadcast_to(np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / curvature]), (count, 3, 3))
     q, r = np.linalg.qr(np.concatenate([*(rows for rows, _ in parts), prior], axis=1))
-    target = np.concatenate([*(value for _, value in parts), np.zeros((count, columns))], axis=1)
+    target = np.concatenate([*(value for _, value in parts), np.zeros((count, 3))], axis=1)
     solution = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])
     return solution[:, 0, 0], solution[:, 1, 0]
 
@@ -261,7 +255,7 @@ def fit_attitude(
     Returns:
         Unit quaternions (K, 4) and rates (K, 3) rad/s.
     """
-    index, near = select_samples(attitude.time, times, find_horizon(attitude, bool((until <= times).all())), until)
+    index, near = select_samples(attitude.time, times, find_horizon(attitude), until)
     t = attitude.time[index] - times[:, None]
     base = index[np.arange(len(times)), np.argmin(np.where(near, np.abs(t), np.inf), axis=1)]
     turned, at = attitude.value, np.array([1.0, 0.0, 0.0, 0.0])

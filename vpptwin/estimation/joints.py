@@ -11,8 +11,6 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
-from vpptwin.estimation.noise import find_spread, is_white
-from vpptwin.estimation.reach import reach_back
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
 from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
@@ -26,6 +24,10 @@ POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
 TURN = 2.0 * np.pi
 MIN_SAMPLES = 50
+WILD = 12.0
+"""Third differences beyond so many times the noise are jumps."""
+WHITE = (-0.85, -0.65)
+"""Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
 SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
 EXPLAINED, LATEST = 0.5, 0.1
@@ -54,10 +56,10 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     start, end, told = find_flown(spec.model, found.positions, start, end)
-    measurements = reach_back(Measurements(
+    measurements = Measurements(
         flight.path.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
         attitudes=found.attitudes,
-    ))  # fmt: skip
+    )  # fmt: skip
     return replace(measurements, warnings=(*found.warnings, *told, *tell_cut(spans), *tell_gaps(measurements)))
 
 
@@ -98,6 +100,11 @@ def smooth_series(series: Series) -> Series:
     time, columns = series.time, series.value.reshape(len(series.time), -1).T
     smooth = [splev(time, splrep(time, column, s=len(time) * find_spread(column) ** 2)) for column in columns]
     return replace(series, value=np.stack(smooth, axis=1).reshape(series.value.shape))
+
+
+def find_spread(value: np.ndarray) -> float:
+    """Noise from sample to sample of what is smooth otherwise, (n,), by its third differences."""
+    return float(np.median(np.abs(np.diff(value, 3)))) / 0.6745 / np.sqrt(20.0)
 
 
 def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
@@ -333,7 +340,9 @@ def estimate_noise(
     if len(value) < MIN_SAMPLES:
         return floor
     spread = find_spread(value)
-    if white := is_white(value):
+    third = np.clip(np.diff(value, 3), -WILD * spread, WILD * spread)
+    likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
+    if white := WHITE[0] < likeness < WHITE[1]:
         spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))
     if apart is None:
         apart = 0.0 if white else floor

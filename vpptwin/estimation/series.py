@@ -23,7 +23,6 @@ class Series:
     value: np.ndarray  # (n,) or (n, k)
     std: float  # sensor noise of one sample, 1 sigma, in the unit
     white: bool = True  # the noise is independent from sample to sample, so that averaging reduces it
-    reach: float | None = None  # how far back samples best tell where it is and how fast it moves, s; None: not known
 
 
 @dataclass(frozen=True)

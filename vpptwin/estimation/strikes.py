@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.gaps import LOOK_BACK, touch
-from vpptwin.estimation.reach import reach_back
 from vpptwin.estimation.series import Measurements
 
 STEP, SPAN = 0.01, 3
@@ -32,7 +31,7 @@ SIDES = (LIMIT, mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
 def mark_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> Measurements:
     """The measurements with the spans in which the rig strikes something, and a warning of them; windows in s."""
     strikes, told, blows = find_strikes(model, measured, window)
-    return reach_back(replace(measured, strikes=strikes, blows=blows, warnings=(*measured.warnings, *told)))
+    return replace(measured, strikes=strikes, blows=blows, warnings=(*measured.warnings, *told))
 
 
 def find_strikes(
