@@ -166,7 +166,7 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
 
 def refuse_messages(path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError) -> InputError:
     """What to say of messages that do not decode."""
-    headless = " header.stamp" in str(error)
+    headless = "field header.stamp" in str(error)
     return InputError(
         f"{path}: {channel.topic} ({channel.message_type}) has {error}",
         f"messages with {', '.join(paths)} as the definition in the file says",
