@@ -146,7 +146,8 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
             own = [s for s in pool if [w for w in split_words(s.label) if w not in COMMANDED] == joint_words]
             settle(guess, "effort", own, "the name of the joint that it moves")
     for i, guess in enumerate(commands):
-        moved = next((g.fields.get("position") for g in guesses if g.target == find_moved(model, i)), None)
+        driven = find_moved(model, i)
+        moved = next((g.fields.get("position") for g in guesses if g.target == driven), None)
         check_actuator(guess, model, i, moved)
     return [*guesses, *commands]
 

@@ -75,7 +75,7 @@ NO_SIGNALS = Signals()
 
 def place_entry(topic: str, name: str, entry: dict[str, Any]) -> str:
     """The topic that an entry is read as: one of its own for bodies, IMUs and what turns any way about a place."""
-    if "attitude" in entry:
+    if "attitude" in entry and topic != SITES:
         return (BODIES if "position" in entry else TURNS) + name
     return topic + name if topic.endswith("/") else topic
 
