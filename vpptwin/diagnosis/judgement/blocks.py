@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from vpptwin.estimation.windows import Windows
 
@@ -36,12 +38,26 @@ def tell_apart(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean, np.where(number > 1, np.sqrt(square / np.maximum(number, 1)), np.inf)
 
 
+def to_deviations(times: float, number: int) -> float:
+    """The normal deviation that is as improbable as a mean over so many that is so many of its standard errors.
+
+    From a few their own scatter is hardly known (Student's t): two or three that agree by chance tell little.
+    """
+    tail = max(float(student.sf(abs(times), number - 1)), 1e-300) if number > 1 else 0.5
+    return float(np.copysign(norm.isf(tail), times))
+
+
 def improvement(before: np.ndarray, after: np.ndarray, times: float) -> tuple[float, float]:
     """Drop in surprise over all windows and its standard error, from windows paired before and after, (K,) each.
 
+    The error is larger from a few, as `to_deviations` says.
     Drops beyond so many times their root mean square count as that much: a window which goes astray does not decide.
     """
     drop = before - after
     most = times * float(np.sqrt(np.mean(drop**2)))
     drop = np.clip(drop, -most, most)
-    return float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop))) if len(drop) > 1 else float("inf")
+    if len(drop) < 2:
+        return float(drop.sum()), float("inf")
+    found, error = float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop)))
+    times = found / max(error, 1e-300)
+    return found, error * times / to_deviations(times, len(drop)) if times else error

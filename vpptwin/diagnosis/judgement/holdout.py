@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, pick
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart
+from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart, to_deviations
 from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
@@ -161,10 +161,11 @@ class HeldOut:
         return drop < -self.criteria.sigmas_against * error * ALONE
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
-        """By how many standard errors the errors over all horizons favour `after`."""
+        """By how many standard errors the errors over all horizons favour `after`, as few blocks can tell them."""
         ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
-        mean, error = tell_apart(np.nanmean(ratios, axis=0)[:, None])
-        return float(-mean[0] / max(error[0], 1e-12))
+        growth = np.nanmean(ratios, axis=0)
+        mean, error = tell_apart(growth[:, None])
+        return to_deviations(float(-mean[0] / max(error[0], 1e-12)), int(np.isfinite(growth).sum()))
 
     def feels(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
         """Whether errors of the pose up to `watched` ahead fall by as much as noise makes, and not by chance.
