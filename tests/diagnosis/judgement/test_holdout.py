@@ -11,7 +11,7 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
+from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, to_deviations
 from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.diagnosis.search.likelihood import couple_gusts
@@ -22,10 +22,24 @@ DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}
 
 
 def test_improvement_by_hand() -> None:
-    """Surprises 5, 5, 1 become 3, 3, 1: drops 2, 2, 0; sum 4, scatter 2/√3, standard error of the sum 2."""
+    """Drops 2, 2, 0: sum 4, scatter 2/√3, standard error of the sum 2; of three, 2 of them are 9.18 % improbable."""
     gain, error = improvement(np.array([5.0, 5.0, 1.0]), np.array([3.0, 3.0, 1.0]), 4.0)
     assert gain == pytest.approx(4.0)
-    assert error == pytest.approx(2.0)
+    assert 0.5 * (1.0 - 2.0 / np.sqrt(6.0)) == pytest.approx(0.0918, abs=1e-4)
+    assert error == pytest.approx(4.0 / 1.3301, rel=1e-3)
+
+
+@pytest.mark.parametrize(("times", "number"), [(12.706, 2), (4.303, 3), (-2.571, 6), (2.042, 31), (1.960, 10**6)])
+def test_few_must_agree_by_more(times: float, number: int) -> None:
+    """What a table of Student's t has at 2.5 % is 1.96 normal deviations."""
+    assert to_deviations(times, number) == pytest.approx(np.copysign(1.960, times), abs=1e-3)
+
+
+def test_one_tells_nothing_and_certainty_is_finite() -> None:
+    """A single window has no scatter; a hundred that agree to the last digit are as many deviations as doubles hold."""
+    assert to_deviations(5.0, 1) == 0.0
+    assert 30.0 < to_deviations(1e12, 100) < 40.0
+    assert improvement(np.array([1.0, 2.0]), np.array([2.0, 1.0]), 4.0) == (0.0, pytest.approx(2.0))
 
 
 def test_a_window_astray_counts_as_four_times_the_rest() -> None:

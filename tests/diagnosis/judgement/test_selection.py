@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm, t
 
 from tests.diagnosis.fakes import FRAME, guess, linear
 from vpptwin.diagnosis.criteria import CRITERIA
@@ -76,7 +77,7 @@ class Judges:
     """Held-out windows whose surprise drops by `gain` standard errors with every effect that is named.
 
     Args:
-        gain: in standard errors of the sum over windows, which is 5.
+        gain: in standard errors of the sum over windows, which is 5 as so few windows tell it.
         power: whitened change of prediction, squared and summed.
         worse: whether an effect makes errors worse.
         favour: by how many standard errors the errors favour whatever is fitted later.
@@ -87,6 +88,7 @@ class Judges:
     ) -> None:
         scatter = np.tile([1.0, -1.0], WINDOWS)[:WINDOWS] - 1.0 / WINDOWS
         scatter /= scatter.std(ddof=1)
+        scatter *= gain / t.isf(norm.sf(gain), WINDOWS - 1) if gain else 1.0
         self.drop = scatter + gain / np.sqrt(WINDOWS)
         self.power, self.worse, self.favour = power, worse, favour
         self.left: dict[int, float] = {}

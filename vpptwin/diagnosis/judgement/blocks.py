@@ -59,5 +59,5 @@ def improvement(before: np.ndarray, after: np.ndarray, times: float) -> tuple[fl
     if len(drop) < 2:
         return float(drop.sum()), float("inf")
     found, error = float(drop.sum()), float(drop.std(ddof=1) * np.sqrt(len(drop)))
-    times = found / max(error, 1e-300)
-    return found, error * times / to_deviations(times, len(drop)) if times else error
+    deviations = to_deviations(found / max(error, 1e-300), len(drop))
+    return found, found / deviations if deviations else error
