@@ -271,8 +271,6 @@ def step_inertia(model: mujoco.MjModel) -> np.ndarray:
 
     Half a step times the damping of joints and servos, which is taken at the end of the step (more), or at its start.
     """
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        return np.zeros(model.nv)
     servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) * np.abs(model.actuator_biasprm[:, 2])
     arms = measure_arms(model, mujoco.MjData(model))
     return np.asarray(0.5 * model.opt.timestep * (model.dof_damping + servos @ arms**2))
@@ -298,84 +296,6 @@ def is_indifferent(model: mujoco.MjModel, joint: int) -> bool:
         seen.append([data.qfrc_bias.copy(), inertia, data.actuator_moment.copy()])
         data.qpos[model.jnt_qposadr[joint]] += rng.uniform(0.5, 2.0)
     return all(np.ptp(each, axis=0).max(initial=0.0) <= ALIKE * np.abs(each).max(initial=0.0) for each in zip(*seen))
-
-
-def list_swung(model: mujoco.MjModel, led: np.ndarray) -> list[int]:
-    """Bodies that a hinge and another joint move: of one joint alone, mass is but the inverse of its drive's gain.
-
-    What only slides is left out, its mass being the inertia of its slide. A base that follows its log, as its degrees
-    of freedom among `led` tell, is no joint.
-    """
-    found, counts = [], ~((model.jnt_type == FREE) & np.isin(model.jnt_dofadr, led))
-    for body in range(1, model.nbody):
-        chain, joints = body, list[int]()
-        while chain:
-            joints += range(model.body_jntadr[chain], model.body_jntadr[chain] + model.body_jntnum[chain])
-            chain = int(model.body_parentid[chain])
-        same = counts & (model.body_treeid[model.jnt_bodyid] == model.body_treeid[body])
-        if {HINGE, BALL} & {int(model.jnt_type[i]) for i in joints} and np.count_nonzero(same) > 1:
-            found.append(body)
-    return found
-
-
-def find_hinge(model: mujoco.MjModel, body: int) -> int:
-    """Index of the last hinge or ball joint that moves a body; -1 where none does."""
-    while body:
-        first = int(model.body_jntadr[body])
-        for joint in reversed(range(first, first + int(model.body_jntnum[body]))):
-            if model.jnt_type[joint] in (HINGE, BALL):
-                return joint
-        body = int(model.body_parentid[body])
-    return -1
-
-
-def measure_reach(model: mujoco.MjModel, body: int) -> float:
-    """Half of how far a body gets from its first joint, or else its origin [m], if not more by its mass or inertia.
-
-    Its geoms and sites tell, and where the bodies are that it carries.
-    """
-    start = model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else np.zeros(3)
-    geoms, sites = model.geom_bodyid == body, model.site_bodyid == body
-    places = np.concatenate([model.geom_pos[geoms], model.site_pos[sites], model.body_pos[model.body_parentid == body]])
-    room = np.zeros(len(places))
-    room[: np.count_nonzero(geoms)] = model.geom_rbound[geoms]
-    far = float((np.linalg.norm(places - start, axis=1) + room).max(initial=0.0))
-    turned = float(np.sqrt(model.body_inertia[body].max() / max(float(model.body_mass[body]), 1e-12)))
-    return max(float(np.linalg.norm(model.body_ipos[body] - start)), 0.5 * far, turned)
-
-
-def list_balanced(model: mujoco.MjModel, body: int, step: float, led: np.ndarray) -> list[bool]:
-    """Along which of a body's axes its centre of mass shows in nothing but the inertia of a joint, or not at all.
-
-    Args:
-        model: nominal.
-        body: index.
-        step: by which its centre of mass is moved [m].
-        led: degrees of freedom that follow their log.
-    """
-    rng, free = np.random.default_rng(0), np.setdiff1d(np.arange(model.nv), led)
-    poses = [(np.array(model.qpos0), *rng.uniform(-1.0, 1.0, (2, model.nv))) for _ in range(3)]
-    for pose, way, _ in poses:
-        mujoco.mj_integratePos(model, pose, way, 1.0)
-    other = ~np.eye(model.nv, dtype=bool)[free]
-
-    def weigh(moved: np.ndarray) -> np.ndarray:
-        """What couples joints, and what acts on them as they move and weigh, (poses, ...)."""
-        changed = copy.copy(model)
-        changed.body_ipos[body] += moved
-        changed.body_sameframe[body] = 0
-        data, dense, found = mujoco.MjData(changed), np.zeros((model.nv, model.nv)), []
-        for pose, _, speed in poses:
-            data.qpos[:], data.qvel[:] = pose, speed
-            mujoco.mj_fwdPosition(changed, data)
-            mujoco.mj_fwdVelocity(changed, data)
-            mujoco.mj_fullM(changed, data, dense)
-            found.append(np.concatenate([dense[free][other], data.qfrc_bias[free]]))
-        return np.array(found)
-
-    nominal = weigh(np.zeros(3))
-    least = 1e-9 * max(float(np.abs(nominal).max(initial=0.0)), 1e-12)
-    return [bool(np.abs(weigh(way) - nominal).max(initial=0.0) <= least) for way in step * np.eye(3)]
 
 
 def tells_mount(model: mujoco.MjModel) -> bool:

@@ -19,7 +19,6 @@ import numpy as np
 from vpptwin.effects import (
     Effect,
     FreeBody,
-    Link,
     Site,
     effects_for_ball,
     effects_for_body,
@@ -32,21 +31,18 @@ from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.errors import InputError
+from vpptwin.twin.links import list_links
 from vpptwin.twin.manifold import BALL, FREE, list_attitudes
 from vpptwin.twin.model import (
     compile_model,
     describe_joints,
     find_carrier,
     find_floating,
-    find_hinge,
     find_meeting,
     group_rotors,
     is_driven,
     is_geared,
-    list_balanced,
     list_followers,
-    list_swung,
-    measure_reach,
     step_inertia,
     tell_rotary,
     tells_mount,
@@ -59,8 +55,6 @@ GUST = 0.002
 """Force that nobody modelled, as a share of the force that moves a joint about: where a fit of its strength starts."""
 TURNING = ("com", "inertia", "twist")
 """Effects of a body that show as it turns."""
-WEIGHT = 9.81
-"""By which a force on a hinge is told as where a weight pulls [m/s²]."""
 WAYS = ("x", "y", "z", "roll", "pitch", "yaw")
 """What a free body's degrees of freedom are called: along the world's axes, about its own; a ball joint's are three."""
 GUST_TIME = 0.2
@@ -259,11 +253,13 @@ class Robot:
         model, loads = self.model, self.loads
         names = [model.actuator(i).name for i in range(model.nu)]
         joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
-        apart = [effect for joint, body in self.list_free().items() for effect in self.list_of_body(joint, body)]
+        free = self.list_free()
+        apart = [effect for joint, body in free.items() for effect in self.list_of_body(joint, body)]
         apart += self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
         whole = tuple(name for name in names if name in self.signals.actuators)
-        more = about, group_rotors(model), self.list_links(), tells_mount(model), self.list_contacts(), whole
+        links = list_links(model, self.forces, self.driven, {body.name for body in free.values()})
+        more = about, group_rotors(model), links, tells_mount(model), self.list_contacts(), whole
         if loads is None:
             unit = {name: 1.0 for name in names if name}
             places = [
@@ -351,28 +347,6 @@ class Robot:
         gain, bias = self.model.actuator_gainprm[actuator], self.model.actuator_biasprm[actuator]
         limited = bool(self.model.actuator_forcelimited[actuator])
         return list_loop_effects(float(gain[0]), float(bias[1]), float(bias[2]), limited)
-
-    def list_links(self) -> list[Link]:
-        """The bodies whose mass and its place show, and where the last ones of a chain may carry something."""
-        model, apart = self.model, {free.name for free in self.list_free().values()}
-        found = []
-        for body in list_swung(model, self.driven):
-            name, mass = model.body(body).name, float(model.body_mass[body])
-            if not name or mass <= 0.0:
-                continue
-            centre, tip, ways = model.body_ipos[body], None, ""
-            away = centre - model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else centre
-            reach = measure_reach(model, body) or 0.1
-            joint, fixed = find_hinge(model, body), bool(model.body_simple[body])  # MuJoCo takes it to be balanced
-            if not (model.body_parentid == body).any() and not fixed:
-                x, y, z = map(float, centre + away)
-                tip = x, y, z
-            if name not in apart and not fixed:
-                balanced = list_balanced(model, body, 0.1 * reach, self.driven)
-                ways = "".join(axis for axis, nothing in zip("xyz", balanced) if not nothing)
-            lever = float(self.forces[model.jnt_dofadr[joint]]) / (WEIGHT * mass)
-            found.append(Link(name, mass, tip, reach, ways, min(lever, reach), str(model.joint(joint).name)))
-        return found
 
     def list_contacts(self) -> tuple[Effect, ...]:
         """What contacts may have, of geoms that can touch and of pairs."""
