@@ -61,6 +61,7 @@ DELAYED = np.interp(TIME - 0.08, TIME, SWING)
         ({"arm_pos": SWING, "arm_vel": SWING}, False, ["left out: arm_vel is"]),
         ({"arm_pos": np.rad2deg(SWING)}, False, ["lie outside -1.5 to 1.5: in deg?"]),
         ({"arm_pos": SWING + 2.0, "arm_vel": RATE}, False, ["another sign or zero?"]),
+        ({"arm_pos": np.round(2048 + 652 * SWING)}, False, ["counts of an encoder, of which 4096 a turn have scale"]),
         ({"arm_pos": SWING, "arm_pos_2": SWING}, False, ["or /log arm_pos_2"]),
         ({"arm_pos_error": SWING}, False, ["may be made of another signal"]),
         ({"angle": SWING}, False, ["no velocity tests it"]),
@@ -144,9 +145,9 @@ def test_targets_of_speeds_are_held_against_slopes(tmp_path: Path, sign: float, 
     assert "arm_target is " in "; ".join([*servo.reasons, *servo.doubts])
 
 
-@pytest.mark.parametrize("stem", ["cart_", ""])
+@pytest.mark.parametrize("stem", ["cart_", "vicon_", ""])
 def test_a_body_on_wheels_is_known_by_its_name(tmp_path: Path, stem: str) -> None:
-    """Its height does not change; x, y and z that nothing names are no more than likely."""
+    """Its height does not change; x, y and z that nothing names, nor its attitude, are no more than likely."""
     body = "<body name='cart'><freejoint/><geom size='0.1' mass='1'/></body>"
     (tmp_path / "m.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     turn = {

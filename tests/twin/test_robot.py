@@ -13,7 +13,7 @@ from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.twin import load_twin
 from vpptwin.twin.links import list_links
-from vpptwin.twin.model import is_driven, is_geared, step_inertia
+from vpptwin.twin.model import is_driven, is_geared, step_inertia, tells_mount
 from vpptwin.twin.robot import GUST, GUST_TIME, Loads, Robot, Signals
 
 ARM = mujoco.MjModel.from_xml_string("""
@@ -167,6 +167,18 @@ PLANAR = """<mujoco><worldbody>
     <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/>
       <geom type="capsule" size="0.01" fromto="0 0 0 0 0 -0.3"/></body></body>
 </worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("base", "tells"),
+    [("", True), ("<freejoint/>", False), ("<joint type='slide'/>", False)],
+    ids=["fixed", "free", "slide"],
+)
+def test_a_mount_may_be_a_body_that_is_fixed(base: str, tells: bool) -> None:
+    """A base between the world and the turret is the mount; one that moves is a joint of its own."""
+    turret = "<body><joint axis='0 0 1'/><geom size='0.1'/><body><joint axis='0 1 0'/><geom size='0.1'/></body></body>"
+    text = f"<mujoco><worldbody><body>{base}<geom size='0.1'/>{turret}</body></worldbody></mujoco>"
+    assert tells_mount(mujoco.MjModel.from_xml_string(text)) == tells
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -34,6 +34,8 @@ ROS_POSITIONS = [f"{columns['position']}." for columns in SPATIAL.values() if "p
 """What vectors of positions are called in messages of poses."""
 NAMED = {"p", "pos", "position", "pose"}
 """Words in names of positions besides the body's."""
+BESIDE = ("q", "q_", "quat_", "orientation_")
+"""What the name of an attitude has beyond that of a position beside it."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
 ANGLES = (("rad", 1.0), ("deg", UNITS["deg"][1]))
 TURN, UNIT_AT_END = 2.2 * np.pi, r"(?:[_.\s\[(]*(?:deg|degrees|rad|radians)[\])]*)?"
@@ -127,7 +129,8 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
             text = f"attitude: {stem}roll, pitch, yaw in {unit}{'' if told else ' by how far they go'}"
             yield Told("attitude", text, False, tuple(group), "" if unit == "rad" else unit)
     triples = find_groups([s for s in signals if not is_commanded(s)], AXES)
-    yield from tell_positions({stem: group for stem, group in triples.items() if angles or stem not in attitudes}, body)
+    places = {stem: group for stem, group in triples.items() if angles or stem not in attitudes}
+    yield from tell_positions(places, body, attitudes)
     for stem, group in find_groups(signals, EULER).items():
         if attitudes and not angles and not any(is_commanded(signal) for signal in group):
             yield tell_angles(stem, group, next(iter(attitudes.values())))
@@ -139,10 +142,13 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
             yield tell_gravity(stem, group)
 
 
-def tell_positions(triples: Mapping[str, list[Signal]], body: str) -> Iterator[Told]:
-    """Positions, by the name of the message or of the body, or each with the velocity that is its slope."""
+def tell_positions(triples: Mapping[str, list[Signal]], body: str, attitudes: Container[str]) -> Iterator[Told]:
+    """Positions, by the name of the message, the body or its attitude, or each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
+        if name.rstrip("._") and any(f"{stem}{turned}" in attitudes for turned in BESIDE):
+            yield Told("position", f"position: {stem}x, y, z: called as its attitude", True, tuple(group))
+            continue
         if name in ROS_POSITIONS:
             yield Told("position", f"position: {stem}x, y, z, of a message of poses", True, tuple(group))
         if split_words(body) == [word for word in split_words(name) if word not in NAMED]:

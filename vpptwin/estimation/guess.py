@@ -315,7 +315,9 @@ def check_range(guess: Guess, quantity: str, scale: float, limits: np.ndarray | 
     told = f"{outside:.0%} of {signal.label} lie outside {limits[0]:.3g} to {limits[1]:.3g}"
     smaller, size = ("deg", np.pi / 180.0) if length == "rad" else ("mm", 1e-3)
     fits = length and np.ptp(values) > FAR[length] and lie_outside(size) <= 0.01
-    guess.doubts.append(f"{told}: {f'in {smaller}' if fits else 'another sign or zero'}?")
+    counted = length == "rad" and np.ptp(values) > FAR[length] and not np.any(signal.finite % 1.0)
+    otherwise = "counts of an encoder, of which 4096 a turn have scale: 0.001534" if counted else "another sign or zero"
+    guess.doubts.append(f"{told}: {f'in {smaller}' if fits else otherwise}?")
 
 
 def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Signal | None) -> None:
@@ -329,9 +331,11 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     if kind == "position" and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
         length = name_length(model, model.actuator_trnid[actuator, 0])
         guess.units |= check_unit(guess, "effort", command, length)
-    check_range(guess, "effort", UNITS[guess.units.get("effort", length)][1] if length else 1.0, limits, length)
+    raw = kind == "effort" and tell_quantity(command) == "drive"
+    if not raw:
+        check_range(guess, "effort", UNITS[guess.units.get("effort", length)][1] if length else 1.0, limits, length)
     if kind == "effort":
-        if tell_quantity(command) == "drive":
+        if raw:
             low, high = command.whole.low, command.whole.high
             guess.doubts.append(
                 f"{command.label} goes from {low:.4g} to {high:.4g}: how much force is that? a scale or polynomial"

@@ -28,6 +28,8 @@ WILD = 12.0
 """Third differences beyond so many times the noise are jumps."""
 WHITE = (-0.85, -0.65)
 """Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
+COUNTED, FAST, DIGIT = 0.1, 20.0, 1e-3
+"""Counts are whole within so much, most of them go by so few at once, and decimal steps are decimal to within this."""
 SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
 EXPLAINED, LATEST = 0.5, 0.1
@@ -318,6 +320,24 @@ def compare_streams(stream: Stream) -> tuple[float, float | None]:
     return late, after
 
 
+def find_step(value: np.ndarray) -> float:
+    """The step of an encoder whose counts are what is smooth otherwise, (n,); 0 where other noise hides it, or none is.
+
+    Steps of 1, 2 or 5 of the last digit are how a log is written, not how anything was measured.
+    """
+    moved = np.abs(np.diff(value))
+    moved = moved[moved > 1e-9 * max(float(np.ptp(value)), 1e-12)]
+    if len(moved) < MIN_SAMPLES:
+        return 0.0
+    step = float(np.min(moved))
+    step = float(np.mean(moved[moved < 1.5 * step]))
+    counts = moved / step
+    if np.median(counts) > FAST or np.abs(counts - np.round(counts)).max() > COUNTED or find_spread(value) > step:
+        return 0.0
+    digits = np.log10(np.outer([1.0, 180.0 / np.pi, 1e3], [step / 1.0, step / 2.0, step / 5.0]))
+    return 0.0 if np.abs(digits - np.round(digits)).min() < DIGIT else step
+
+
 def estimate_noise(
     time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None, widest: float = np.inf
 ) -> float:
@@ -344,6 +364,8 @@ def estimate_noise(
     likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
     if white := WHITE[0] < likeness < WHITE[1]:
         spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))
+    if step := find_step(value):
+        spread, white = step / np.sqrt(12.0), True
     if apart is None:
         apart = 0.0 if white else floor
     return float(max(spread, 0.1 * floor, min(apart, floor)))

@@ -305,7 +305,9 @@ def tells_mount(model: mujoco.MjModel) -> bool:
     """
     first = int(model.jnt_bodyid[0])
     up = np.abs(model.opt.gravity) / max(float(np.linalg.norm(model.opt.gravity)), 1e-9)
-    if model.njnt < 2 or not up.any() or {FREE, BALL} & set(model.jnt_type) or model.body_parentid[first]:
+    if model.njnt < 2 or not up.any() or {FREE, BALL} & set(model.jnt_type):
+        return False
+    if model.body_weldid[model.body_parentid[first]]:  # what carries it moves
         return False
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

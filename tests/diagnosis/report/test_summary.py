@@ -197,7 +197,9 @@ def test_a_misfit_comes_with_what_would_help() -> None:
     told = summarise(replace(FAR, misfit=built), NOISE, {}).remedy
     assert "quad.com, m3.gain, m2.gain and m4.gain may be off by" in told
     assert "no one of them is accused" in told
-    soon = replace(FAR, misfit=replace(MISFIT, horizon_s=HORIZONS_S[0]))
+    breeze = replace(FAR, unexplained=Unexplained(False, 1.0, None, [], 0.0, 0.0071))
+    assert "maybe nothing, as a random force of 0.71 % of what drives a joint" in summarise(breeze, NOISE, {}).remedy
+    soon = replace(breeze, misfit=replace(MISFIT, horizon_s=HORIZONS_S[0]))
     assert "shows so soon" in summarise(soon, NOISE, {}).remedy
     left = Unexplained(True, 0.4, "elbow", ["elbow velocity"], 7.0, 0.03)
     follows = summarise(replace(FAR, unexplained=left), NOISE, {}).remedy

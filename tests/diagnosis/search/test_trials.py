@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,11 +18,13 @@ from vpptwin.diagnosis.search.suspects import (
     Unknown,
     cut_off,
     grid_of_shape,
+    list_force_limits,
     list_limits,
     list_trials,
     list_unknowns,
 )
 from vpptwin.effects import Effect, Parameter, Prior
+from vpptwin.effects.actuator import FORCE_LIMIT, attach
 from vpptwin.effects.joint import Place, bias, spring, viscous
 from vpptwin.effects.servo import RATE_LIMIT
 from vpptwin.twin.spec import load_twin
@@ -182,6 +186,34 @@ def test_what_the_twin_has_is_not_tried() -> None:
     assert list_trials(there, UNIFORM) == ()
     _, broad = shaped(2.0)
     assert list_trials(broad, UNIFORM) == ()
+
+
+@pytest.mark.parametrize(
+    ("joint", "found"), [("arm", [*(0.5 * (1.0 - np.array(CUT) ** (2.0 / 3.0))), 2.0]), ("wire", [2.0])]
+)
+def test_force_limits_are_tried_where_a_servo_runs_into_them(joint: str, found: list[float]) -> None:
+    """Targets up to 0.5 rad from an arm at rest ask for 5 of 10 N m, evenly spread; a tendon tells nothing.
+
+    Beyond a share L of the largest is (1 - L)^3 of the mean square.
+    """
+    drive = "tendon='wire'" if joint == "wire" else "joint='arm'"
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint name='arm'/><geom size='0.1' mass='1'/></body></worldbody><tendon>"
+        "<fixed name='wire'><joint joint='arm' coef='1'/></fixed></tendon><actuator>"
+        f"<position name='servo' {drive} kp='10' kv='1' forcerange='-10 10'/></actuator></mujoco>"
+    )
+    rest = np.full((1, 1, len(UNIFORM.windows.command[0]) + 1, 1), 0.2)
+    robot = SimpleNamespace(locate=lambda effect: SimpleNamespace(actuator=0))
+    bench: Any = SimpleNamespace(
+        windows=SimpleNamespace(command=0.2 + 0.5 * UNIFORM.windows.command),
+        spec=SimpleNamespace(model=model, robot=robot),
+        without_sensors=lambda variation: variation, simulate=lambda variations, sensors: (rest, 0.0 * rest, None),
+        guessed=True,
+    )  # fmt: skip
+    limit = attach(FORCE_LIMIT, "servo")
+    unknown = Unknown(limit, limit.parameters[0], 1.0)
+    assert list_force_limits(unknown, bench) == pytest.approx(found, abs=5e-3)
+    assert [trial.limit for trial in list_trials((unknown,), bench)] == [True] * len(found)
 
 
 def test_on_a_rig_that_nobody_knows_effects_are_tried_at_several_sizes() -> None:

@@ -168,6 +168,11 @@ def describe_remedy(verdict: Verdict) -> str:
         return (
             f"What would help: {check}, and its inertia, as what shows so soon often is the log's or the model's fault."
         )
+    if not verdict.unexplained.significant and verdict.unexplained.force is not None:
+        return (
+            f"What would help: maybe nothing, as {describe_force(verdict.unexplained)} (air, cables, the ground) makes "
+            f"that where sensors are so good; if it should be quieter, {check}."
+        )
     return f"What would help: {check}; leave out what somebody touched, or log other motion, {joint} alone."
 
 

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+import mujoco
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.search.places import find_places
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
@@ -101,6 +102,9 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
         if strength.is_limit:
             trials += [Trial(effect, {strength.key: value}, True) for value in list_limits(strength, bench)]
             continue
+        if "actuator_forcerange" in strength.effect.writes and guessed:
+            trials += [Trial(effect, {strength.key: value}, True) for value in list_force_limits(strength, bench)]
+            continue
         there = strength.nominal != strength.parameter.off
         if there and not guessed:
             continue
@@ -164,6 +168,21 @@ def list_limits(limit: Unknown, bench: Bench) -> list[float]:
     else:
         found = cut_off(command)
     return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
+
+
+def list_force_limits(limit: Unknown, bench: Bench) -> list[float]:
+    """Shares of a servo's range of force that it would run into where the twin goes now, and twice the range."""
+    model, windows, own = bench.spec.model, bench.windows, bench.spec.robot.locate(limit.effect).actuator
+    pose, speed, _ = bench.simulate([bench.without_sensors(Variation({}))], {})
+    joint, bias = int(model.actuator_trnid[own, 0]), model.actuator_biasprm[own]
+    found = np.array([2.0])
+    if model.actuator_trntype[own] == mujoco.mjtTrn.mjTRN_JOINT:
+        gear = model.actuator_gear[own, 0]
+        length = gear * pose[0, :, :-1, model.jnt_qposadr[joint]]
+        force = model.actuator_gainprm[own, 0] * windows.command[..., own] + bias[0] + bias[1] * length
+        force += bias[2] * gear * speed[0, :, :-1, model.jnt_dofadr[joint]]
+        found = np.append(cut_off(force) / np.abs(model.actuator_forcerange[own]).max(), found)
+    return [float(v) for v in found * limit.nominal if limit.parameter.low <= v <= limit.parameter.high]
 
 
 def cut_off(command: np.ndarray) -> np.ndarray:
