@@ -171,7 +171,11 @@ PLANAR = """<mujoco><worldbody>
 
 @pytest.mark.parametrize(
     ("base", "tells"),
-    [("", True), ("<freejoint/>", False), ("<joint type='slide'/>", False)],
+    [
+        ("", True),
+        ("<freejoint/>", False),
+        ("<joint type='slide' axis='1 0 0'/>", True),
+    ],
     ids=["fixed", "free", "slide"],
 )
 def test_a_mount_may_be_a_body_that_is_fixed(base: str, tells: bool) -> None:

@@ -326,13 +326,20 @@ def find_step(value: np.ndarray) -> float:
     Steps of 1, 2 or 5 of the last digit are how a log is written, not how anything was measured.
     """
     moved = np.abs(np.diff(value))
-    moved = moved[moved > 1e-9 * max(float(np.ptp(value)), 1e-12)]
+    still = moved <= 1e-9 * max(float(np.ptp(value)), 1e-12)
+    moved = moved[~still]
     if len(moved) < MIN_SAMPLES:
         return 0.0
     step = float(np.min(moved))
     step = float(np.mean(moved[moved < 1.5 * step]))
     counts = moved / step
-    if np.median(counts) > FAST or np.abs(counts - np.round(counts)).max() > COUNTED or find_spread(value) > step:
+    several = still.any() or np.ptp(np.round(counts)) > 0.0  # else it goes at one speed
+    if (
+        not several
+        or np.median(counts) > FAST
+        or np.abs(counts - np.round(counts)).max() > COUNTED
+        or find_spread(value) > step
+    ):
         return 0.0
     digits = np.log10(np.outer([1.0, 180.0 / np.pi, 1e3], [step / 1.0, step / 2.0, step / 5.0]))
     return 0.0 if np.abs(digits - np.round(digits)).min() < DIGIT else step
