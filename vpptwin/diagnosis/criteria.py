@@ -100,6 +100,8 @@ class Criteria:
         "b8eee32; taken for how inexact laws of friction are since 496fb2c")
     watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
         "2fc0d73; one of `HORIZONS_S`")
+    settled: float = assumed(0.25, "", "share of held-out excess chi² left of which windows need not tell gusts from a cause",
+        "issue 22, rigs whose disturbances are assumed")
     worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
         "2fc0d73")
     even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",

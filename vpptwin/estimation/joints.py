@@ -372,7 +372,7 @@ def estimate_noise(
     if white := WHITE[0] < likeness < WHITE[1]:
         spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))
     if step := find_step(value):
-        spread, white = step / np.sqrt(12.0), True
+        spread, white = 0.5 * step, True  # errors of neighbouring samples are alike: more than step / √12 of each
     if apart is None:
         apart = 0.0 if white else floor
     return float(max(spread, 0.1 * floor, min(apart, floor)))

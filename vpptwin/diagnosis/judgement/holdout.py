@@ -177,6 +177,14 @@ class HeldOut:
         drops = [(np.nanmean(first[n] - second[n], axis=0) / noise[n])[:near] for n in set(first) & {"m", "rad"}]
         return bool(np.max(drops) > self.criteria.felt) and self.prefer(before, after) > self.criteria.sigmas_held_out
 
+    def settles(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether most of a chi² far above the noise goes, and not by chance: gusts are but assumed to make it."""
+        (first, second), criteria = map(self.chi2, (before, after)), self.criteria
+        if first <= criteria.missed or second - 1.0 > criteria.settled * (first - 1.0):
+            return False
+        drop, error = improvement(*(self.chi2_by_window(v)[0] for v in (before, after)), criteria.most_drop)
+        return drop > criteria.sigmas_held_out * error
+
     def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
 

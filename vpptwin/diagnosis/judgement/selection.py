@@ -335,7 +335,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     which its cause was added, where noise seemed larger than now: a yardstick, from which nothing is subtracted.
     Where errors have the last word, they outvote gains that contradict, and veto by one standard error, or two where
     evidence of fitted and held-out windows together is overwhelming; held-out windows need not show by two standard
-    errors what both together show.
+    errors what both together show, nor tell from assumed gusts what settles their chi².
     """
     tried, drop, criteria = step.tried[effect], step.drop(effect), search.criteria
     kin = [d for e, d in earlier_drops.items() if e in tried.effects and look_alike(search, effect, e)]
@@ -353,6 +353,8 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     shown = ask_of_held_out(together, criteria) if trusts_errors(search) else criteria.sigmas_held_out
     agreed = gain > (-criteria.sigmas_against if strong else shown) * error
     agreed = agreed and drop + gain > criteria.bars_together * criteria.bar
+    if trusts_errors(search) and gain > -criteria.sigmas_against * error:
+        agreed = agreed or held_out.settles(step.before.values, tried.values)
     undecided = drop > criteria.bars_powerless * criteria.bar and gain > -criteria.sigmas_held_out * error
     few = trusts_errors(search) and held_out.count < criteria.judges
     if not agreed and not (undecided and (few or is_powerless(held_out, step.before, tried))):
