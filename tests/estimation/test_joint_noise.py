@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, estimate_noise, read_track
+from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, estimate_noise, find_step, read_track
 from vpptwin.estimation.series import align_rates, integrate
 from vpptwin.logs.flight import Stream
 from vpptwin.twin.manifold import turn_to_world
@@ -34,6 +34,27 @@ def test_nothing_is_believed_better_than_a_tenth_of_its_share() -> None:
     noisy = PATH + draw(0.01 * FLOOR)
     low, high = np.percentile(noisy, [1.0, 99.0])
     assert estimate_noise(TIME, noisy, POSITION_SHARE) == pytest.approx(0.1 * POSITION_SHARE * (high - low))
+
+
+COUNT = 2.0 * np.pi / 4096.0
+
+
+@pytest.mark.parametrize(("path", "noise"), [(PATH, 0.0), (PATH * (PATH > 0.0), 0.0), (PATH, 0.3 * COUNT)])
+def test_half_a_count_is_believed_of_an_encoder(path: np.ndarray, noise: float) -> None:
+    """Of 4096 a turn, moving all the time, at rest half of it, or in a noise that the counts hide."""
+    counted = COUNT * np.round((path + draw(max(noise, 1e-12))) / COUNT)
+    assert find_step(counted) == pytest.approx(COUNT, rel=1e-4)
+    assert estimate_noise(TIME, counted, POSITION_SHARE) == pytest.approx(0.5 * COUNT, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [PATH, PATH + draw(2e-3), np.round(PATH, 3), np.deg2rad(np.round(np.rad2deg(PATH), 1)), 30.0 * TIME + draw(1e-4)],
+)
+def test_no_counts_are_seen_in_anything_else(value: np.ndarray) -> None:
+    """What is smooth, noisy, written with so many digits of radians or degrees, or goes at one speed."""
+    assert find_step(value) == 0.0
+    assert find_step(COUNT * np.round((PATH + draw(3.0 * COUNT)) / COUNT)) == 0.0
 
 
 def test_a_wheel_errs_no_more_after_ten_turns() -> None:

@@ -100,7 +100,7 @@ class Criteria:
         "b8eee32; taken for how inexact laws of friction are since 496fb2c")
     watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
         "2fc0d73; one of `HORIZONS_S`")
-    settled: float = assumed(0.25, "", "share of held-out excess chi² left of which windows need not tell gusts from a cause",
+    settled: float = assumed(0.25, "", "share of the held-out excess chi² left from which gusts need not be excluded",
         "issue 22, rigs whose disturbances are assumed")
     worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
         "2fc0d73")

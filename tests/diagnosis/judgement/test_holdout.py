@@ -230,6 +230,14 @@ def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
     assert not rubbing.worsens(TRUTH, TRUTH)
 
 
+def test_the_truth_settles_what_was_missed(rubbing: HeldOut) -> None:
+    """Chi² from far above the noise to it; not the other way round, nor where nothing changes."""
+    assert rubbing.chi2({}) > 4.0 > 2.0 > rubbing.chi2(TRUTH)
+    assert rubbing.settles({}, TRUTH)
+    assert not rubbing.settles(TRUTH, {})
+    assert not rubbing.settles({}, {})
+
+
 def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldOut) -> None:
     """One 30 times worse than it was: beyond u, thrice the median square, its square s counts as u (1 + ln s/u)."""
     factor = np.ones(10)

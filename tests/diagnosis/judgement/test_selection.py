@@ -108,6 +108,10 @@ class Judges:
         """As made."""
         return self.worse
 
+    def settles(self, before: dict, after: dict) -> bool:
+        """By chi²."""
+        return self.chi2(after) < CRITERIA.settled * self.chi2(before)
+
     def is_farther(self, before: dict, after: dict, sticks: bool) -> bool:
         """By chi²."""
         return self.chi2(after) > self.chi2(before)
@@ -283,6 +287,17 @@ def test_what_stays_within_tolerance_is_no_cause(sign: float) -> None:
 def test_held_out_windows_must_agree(gain: float, drop: float, named: bool) -> None:
     """By two standard errors; less is enough where evidence is overwhelming, but not what they contradict by one."""
     assert judge(Judges(gain), drop, a_coulomb=0.5) is named
+
+
+@pytest.mark.parametrize(
+    ("known", "left", "gain", "named"),
+    [(False, 1.7, 0.5, True), (True, 1.7, 0.5, False), (False, 8.0, 0.5, False), (False, 1.7, -1.1, False)],
+)
+def test_gusts_that_are_but_assumed_stand_for_no_cause(known: bool, left: float, gain: float, named: bool) -> None:
+    """What takes nearly all of a large chi² away is named beside gusts that could have made it, if none contradicts."""
+    judges = Judges(gain)
+    judges.left = {0: 28.0, 1: left}
+    assert judge(judges, 1.2 * BAR, None, search_of(known), a_coulomb=0.5) is named
 
 
 @pytest.mark.parametrize(

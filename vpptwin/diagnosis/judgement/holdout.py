@@ -182,7 +182,8 @@ class HeldOut:
         (first, second), criteria = map(self.chi2, (before, after)), self.criteria
         if first <= criteria.missed or second - 1.0 > criteria.settled * (first - 1.0):
             return False
-        drop, error = improvement(*(self.chi2_by_window(v)[0] for v in (before, after)), criteria.most_drop)
+        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
+        drop, error = improvement(given, extended, criteria.most_drop)
         return drop > criteria.sigmas_held_out * error
 
     def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
