@@ -598,6 +598,6 @@ def test_a_twin_of_one_run_takes_the_next(tmp_path: Path) -> None:
         first.joints["/joint_states"]["j"]["position"], second.joints["/joint_states"]["j"]["position"]
     )
     write_csv(tmp_path / "run_3.csv", FIELD["plain"][0])
-    assert second.warnings[0] == "run_2.csv is read as run_1"
+    assert not second.warnings
     with pytest.raises(InputError, match=r"lacks topic /run_1.*one of /run_2, /run_3"):
         read_flight(f"{tmp_path}/run_2.csv+{tmp_path}/run_3.csv", None, entries)

@@ -262,8 +262,6 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
         notes: list[str] = []
         own = "/episode" if kind == "lerobot" else name_topic(path)
         called = wish.name_table(own) if alone and kind in ("csv", "parquet", "mat", "npz") else own
-        if called != own:
-            notes.append(f"{path.name} is read as {called.removeprefix('/')}")
         return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)
