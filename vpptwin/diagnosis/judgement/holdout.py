@@ -161,11 +161,12 @@ class HeldOut:
         return drop < -self.criteria.sigmas_against * error * ALONE
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
-        """By how many standard errors the errors over all horizons favour `after`, as few blocks can tell them."""
+        """By how many standard errors the errors over all horizons favour `after`, fewer where few blocks tell them."""
         ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.error_ratios(before, after).values()])
         growth = np.nanmean(ratios, axis=0)
         mean, error = tell_apart(growth[:, None])
-        return to_deviations(float(-mean[0] / max(error[0], 1e-12)), int(np.isfinite(growth).sum()))
+        times, number = float(-mean[0] / max(error[0], 1e-12)), int(np.isfinite(growth).sum())
+        return to_deviations(times, number) if number < self.criteria.judges else times
 
     def feels(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
         """Whether errors of the pose up to `watched` ahead fall by as much as noise makes, and not by chance.
