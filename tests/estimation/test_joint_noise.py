@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, estimate_noise, find_step, read_track
+from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, read_track
+from vpptwin.estimation.noise import estimate_noise, find_count
 from vpptwin.estimation.series import align_rates, integrate
 from vpptwin.logs.flight import Stream
 from vpptwin.twin.manifold import turn_to_world
@@ -43,7 +44,7 @@ COUNT = 2.0 * np.pi / 4096.0
 def test_half_a_count_is_believed_of_an_encoder(path: np.ndarray, noise: float) -> None:
     """Of 4096 a turn, moving all the time, at rest half of it, or in a noise that the counts hide."""
     counted = COUNT * np.round((path + draw(max(noise, 1e-12))) / COUNT)
-    assert find_step(counted) == pytest.approx(COUNT, rel=1e-4)
+    assert find_count(counted) == pytest.approx(COUNT, rel=1e-4)
     assert estimate_noise(TIME, counted, POSITION_SHARE) == pytest.approx(0.5 * COUNT, rel=1e-4)
 
 
@@ -53,8 +54,8 @@ def test_half_a_count_is_believed_of_an_encoder(path: np.ndarray, noise: float) 
 )
 def test_no_counts_are_seen_in_anything_else(value: np.ndarray) -> None:
     """What is smooth, noisy, written with so many digits of radians or degrees, or goes at one speed."""
-    assert find_step(value) == 0.0
-    assert find_step(COUNT * np.round((PATH + draw(3.0 * COUNT)) / COUNT)) == 0.0
+    assert find_count(value) == 0.0
+    assert find_count(COUNT * np.round((PATH + draw(3.0 * COUNT)) / COUNT)) == 0.0
 
 
 def test_a_wheel_errs_no_more_after_ten_turns() -> None:

@@ -11,6 +11,7 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
+from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
 from vpptwin.estimation.sound import unwrap_turns, vet_joint
 from vpptwin.logs.flight import Flight, Stream
@@ -23,13 +24,6 @@ from vpptwin.twin.spec import TwinSpec
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
 TURN = 2.0 * np.pi
-MIN_SAMPLES = 50
-WILD = 12.0
-"""Third differences beyond so many times the noise are jumps."""
-WHITE = (-0.85, -0.65)
-"""Correlation of neighbouring third differences of white noise, which is -0.75, as samples show it."""
-COUNTED, FAST, DIGIT = 0.1, 20.0, 1e-3
-"""Counts are whole within so much, most of them go by so few at once, and decimal steps are decimal to within this."""
 SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
 EXPLAINED, LATEST = 0.5, 0.1
@@ -40,8 +34,6 @@ WHEEL = (
 )
 DRIFT = 1.0
 """Such a position is known to what its velocity's noise would make of it in so long, were it all bias [s]."""
-BELIEVED = 0.01
-"""Samples of white noise are averaged over so long [s]."""
 
 
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
@@ -102,11 +94,6 @@ def smooth_series(series: Series) -> Series:
     time, columns = series.time, series.value.reshape(len(series.time), -1).T
     smooth = [splev(time, splrep(time, column, s=len(time) * find_spread(column) ** 2)) for column in columns]
     return replace(series, value=np.stack(smooth, axis=1).reshape(series.value.shape))
-
-
-def find_spread(value: np.ndarray) -> float:
-    """Noise from sample to sample of what is smooth otherwise, (n,), by its third differences."""
-    return float(np.median(np.abs(np.diff(value, 3)))) / 0.6745 / np.sqrt(20.0)
 
 
 def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
@@ -318,61 +305,3 @@ def compare_streams(stream: Stream) -> tuple[float, float | None]:
     if abs(late) > LATEST or after > (1.0 - EXPLAINED) * before:
         return 0.0, before
     return late, after
-
-
-def find_step(value: np.ndarray) -> float:
-    """The step of an encoder whose counts are what is smooth otherwise, (n,); 0 where other noise hides it, or none is.
-
-    Steps of 1, 2 or 5 of the last digit are how a log is written, not how anything was measured.
-    """
-    moved = np.abs(np.diff(value))
-    still = moved <= 1e-9 * max(float(np.ptp(value)), 1e-12)
-    moved = moved[~still]
-    if len(moved) < MIN_SAMPLES:
-        return 0.0
-    step = float(np.min(moved))
-    step = float(np.mean(moved[moved < 1.5 * step]))
-    counts = moved / step
-    several = still.any() or np.ptp(np.round(counts)) > 0.0  # else it goes at one speed
-    if (
-        not several
-        or np.median(counts) > FAST
-        or np.abs(counts - np.round(counts)).max() > COUNTED
-        or find_spread(value) > step
-    ):
-        return 0.0
-    digits = np.log10(np.outer([1.0, 180.0 / np.pi, 1e3], [step / 1.0, step / 2.0, step / 5.0]))
-    return 0.0 if np.abs(digits - np.round(digits)).min() < DIGIT else step
-
-
-def estimate_noise(
-    time: np.ndarray, value: np.ndarray, share: float, apart: float | None = None, widest: float = np.inf
-) -> float:
-    """Noise of a joint's logged position or velocity as its bins show it, 1 sigma in its unit.
-
-    Third differences remove what is smooth and leave the noise; but estimators smooth that away too. How far position
-    and velocity disagree tells what is left, but for a tenth of `share` of the range in which the signal moves, 1st to
-    99th percentile of the samples (n,). Where only one was logged, it is believed so far if its noise is white, which
-    shows in third differences, and else no better than `share`.
-
-    Args:
-        time: of the samples, (n,) s.
-        value: (n,).
-        share: of its range.
-        apart: the disagreement; None for not known.
-        widest: range of the sensor: one that turns for ever errs no more in the tenth turn than in the first.
-    """
-    low, high = np.percentile(value, [1.0, 99.0])
-    floor = max(share * min(float(high - low), widest), 1e-9)
-    if len(value) < MIN_SAMPLES:
-        return floor
-    spread = find_spread(value)
-    third = np.clip(np.diff(value, 3), -WILD * spread, WILD * spread)
-    likeness = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-300)
-    if white := WHITE[0] < likeness < WHITE[1]:
-        spread /= np.sqrt(max(BELIEVED / float(np.median(np.diff(time))), 1.0))
-    if step := find_step(value):
-        spread, white = 0.5 * step, True  # errors of neighbouring samples are alike: more than step / √12 of each
-    if apart is None:
-        apart = 0.0 if white else floor
-    return float(max(spread, 0.1 * floor, min(apart, floor)))

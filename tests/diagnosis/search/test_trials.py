@@ -27,6 +27,7 @@ from vpptwin.effects import Effect, Parameter, Prior
 from vpptwin.effects.actuator import FORCE_LIMIT, attach
 from vpptwin.effects.joint import Place, bias, spring, viscous
 from vpptwin.effects.servo import RATE_LIMIT
+from vpptwin.estimation.windows import Motion
 from vpptwin.twin.spec import load_twin
 
 RATE = Unknown(RATE_LIMIT, RATE_LIMIT.parameters[0], 1000.0)
@@ -189,9 +190,14 @@ def test_what_the_twin_has_is_not_tried() -> None:
 
 
 @pytest.mark.parametrize(
-    ("joint", "found"), [("arm", [*(0.5 * (1.0 - np.array(CUT) ** (2.0 / 3.0))), 2.0]), ("wire", [2.0])]
+    ("joint", "nominal", "found"),
+    [
+        ("arm", 1.0, [*(0.5 * (1.0 - np.array(CUT) ** (2.0 / 3.0))), 2.0]),
+        ("arm", 0.5, [*(0.5 * (1.0 - np.array(CUT) ** (2.0 / 3.0))), 1.0]),
+        ("wire", 1.0, [2.0]),
+    ],
 )
-def test_force_limits_are_tried_where_a_servo_runs_into_them(joint: str, found: list[float]) -> None:
+def test_force_limits_are_tried_where_a_servo_runs_into_them(joint: str, nominal: float, found: list[float]) -> None:
     """Targets up to 0.5 rad from an arm at rest ask for 5 of 10 N m, evenly spread; a tendon tells nothing.
 
     Beyond a share L of the largest is (1 - L)^3 of the mean square.
@@ -207,12 +213,13 @@ def test_force_limits_are_tried_where_a_servo_runs_into_them(joint: str, found: 
     bench: Any = SimpleNamespace(
         windows=SimpleNamespace(command=0.2 + 0.5 * UNIFORM.windows.command),
         spec=SimpleNamespace(model=model, robot=robot),
-        without_sensors=lambda variation: variation, simulate=lambda variations, sensors: (rest, 0.0 * rest, None),
+        without_sensors=lambda variation: variation,
+        simulate=lambda variations, sensors: Motion(rest, 0.0 * rest, None),
         guessed=True,
     )  # fmt: skip
     limit = attach(FORCE_LIMIT, "servo")
-    unknown = Unknown(limit, limit.parameters[0], 1.0)
-    assert list_force_limits(unknown, bench) == pytest.approx(found, abs=5e-3)
+    unknown = Unknown(limit, limit.parameters[0], nominal)
+    assert list_force_limits([unknown], bench)[limit.id] == pytest.approx(found, abs=5e-3)
     assert [trial.limit for trial in list_trials((unknown,), bench)] == [True] * len(found)
 
 

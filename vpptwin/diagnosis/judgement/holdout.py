@@ -27,8 +27,6 @@ from vpptwin.twin.manifold import difference_poses
 
 LEAST = 0.01
 """Least excess chi² of which there are shares."""
-ALONE = 1.0 + 1e-6
-"""Standard errors that a sum over windows has where one alone differs from zero, and rounding."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +154,8 @@ class HeldOut:
             return False
         if not self.short.guessed:
             return True
-        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
-        drop, error = improvement(given, extended, self.criteria.most_drop)
-        return drop < -self.criteria.sigmas_against * error * ALONE
+        drop, error = self.drop_of_chi2(before, after)
+        return drop < -self.criteria.sigmas_against * error
 
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`, fewer where few blocks tell them."""
@@ -183,9 +180,13 @@ class HeldOut:
         (first, second), criteria = map(self.chi2, (before, after)), self.criteria
         if first <= criteria.missed or second - 1.0 > criteria.settled * (first - 1.0):
             return False
-        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
-        drop, error = improvement(given, extended, criteria.most_drop)
+        drop, error = self.drop_of_chi2(before, after)
         return drop > criteria.sigmas_held_out * error
+
+    def drop_of_chi2(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> tuple[float, float]:
+        """Drop in squares over sensor variance, summed over the short windows, and its standard error."""
+        given, extended = (self.chi2_by_window(values)[0] for values in (before, after))
+        return improvement(given, extended, self.criteria.most_drop)
 
     def error_ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
         """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.

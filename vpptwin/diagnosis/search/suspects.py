@@ -95,6 +95,8 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     trials = []
     placed = [u.effect for u, *_ in effects.values() if u.effect.placed and u.nominal == u.parameter.off and guessed]
     places = find_places(bench, placed)
+    limiting = [u for u, *_ in effects.values() if "actuator_forcerange" in u.effect.writes and guessed]
+    forces = list_force_limits(limiting, bench)
     for effect, (strength, *shapes) in effects.items():
         if effect in places:
             trials += [Trial(effect, {(effect, n): v for n, v in each.items()}, False) for each in places[effect]]
@@ -102,8 +104,8 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
         if strength.is_limit:
             trials += [Trial(effect, {strength.key: value}, True) for value in list_limits(strength, bench)]
             continue
-        if "actuator_forcerange" in strength.effect.writes and guessed:
-            trials += [Trial(effect, {strength.key: value}, True) for value in list_force_limits(strength, bench)]
+        if effect in forces:
+            trials += [Trial(effect, {strength.key: value}, True) for value in forces[effect]]
             continue
         there = strength.nominal != strength.parameter.off
         if there and not guessed:
@@ -170,19 +172,24 @@ def list_limits(limit: Unknown, bench: Bench) -> list[float]:
     return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
 
 
-def list_force_limits(limit: Unknown, bench: Bench) -> list[float]:
-    """Shares of a servo's range of force that it would run into where the twin goes now, and twice the range."""
-    model, windows, own = bench.spec.model, bench.windows, bench.spec.robot.locate(limit.effect).actuator
-    pose, speed, _ = bench.simulate([bench.without_sensors(Variation({}))], {})
-    joint, bias = int(model.actuator_trnid[own, 0]), model.actuator_biasprm[own]
-    found = np.array([2.0])
-    if model.actuator_trntype[own] == mujoco.mjtTrn.mjTRN_JOINT:
-        gear = model.actuator_gear[own, 0]
-        length = gear * pose[0, :, :-1, model.jnt_qposadr[joint]]
-        force = model.actuator_gainprm[own, 0] * windows.command[..., own] + bias[0] + bias[1] * length
-        force += bias[2] * gear * speed[0, :, :-1, model.jnt_dofadr[joint]]
-        found = np.append(cut_off(force) / np.abs(model.actuator_forcerange[own]).max(), found)
-    return [float(v) for v in found * limit.nominal if limit.parameter.low <= v <= limit.parameter.high]
+def list_force_limits(limits: Sequence[Unknown], bench: Bench) -> dict[str, list[float]]:
+    """Shares of its range of force that every servo would run into as the twin moves now, and twice what it has."""
+    if not limits:
+        return {}
+    model, windows, found = bench.spec.model, bench.windows, {}
+    motion = bench.simulate([bench.without_sensors(Variation({}))], {})
+    for limit in limits:
+        own, values = bench.spec.robot.locate(limit.effect).actuator, np.array([2.0 * limit.nominal])
+        joint, gear, bias = int(model.actuator_trnid[own, 0]), model.actuator_gear[own, 0], model.actuator_biasprm[own]
+        if model.actuator_trntype[own] == mujoco.mjtTrn.mjTRN_JOINT:
+            length = gear * motion.pose[0, :, :-1, model.jnt_qposadr[joint]]
+            speed = gear * motion.velocity[0, :, :-1, model.jnt_dofadr[joint]]
+            force = model.actuator_gainprm[own, 0] * windows.command[..., own]
+            force = force + bias[0] + bias[1] * length + bias[2] * speed
+            values = np.append(cut_off(force) / np.abs(model.actuator_forcerange[own]).max(), values)
+        low, high = limit.parameter.low, limit.parameter.high
+        found[limit.effect.id] = [float(value) for value in values if low <= value <= high]
+    return found
 
 
 def cut_off(command: np.ndarray) -> np.ndarray:
