@@ -9,6 +9,8 @@ import pytest
 
 import vpptwin
 from examples.nanobench.by_hand import look
+from vpptwin.diagnosis.judgement.logged_inputs import turn_as_logged
+from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
@@ -48,6 +50,24 @@ def test_logs_are_cut_to_the_flight(flights: list[Path]) -> None:
         height = measured.positions[2]
         inside = (height.time > measured.start) & (height.time < measured.end)
         assert height.value[inside].min() > height.value[0] + 0.02
+
+
+def test_inputs_do_not_tell_what_turned_it(flights: list[Path]) -> None:
+    """Every flight turns as logged: PWM explains a tenth to a third of what turned it."""
+    spec = load_twin(EXAMPLE / "crazyflie.yaml")
+    for path in flights:
+        assert turn_as_logged(spec, [read_flight(path, signals=spec.robot.signals.entries)]).robot.signals.turned
+
+
+def test_a_gyro_in_another_unit_is_refused(flights: list[Path], tmp_path: Path) -> None:
+    """Taken for degrees a second, its rates turn a sixtieth as fast as the attitudes."""
+    text = (EXAMPLE / "crazyflie.yaml").read_text("utf-8").replace("imu_gyro_z]}", "imu_gyro_z], unit: deg/s}")
+    (tmp_path / "degrees.yaml").write_text(text.replace("crazyflie.xml", str(EXAMPLE / "crazyflie.xml")))
+    spec = load_twin(tmp_path / "degrees.yaml")
+    with pytest.raises(
+        InputError, match=r"rates of quad are 0.01\d* times the turning of the attitudes.*`unit: rad/s`"
+    ):
+        read_measurements(spec, read_flight(flights[0], signals=spec.robot.signals.entries))
 
 
 @pytest.mark.slow

@@ -66,7 +66,7 @@ def look(path: Path) -> Found:
     thrust = fit(rows)
     slope = max((np.corrcoef(total[up[0] - k : up[1] - k], force[rows])[0, 1],
                  np.polyfit(total[up[0] - k : up[1] - k], force[rows], 1)[0]) for k in range(12))[1]  # fmt: skip
-    rates = np.deg2rad(np.stack([log[f"imu_gyro_{axis}"] for axis in "xyz"], axis=1))
+    rates = np.stack([log[f"imu_gyro_{axis}"] for axis in "xyz"], axis=1)
     turning = np.gradient(smooth(rates), log["t"], axis=0)[rows]
     moments = smooth(squares @ np.array([ROLL, PITCH, YAW]).T)
     shares = [

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
+from vpptwin.errors import InputError
 from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, read_track
 from vpptwin.estimation.noise import estimate_noise, find_count
 from vpptwin.estimation.series import align_rates, integrate
+from vpptwin.estimation.sound import vet_rates
 from vpptwin.logs.flight import Stream
 from vpptwin.twin.manifold import turn_to_world
 
@@ -165,3 +170,19 @@ def test_how_a_gyro_is_mounted_is_no_noise() -> None:
     assert np.std(mounted - rates) > 0.05
     assert np.std(found - rates) == pytest.approx(0.01, rel=0.1)
     np.testing.assert_array_equal(align_rates(TIME, turned, np.zeros_like(rates)), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [(57.3, " times the turning of the attitudes and look like deg/s; expected"), (0.0175, "`unit: rad/s`"),
+     (2.0, "with `scale: 0.5"), (1.2, "")],
+)  # fmt: skip
+def test_a_gyro_in_another_unit_is_refused(factor: float, told: str) -> None:
+    """Whichever way its axes lie; a scale that is an effect's passes, and so does what shows no such motion."""
+    rates = np.stack([SPEED, np.cos(1.3 * TIME), 0.5 * np.sin(0.7 * TIME)], axis=1)
+    turned = integrate(rates, TIME) + 2e-3 * np.random.default_rng(4).standard_normal(rates.shape)
+    logged = factor * turn_to_world(np.array([0.5, 0.5, 0.5, 0.5]), rates)
+    with pytest.raises(InputError, match=re.escape(told)) if told else nullcontext():
+        vet_rates("log: rates of craft", TIME, turned, logged, align_rates(TIME, turned, logged))
+    noise = np.random.default_rng(5).standard_normal(rates.shape)
+    vet_rates("log: rates of craft", TIME, turned, noise, align_rates(TIME, turned, noise))

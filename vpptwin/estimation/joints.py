@@ -13,7 +13,7 @@ from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
-from vpptwin.estimation.sound import unwrap_turns, vet_joint
+from vpptwin.estimation.sound import unwrap_turns, vet_joint, vet_rates
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, integrate_input
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
@@ -157,11 +157,14 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
         attitude = turn_from_parent(model, tracked, attitude)
     steps = difference_attitudes(attitude[:-1], attitude[1:])
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    angular = {"position": turned} | ({"velocity": stream["rate"]} if "rate" in stream.values else {})
+    angular, rate = {"position": turned}, stream.values.get("rate")
     gyro = read_gyro(spec, flight, joint, found)
     if gyro is not None:
         rate = np.stack([np.interp(stream.time, gyro.time, column) for column in gyro["rate"].T], axis=1)
-        angular["velocity"] = align_rates(stream.time, turned, rate)  # how noisy it is, not how it is mounted
+    if rate is not None:
+        aligned = align_rates(stream.time, turned, rate)
+        vet_rates(f"{flight.path}: rates of {tracked.name}", stream.time, turned, rate, aligned)
+        angular["velocity"] = rate if gyro is None else aligned  # how noisy it is, not how it is mounted
     turn = dof + 3 if free else dof
     for first, columns in ((dof, linear), (turn, angular)):
         for axis in range(3) if columns else ():
