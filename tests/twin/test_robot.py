@@ -12,8 +12,9 @@ import pytest
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.twin import load_twin
+from vpptwin.twin.drives import is_driven, is_geared, step_inertia
 from vpptwin.twin.links import list_links
-from vpptwin.twin.model import is_driven, is_geared, step_inertia, tells_mount
+from vpptwin.twin.model import tells_mount
 from vpptwin.twin.robot import GUST, GUST_TIME, Loads, Robot, Signals
 
 ARM = mujoco.MjModel.from_xml_string("""

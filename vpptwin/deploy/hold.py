@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -69,11 +69,12 @@ def hold(spec: TwinSpec) -> Held:
     nominal = nominal_constants(spec.robot.servo_lag, records)
     constants = {name: np.repeat(values[None], 1, axis=0) for name, values in nominal.items()}
     names = [model.actuator(i).name for i in range(model.nu)]
-    for effect in (effect for effect in spec.catalogue if is_on(spec, effect)):
+    for effect in (one for each in spec.catalogue if is_on(spec, each) for one in take_apart(each)):
         values = {p.name: spec.value(effect, p.name) for p in effect.parameters}
         site = spec.robot.locate(effect)
         if effect.apply is apply_coulomb:
-            level = model.dof_frictionloss[site.dof] + next(iter(values.values()))
+            own = held.values.get(("joint", effect.target, "frictionloss"), (model.dof_frictionloss[site.dof],))
+            level = own[0] + next(iter(values.values()))
             brake = max(BRAKE, 2.0 * model.opt.timestep), 1.0
             held.put(effect, "joint", effect.target, frictionloss=(level,), solreffriction=brake, solimpfriction=HARD)
         elif effect.apply is apply_spring:
@@ -82,9 +83,7 @@ def hold(spec: TwinSpec) -> Held:
             hold_bias(held, model, effect, site.dof, values["force"])
         elif effect.stage is not Stage.CONSTANT:
             held.lost.append((effect, "a law that MuJoCo lacks"))
-        elif any(name.startswith("actuator.") for name in effect.writes) and not {effect.target, *effect.members} & set(
-            names
-        ):
+        elif any(name.startswith("actuator.") for name in effect.writes) and effect.target not in names:
             held.lost.append((effect, "ctrl is thrust there, not blade pitch"))
         elif any(name in NOBODY_HAS for name in effect.writes):
             held.lost.append((effect, "no actuator of MuJoCo has it"))
@@ -94,14 +93,18 @@ def hold(spec: TwinSpec) -> Held:
             for name in set(effect.writes) - set(constants):
                 owner = model.opt if name.startswith("opt.") else model
                 constants[name] = np.array(getattr(owner, name.removeprefix("opt.")))[None]
-            for place in spec.robot.list_sites(effect):
-                effect.apply(constants, place, **{name: np.array([value]) for name, value in values.items()})
+            effect.apply(constants, site, **{name: np.array([value]) for name, value in values.items()})
             hold_fields(held, effect, constants, spec)
     for i, name in enumerate(names):
         if any(("actuator", name, attribute) in held.reasons for attribute in OF_ACTUATORS.values()):
             hold_actuator(held, model, i, {key: float(constants[f"actuator.{key}"][0, i]) for key in
                                            ("gain", "limit", "delay", "time_constant")})  # fmt: skip
     return held
+
+
+def take_apart(effect: Effect) -> list[Effect]:
+    """An effect on several alike as one on each; any other as it is."""
+    return [effect] if effect.target else [replace(effect, target=place, members=()) for place in effect.places]
 
 
 def is_on(spec: TwinSpec, effect: Effect) -> bool:
@@ -136,8 +139,7 @@ def hold_fields(held: Held, effect: Effect, constants: Mapping[str, np.ndarray],
         elif name == "opt.gravity":
             held.put(effect, "option", "", gravity=constants[name][0])
         elif name.startswith("actuator."):
-            for actuator in effect.members or (effect.target,):
-                held.reasons.setdefault(("actuator", actuator, OF_ACTUATORS[name]), []).append(effect)
+            held.reasons.setdefault(("actuator", effect.target, OF_ACTUATORS[name]), []).append(effect)
         else:
             held.lost.append((effect, f"{name} of a compiled model"))
 

@@ -193,7 +193,7 @@ class Effect:
         look_alikes: ids that are hard to tell from it.
         writes: names of the constants it changes (CONSTANT effects declare every one).
         target: the joint, actuator or body it acts on, "" for the craft.
-        members: names of the actuators that a CONSTANT effect acts on alike, all in the place of one `target`.
+        members: names of the actuators or joints that it acts on alike, all in the place of one `target`.
         needs: joints and bodies that the model must have besides those of the planar craft.
         dissipative: it can only take energy out.
         modifies: ids of effects that it only modifies: without any of them it does nothing.
@@ -231,6 +231,11 @@ class Effect:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """What it acts on: `members`, or else the `target`."""
+        return self.members or (self.target,)
 
     @property
     def strengths(self) -> tuple[Parameter, ...]:

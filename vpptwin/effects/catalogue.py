@@ -124,13 +124,19 @@ GENERIC_GROUP = tuple(
 )
 """What becomes a+b+c.gain and so on of rotors that are alike: one battery and one make may be off for all of them."""
 GENERIC_WHOLE = tuple(
-    replace(effect, look_alikes=alike, parameters=tuple(replace(p, tolerance=0.0) for p in effect.parameters))
+    replace(effect, look_alikes=alike)
     for effect, alike in ((actuator.GAIN, ()), (actuator.DELAY, ("lag",)), (actuator.LAG, ("delay",)))
 )
 """What becomes actuators.gain and so on of several: one supply, bus, or unit in the log may be off for all of them.
 
 What is tolerated of each is tolerated of all, so that these tolerate nothing beside.
 """
+GENERIC_DRIVES: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
+    (friction.coulomb, ("viscous", "load")), (joint.viscous, ("coulomb",)), (friction.load, ("coulomb",)),
+)  # fmt: skip
+"""What becomes joints.coulomb and so on where the drives of joints are of one make, whose gears rub alike."""
+JOINTS = "joints"
+"""What ids of effects on all joints of a rig begin with."""
 
 
 def generic_place(
@@ -148,6 +154,7 @@ def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
     loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
     links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (), whole: tuple[str, ...] = (),
+    drives: Iterable[tuple[str, ...]] = (),
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -161,8 +168,11 @@ def effects_for_rig(
         mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
         contacts: what `contact.effects_for_contacts` makes of what may touch.
         whole: names of all actuators that are logged.
+        drives: names of joints whose drives are of one make.
     """
-    effects, groups = [], list(groups)
+    effects, groups, joints = [], list(groups), list(joints)
+    for group in drives:
+        effects += effects_for_drives([place for place in joints if place.joint in group], len(joints))
     for place in joints:
         barred = (*(() if place.rotary else HINGES_ONLY), *(() if place.driven else DRIVEN_ONLY))
         for make, alike in GENERIC_JOINT:
@@ -173,7 +183,7 @@ def effects_for_rig(
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     called = ["+".join(group) for group in groups] or (list(actuators) if len(actuators) == 1 else [])
     if len(whole) > 1 and whole not in groups:
-        effects += [actuator.attach(effect, actuator.WHOLE, members=whole) for effect in GENERIC_WHOLE]
+        effects += [tolerate_nothing(actuator.attach(e, actuator.WHOLE, members=whole)) for e in GENERIC_WHOLE]
         called.append(actuator.WHOLE)
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
@@ -192,6 +202,26 @@ def effects_for_rig(
         if each.ways:
             found = tie_alike(found, [f"{each.name}.com"], hinged)
     return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
+
+
+def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
+    """What the drives of joints may have alike, of a rig with `count` joints; nothing for fewer than three of them.
+
+    What is tolerated of each is tolerated of all, so that these tolerate nothing beside.
+    """
+    if len(places) < 3:
+        return []
+    names = tuple(place.joint for place in places)
+    called = JOINTS if len(names) == count else "+".join(names)
+    where = "on all joints" if called == JOINTS else f"on joints {', '.join(names)} alike"
+    largest = replace(max(places, key=lambda place: place.scale), joint=called, where=where)
+    made = [make(largest, tuple(f"{called}.{kind}" for kind in alike)) for make, alike in GENERIC_DRIVES]
+    return [tolerate_nothing(replace(effect, target="", members=names)) for effect in made]
+
+
+def tolerate_nothing(effect: Effect) -> Effect:
+    """The effect without a build tolerance."""
+    return replace(effect, parameters=tuple(replace(p, tolerance=0.0) for p in effect.parameters))
 
 
 def effects_for_ball(place: Place, ways: tuple[str, ...]) -> tuple[Effect, ...]:

@@ -279,7 +279,7 @@ def delay_depth(effects: Iterable[Effect], dt: float) -> int:
     """
     longest = defaultdict[str, float](float)
     for effect in (effect for effect in effects if "actuator.delay" in effect.writes):
-        for place in effect.members or (effect.target,):
+        for place in effect.places:
             longest[place] += sum(p.high for p in effect.parameters)
     return int(np.ceil(max(longest.values()) / dt)) + 2 if longest else 0
 

@@ -17,8 +17,6 @@ from vpptwin.twin.actuation import BIASES, GAINS, simplify_actuators
 from vpptwin.twin.bounds import bound_memory, check_claims, check_size
 from vpptwin.twin.manifold import BALL, FREE
 
-POSES, NO_ARM = 4, 1e-9
-"""In how many poses moment arms are looked at, and the share of an actuator's largest that is none."""
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
 
@@ -199,12 +197,6 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     return described
 
 
-def list_followers(model: mujoco.MjModel) -> list[str]:
-    """Joints that an equality couples to another one, as a gear does, by the name of the one that follows."""
-    coupled = model.eq_active0.astype(bool) & (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0)
-    return [model.joint(int(joint)).name for joint in model.eq_obj1id[coupled]]
-
-
 def find_free(model: mujoco.MjModel) -> list[int]:
     """Indices of the free joints."""
     return [int(i) for i in np.flatnonzero(model.jnt_type == FREE)]
@@ -222,58 +214,6 @@ def find_floating(model: mujoco.MjModel) -> dict[str, int]:
         if model.jnt_type[i] == FREE or (model.jnt_type[i] == BALL and alone):
             found[model.body(body).name] = i
     return {name: joint for name, joint in found.items() if name}
-
-
-def group_rotors(model: mujoco.MjModel) -> list[tuple[str, ...]]:
-    """Names of rotors that are alike, three or more at sites of one body, with like gears and laws."""
-    groups: dict[tuple[float, ...], list[str]] = {}
-    for i in range(model.nu):
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_SITE and model.actuator(i).name:
-            body = find_carrier(model, model.actuator(i).name)
-            law = *np.abs(model.actuator_gear[i]), *model.actuator_gainprm[i, :3], *model.actuator_biasprm[i, :3]
-            groups.setdefault((body, *law), []).append(model.actuator(i).name)
-    return [tuple(group) for group in groups.values() if len(group) > 2]
-
-
-def find_carrier(model: mujoco.MjModel, rotor: str) -> int:
-    """Index of the body that an actuator at a site sits on."""
-    return int(model.site_bodyid[model.actuator_trnid[model.actuator(rotor).id, 0]])
-
-
-def is_geared(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether an actuator acts on a joint itself, as through gears."""
-    acting = model.actuator_trntype <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    return bool((acting & (model.actuator_trnid[:, 0] == model.joint(joint).id)).any())
-
-
-def is_driven(model: mujoco.MjModel, joint: str) -> bool:
-    """Whether an actuator has a moment arm on a joint in any of a few poses: at it, through a tendon or as a rotor."""
-    data, rng, dof = mujoco.MjData(model), np.random.default_rng(0), int(model.joint(joint).dofadr[0])
-    for _ in range(POSES if model.nu else 0):
-        arms = measure_arms(model, data)
-        if (np.abs(arms[:, dof]) > NO_ARM * np.abs(arms).max(axis=1)).any():
-            return True
-        mujoco.mj_integratePos(model, data.qpos, rng.standard_normal(model.nv), 1.0)
-    return False
-
-
-def measure_arms(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Moment arms of all actuators in a pose, (nu, nv) m or 1."""
-    arms = np.zeros((model.nu, model.nv))
-    mujoco.mj_fwdPosition(model, data)
-    if model.nu:
-        mujoco.mju_sparse2dense(arms, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    return arms
-
-
-def step_inertia(model: mujoco.MjModel) -> np.ndarray:
-    """By how much the engine's step may seem to change the inertia of every degree of freedom, (nv,) kg, kg m².
-
-    Half a step times the damping of joints and servos, which is taken at the end of the step (more), or at its start.
-    """
-    servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) * np.abs(model.actuator_biasprm[:, 2])
-    arms = measure_arms(model, mujoco.MjData(model))
-    return np.asarray(0.5 * model.opt.timestep * (model.dof_damping + servos @ arms**2))
 
 
 ALIKE = 1e-3

@@ -123,7 +123,7 @@ class ChainWriter:
 
     def of(self, stage: Stage, target: str) -> list[Effect]:
         """The effects of a stage on a joint, or on the craft ("")."""
-        return [e for e in self.effects if e.stage is stage and e.target == target]
+        return [e for e in self.effects if e.stage is stage and (e.target == target or target in e.members)]
 
     def when(self, effect: Effect) -> str:
         """The condition under which an effect acts; what evolves stands still while the strength is off."""

@@ -148,7 +148,7 @@ def write_recollection(
     """
     evolving = [e for e in catalogue if evolves(e)]
     rubbing = {e.target for e in evolving if e.stage is Stage.SLIP}
-    wanted = [e.id for e in catalogue if evolves(e) or (e.stage is Stage.FRICTION and e.target in rubbing)]
+    wanted = [e.id for e in catalogue if evolves(e) or (e.stage is Stage.FRICTION and rubbing & {*e.places})]
     part = write_pipeline(model, catalogue, frozenset(wanted))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

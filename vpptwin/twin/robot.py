@@ -31,19 +31,22 @@ from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.errors import InputError
-from vpptwin.twin.links import list_links
-from vpptwin.twin.manifold import BALL, FREE, list_attitudes
-from vpptwin.twin.model import (
-    compile_model,
-    describe_joints,
+from vpptwin.twin.drives import (
     find_carrier,
-    find_floating,
-    find_meeting,
+    group_drives,
     group_rotors,
     is_driven,
     is_geared,
     list_followers,
     step_inertia,
+)
+from vpptwin.twin.links import list_links
+from vpptwin.twin.manifold import BALL, FREE, list_attitudes
+from vpptwin.twin.model import (
+    compile_model,
+    describe_joints,
+    find_floating,
+    find_meeting,
     tell_rotary,
     tells_mount,
     typical_forces,
@@ -259,7 +262,7 @@ class Robot:
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
         whole = tuple(name for name in names if name in self.signals.actuators)
         links = list_links(model, self.forces, self.driven, {body.name for body in free.values()})
-        more = about, group_rotors(model), links, tells_mount(model), self.list_contacts(), whole
+        more = about, group_rotors(model), links, tells_mount(model), self.list_contacts(), whole, group_drives(model)
         if loads is None:
             unit = {name: 1.0 for name in names if name}
             places = [
@@ -406,7 +409,7 @@ class Robot:
 
     def list_sites(self, effect: Effect) -> list[Site]:
         """Every place where an effect acts: several for actuators that are alike."""
-        return [self.locate(replace(effect, target=name)) for name in effect.members or (effect.target,)]
+        return [self.locate(replace(effect, target=name)) for name in effect.places]
 
     def locate(self, effect: Effect) -> Site:
         """Indices of the place in the model where an effect acts."""
@@ -434,7 +437,7 @@ class Robot:
         model = self.model
         names = [model.actuator(i).name for i in range(model.nu)]
         joint = mujoco.mjtTrn.mjTRN_JOINT
-        acting = [i for i, name in enumerate(names) if name in (effect.target, *effect.members)] or [
+        acting = [i for i, name in enumerate(names) if name in effect.places] or [
             i for i in range(model.nu) if model.actuator_trntype[i] == joint
             and model.actuator_trnid[i, 0] == model.dof_jntid[dof]
         ]  # fmt: skip

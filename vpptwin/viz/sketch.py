@@ -42,11 +42,11 @@ class Part:
 
 def find_part(robot: Robot, effect: Effect) -> Part:
     """The part of a rig that an effect acts on: a joint, an actuator, or a body."""
-    model, site = robot.model, robot.locate(effect)
-    if site.dof >= 0:
-        joint = int(model.dof_jntid[site.dof])
-        return Part(frozenset({int(model.jnt_bodyid[joint])}), frozenset({joint}))
-    actuators = frozenset(each.actuator for each in robot.list_sites(effect)) - {-1}
+    model, site, sites = robot.model, robot.locate(effect), robot.list_sites(effect)
+    joints = {int(model.dof_jntid[each.dof]) for each in sites if each.dof >= 0}
+    if joints:
+        return Part(frozenset(int(model.jnt_bodyid[joint]) for joint in joints), frozenset(joints))
+    actuators = frozenset(each.actuator for each in sites) - {-1}
     if actuators:
         return Part(actuators=actuators)
     driven = effect.writes and not set(effect.writes) & {*PERFECT, *dir(model), "opt.gravity"}

@@ -103,7 +103,7 @@ def look_alike(search: Search, first: str, second: str) -> bool:
 
 def rub_together(one: Effect, other: Effect) -> bool:
     """Whether two effects are laws of dry friction of one joint."""
-    return one.stage is other.stage is EffectStage.FRICTION and one.target == other.target
+    return one.stage is other.stage is EffectStage.FRICTION and one.places == other.places
 
 
 def find_better(

@@ -145,9 +145,9 @@ class Search(Fitter):
         if not against and len(starts) - len(sure) <= criteria.few:
             return [name for name in starts if name not in told]
         chosen = promising[: criteria.shortlist if against else criteria.generous]
-        rubbing = {effects[name].target for name in {*fit.effects, against} - {""} if effects[name].dissipative}
+        rubbing = {effects[name].places for name in {*fit.effects, against} - {""} if effects[name].dissipative}
         laws = [
-            n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].target in rubbing and n not in told
+            n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].places in rubbing and n not in told
         ]
         return list(dict.fromkeys(chosen + laws))
 
@@ -170,7 +170,7 @@ class Search(Fitter):
             return []
         laws = added + [
             u for u in self.unknowns
-            if u.effect.id in fit.effects and u.effect.stage is law.stage and u.effect.target == law.target
+            if u.effect.id in fit.effects and u.effect.stage is law.stage and u.effect.places == law.places
         ]  # fmt: skip
         if len(laws) < 2:
             return []
