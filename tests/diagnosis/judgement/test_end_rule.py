@@ -12,13 +12,30 @@ import pytest
 from tests.diagnosis.fakes import lay_starts
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.conclusion import OUTWEIGHED, UNFELT, doubt_gain, order_causes
+from vpptwin.diagnosis.judgement.conclusion import OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause
+from vpptwin.effects import friction, joint
+from vpptwin.effects.base import Site
+from vpptwin.effects.catalogue import generic_place
 
 KEY = ("rail_x.coulomb", "force")
+
+
+@pytest.mark.parametrize(("waves", "passing"), [(0.4, {"swing.cogging", "swing.spring"}), (1.0, set())])
+def test_a_wave_that_does_not_come_again_is_no_cogging(waves: float, passing: set[str]) -> None:
+    """0.8 of it in 2 rad of travel: nor is what depends on place beside it sure; friction there, and 2 waves, are."""
+    place = generic_place("swing", True, 1.0)
+    effects = [make(place) for make in (joint.cogging, joint.spring, friction.coulomb)]
+    unknowns = [SimpleNamespace(effect=effect) for effect in effects]
+    robot = SimpleNamespace(loads=SimpleNamespace(travel=np.array([1.0])), locate=lambda effect: Site(dof=0))
+    search = SimpleNamespace(
+        bench=SimpleNamespace(spec=SimpleNamespace(robot=robot)), unknowns=unknowns, criteria=CRITERIA
+    )
+    fit = SimpleNamespace(effects={e.id for e in effects}, values={("swing.cogging", "waves"): waves})
+    assert list_passing(cast(Any, search), cast(Any, fit)) == passing
 
 
 def select(before: float, after: float, sticks: bool = False) -> tuple[Selection, Selection]:

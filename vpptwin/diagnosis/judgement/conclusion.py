@@ -20,6 +20,7 @@ from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import find_effect
+from vpptwin.effects.joint import apply_cogging
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
@@ -35,6 +36,7 @@ SOFT = (
     'solimp="0.9999 0.9999 0.001" solref="0.004 1" make it so'
 )
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
+PASSING = "{}: a wave that does not come again along the way is any force that depends on place; no more than suggested"
 UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
 OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
 
@@ -68,10 +70,13 @@ def conclude(
         sober = criteria.sober
     most = criteria.suggested if is_doubtful(search, held_out, fit, unexplained, after.chi2) else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
+    passing = list_passing(search, fit)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        if guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
+        if effect in passing:
+            doubts[effect] = PASSING
+        elif guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
             doubts[effect] = doubt if doubt == OUTWEIGHED else doubts.get(effect, doubt)
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
@@ -105,6 +110,23 @@ def conclude(
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
     )
+
+
+def list_passing(search: Search, fit: Fit) -> set[str]:
+    """Cogging that does not come again along the way, and what else depends on place there.
+
+    Less than `comes_again` times over the travel of its joint a wave is any force that depends on place: what lies
+    beside it makes up for what that is not.
+    """
+    loads, robot, passing = search.bench.spec.robot.loads, search.bench.spec.robot, set[str]()
+    effects = {u.effect.id: u.effect for u in search.unknowns if u.effect.id in fit.effects}
+    if loads is None:
+        return passing
+    for effect in (each for each in effects.values() if each.apply is apply_cogging):
+        travel = 2.0 * float(loads.travel[robot.locate(effect).dof])
+        if 0.0 < fit.values[effect.id, "waves"] * travel < search.criteria.comes_again:
+            passing |= {e.id for e in effects.values() if e.target == effect.target and e.follows == "position"}
+    return passing
 
 
 def describe_soft_couplings(model: mujoco.MjModel) -> list[str]:
