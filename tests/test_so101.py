@@ -83,13 +83,15 @@ def test_a_target_is_followed_within_three_samples(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_verdict_on_the_turntable(folder: Path, tmp_path: Path) -> None:
-    """24 s of random steps: dry friction, of which its makers have a tenth, is named, and nothing for sure."""
+    """24 s of random steps: friction, of which its makers have a tenth, and damping or its like; nothing for sure."""
     convert(folder / "prbs_excitation", tmp_path / "log.mcap", last=24.0)
     twin = str(EXAMPLE / "rotation.yaml")
     assert main(["diagnose", str(tmp_path / "log.mcap"), "--twin", twin, "--out", str(tmp_path / "out")]) == 0
     verdict = json.loads((tmp_path / "out/verdict.json").read_text())
     causes = {cause["effect"]: cause for cause in verdict["causes"]}
-    assert causes["Rotation.coulomb"]["parameters"]["torque"]["value"] == pytest.approx(0.6, abs=0.3)
-    assert verdict["after"]["chi2"] < 0.3 * verdict["before"]["chi2"]
+    assert {"Rotation.coulomb", "Rotation.stiction"} & set(causes)
+    alike = {rival["effect"] for cause in causes.values() for rival in cause["also_explained_by"]}
+    assert "Rotation.viscous" in alike | set(causes)
+    assert verdict["after"]["chi2"] < 0.1 * verdict["before"]["chi2"]
     assert verdict["gap"]
     assert all(cause["confidence"] < 0.9 for cause in causes.values())

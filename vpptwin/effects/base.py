@@ -238,6 +238,11 @@ class Effect:
         return self.members or (self.target,)
 
     @property
+    def brakes(self) -> bool:
+        """Whether it only takes energy out, or changes what does as dry friction."""
+        return self.stage is Stage.FRICTION or self.dissipative
+
+    @property
     def strengths(self) -> tuple[Parameter, ...]:
         """Its strengths: the first parameter, and others of its unit that are off where it is, as axes of a vector."""
         first = self.parameters[0]

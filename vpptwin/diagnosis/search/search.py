@@ -96,16 +96,20 @@ class Search(Fitter):
         names += [name for name in starts if name in near and name not in names]
         brief = len(names) > LONG and self.bench.guessed
         number, iterations = (1, BRIEF) if brief else (self.criteria.starts, ITERATIONS)
+        sticking = set[str]()
         for name in names:
             self._refit(found, fit, starts[name][:number], iterations)
             if places := self._scan(fit, name):  # only by its own likelihood does a law that sticks look its best
                 beside = {name: found[name]}
                 self._refit(beside, fit, places)
                 found[name] = self.judge_alone(beside[name])
+                sticking.add(name)
         if brief:  # those that got somewhere go on
             worth = max(self.criteria.chance * max(each.evidence_against(fit) for each in found.values()), least)
             hopeful = [name for name, each in found.items() if each.evidence_against(fit) >= 0.5 * worth]
-            found |= {name: self.fit(found[name].effects, found[name].values, found[name].about) for name in hopeful}
+            for name in hopeful:
+                longer = self.fit(found[name].effects, found[name].values, found[name].about)
+                found[name] = self.judge_alone(longer) if name in sticking else longer
         if found:
             best = find_cheapest(list(found.values()))
             (leader,) = best.effects - fit.effects
@@ -132,8 +136,9 @@ class Search(Fitter):
         """Suspects to refit, of starts in the order of their promise, none below `least` unless they are few.
 
         Linearisation promises nothing of a large effect; where all can be refitted, none is dropped for it, nor is any
-        law of dry friction of a joint that has one. Those that stand instead of a cause must promise something, and so
-        must errors of signals, which are nearly linear, and what is tried where logs show it, at the size they show.
+        law of dry friction of a joint that a cause brakes, nor damping where one rubs: no slope gives back what one
+        took of another's share. Those that stand instead of a cause must promise something, and so must errors of
+        signals, which are nearly linear, and what is tried where logs show it, at the size they show.
         """
         criteria = self.criteria
         promising = [name for name in starts if starts[name][0].drop > least]
@@ -145,14 +150,17 @@ class Search(Fitter):
         if not against and len(starts) - len(sure) <= criteria.few:
             return [name for name in starts if name not in told]
         chosen = promising[: criteria.shortlist if against else criteria.generous]
-        rubbing = {effects[name].places for name in {*fit.effects, against} - {""} if effects[name].dissipative}
+        braking = [effects[name] for name in sorted({*fit.effects, against} - {""}) if effects[name].dissipative]
+        slowed = {effect.places for effect in braking}
+        sliding = {effect.places for effect in braking if effect.stage is Stage.FRICTION}
         laws = [
-            n for n in starts if effects[n].stage is Stage.FRICTION and effects[n].places in rubbing and n not in told
-        ]
+            n for n in starts if n not in told and effects[n].brakes
+            and effects[n].places in (slowed if effects[n].stage is Stage.FRICTION else sliding)
+        ]  # fmt: skip
         return list(dict.fromkeys(chosen + laws))
 
     def _scan(self, fit: Fit, effect: str) -> list[Start]:
-        """Where else to start refitting a limit or a law of dry friction beside a fit: the best of many, all simulated.
+        """Where else to start refitting a limit, or what brakes beside dry friction: the best of many, all simulated.
 
         What limits, or sticks and slips, makes the cost rough: from a wrong share of two laws no slope leads to the
         right one.
@@ -166,13 +174,12 @@ class Search(Fitter):
             span = np.geomspace(min(limits) / LOWER, max(limits), SCANNED) if limits else np.empty(0)
             limited = [fit.values | {added[0].key: float(added[0].parameter.clip(limit))} for limit in span]
             return [Start(effect, each, 0.0) for each in (self._pick_places(fit, limited) if limited else [])]
-        if law.stage is not Stage.FRICTION:
-            return []
-        laws = added + [
+        rubbing = [
             u for u in self.unknowns
-            if u.effect.id in fit.effects and u.effect.stage is law.stage and u.effect.places == law.places
+            if u.effect.id in fit.effects and u.effect.stage is Stage.FRICTION and u.effect.places == law.places
         ]  # fmt: skip
-        if len(laws) < 2:
+        laws = added + rubbing
+        if len(laws) < 2 or not law.brakes or not (rubbing or law.stage is Stage.FRICTION):
             return []
         strengths = [u.key for u in laws if u.parameter is u.effect.parameters[0]]
         forces = [u.key for u in laws if u.key in strengths and u.parameter.unit in ("N", "N m")]
