@@ -124,7 +124,7 @@ class Criteria:
     felt: float = assumed(1.0, "", "held-out chi² that a cause must take away to be sure: as much as noise makes",
         "issue 20, rigs whose sensors are assumed")
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
-        "five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three that were not 0.8 to 1.0")
+        "issue 22, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow", "e1272d1, b200008")
     has_a_say: float = assumed(0.2, "", "standard error of the share of a force up to which inverse dynamics has a say",
         "issue 20, rigs whose sensors are assumed; development seeds 701 to 720")

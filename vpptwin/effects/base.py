@@ -239,8 +239,8 @@ class Effect:
 
     @property
     def brakes(self) -> bool:
-        """Whether it only takes energy out, or changes what does as dry friction."""
-        return self.stage is Stage.FRICTION or self.dissipative
+        """Whether it is dry friction, or damping in proportion to speed."""
+        return self.stage is Stage.FRICTION or (self.dissipative and self.stage is Stage.CONSTANT)
 
     @property
     def strengths(self) -> tuple[Parameter, ...]:
