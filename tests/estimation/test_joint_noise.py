@@ -184,5 +184,6 @@ def test_a_gyro_in_another_unit_is_refused(factor: float, told: str) -> None:
     logged = factor * turn_to_world(np.array([0.5, 0.5, 0.5, 0.5]), rates)
     with pytest.raises(InputError, match=re.escape(told)) if told else nullcontext():
         vet_rates("log: rates of craft", TIME, turned, logged, align_rates(TIME, turned, logged))
+    vet_rates("log: rates of craft", TIME[:1], turned[:1], logged[:1], logged[:1])  # of a single pose nothing is told
     noise = np.random.default_rng(5).standard_normal(rates.shape)
     vet_rates("log: rates of craft", TIME, turned, noise, align_rates(TIME, turned, noise))

@@ -228,11 +228,11 @@ def vet_rates(label: str, time: np.ndarray, turned: np.ndarray, rate: np.ndarray
     Raises:
         InputError: if the two agree but for a factor, such as 57.3.
     """
+    if len(time) < FEW or np.ptp(turned, axis=0).max() < MIN_TURN:
+        return
     stride = max(round(BEND / float(np.median(np.diff(time)))), 1)
     tracks = turned, integrate(rate, time), integrate(aligned, time)
     seen, told, in_axes = (np.diff(track[::stride], axis=0) for track in tracks)
-    if len(time) < FEW or np.ptp(turned, axis=0).max() < MIN_TURN:
-        return
     factor = float(np.linalg.norm(told - told.mean(axis=0)) / np.linalg.norm(seen - seen.mean(axis=0)))
     if compare_steps(seen.ravel(), in_axes.ravel())[1] < MIN_LIKENESS or SLOWEST < factor < FASTEST:
         return

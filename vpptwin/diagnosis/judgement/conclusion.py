@@ -70,13 +70,11 @@ def conclude(
         sober = criteria.sober
     most = criteria.suggested if is_doubtful(search, held_out, fit, unexplained, after.chi2) else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
-    passing = list_passing(search, fit)
+    doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
-        if effect in passing:
-            doubts[effect] = PASSING
-        elif guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
+        if guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
             doubts[effect] = doubt if doubt == OUTWEIGHED else doubts.get(effect, doubt)
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
@@ -124,7 +122,7 @@ def list_passing(search: Search, fit: Fit) -> set[str]:
         return passing
     for effect in (each for each in effects.values() if each.apply is apply_cogging):
         travel = 2.0 * float(loads.travel[robot.locate(effect).dof])
-        if 0.0 < fit.values[effect.id, "waves"] * travel < search.criteria.comes_again:
+        if fit.values[effect.id, "waves"] * travel < search.criteria.comes_again:
             passing |= {e.id for e in effects.values() if e.target == effect.target and e.follows == "position"}
     return passing
 
