@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from ctypes import CFUNCTYPE, c_int64
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from textwrap import indent
 from typing import Any
 
@@ -237,13 +237,19 @@ def write_view(model: mujoco.MjModel) -> str:
 def compile_once(entry: str, name: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype], kind: Any) -> Any:  # noqa: ANN401
     """The C function of a name that a text defines, with the effects of a pipeline, compiled once per process."""
     source = pipeline.source + entry if pipeline else entry
-    key = fingerprint(source, str(dtypes), functions=list(pipeline.functions.values()) if pipeline else [])
+    key = name_entry(source, tuple(sorted(dtypes.items())), tuple(pipeline.functions.values()) if pipeline else ())
     if key not in _KERNELS:
         if kind is FUNCTION:
             check_step()
         function = compile_entry(source, name, key, pipeline, dtypes)
         _KERNELS[key] = kind(int(function.address or 0)), function
     return _KERNELS[key][0]
+
+
+@lru_cache(maxsize=64)
+def name_entry(source: str, dtypes: tuple[tuple[str, np.dtype], ...], functions: tuple[Callable[..., Any], ...]) -> str:
+    """What a compiled text is kept under: hashing it and all that it calls takes milliseconds, a window's run as many."""
+    return fingerprint(source, str(dict(dtypes)), functions=functions)
 
 
 def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, dtypes: dict[str, np.dtype]) -> Any:  # noqa: ANN401

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,6 +27,8 @@ from vpptwin.twin.twin import Twin
 
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
+TWINS, MOTIONS = 32, 4
+"""Twins, and motions of one variation, that a bench keeps: those used last."""
 ASTRAY, FARTHEST = 1e4, 1e8
 """Noises by which a simulation that diverged is taken to miss, and by which any can: squares must not overflow."""
 FAR, UNSEEN = 8.0, 1e4
@@ -134,6 +136,7 @@ class Bench:
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._starts: dict[tuple[float, ...], Windows] = {}
         self._pasts: dict[tuple[float, ...], Past] = {}
+        self._motions: dict[tuple[Hashable, Hashable], tuple[Track | None, Motion]] = {}
         self._gravity = -float(spec.model.opt.gravity[2])
 
     def about(self, track: Track | None) -> Bench:
@@ -192,19 +195,24 @@ class Bench:
             variations: how the runs differ. Those that differ in nothing but sensors share a simulation.
             sensors_of: the states that windows start from are those seen through the sensors of these values.
         """
-        moving: list[Variation] = []
-        place: list[int] = []
-        keys: dict[object, int] = {}
+        active = frozenset(effect for v in variations for effect, _ in self.without_sensors(v).values)
+        place, keys = list[Hashable](), dict[Hashable, Variation]()
         for variation in variations:
             seen = self.without_sensors(variation)
             shift = [None if a is None else a.tobytes() for a in (seen.pose, seen.velocity)]
-            key = (frozenset(seen.values.items()), *shift, seen.push)
-            if key not in keys:
-                keys[key] = len(moving)
-                moving.append(seen)
-            place.append(keys[key])
-        motion = self.simulate(moving, sensors_of)
-        return np.stack([self._observe(v, pick(motion, i)) for v, i in zip(variations, place)])
+            place.append((frozenset(seen.values.items()), *shift, seen.push))
+            keys.setdefault(place[-1], seen)
+        # A fit looks at a point before it asks for derivatives there.
+        where = id(self.track), active, frozenset((sensors_of or {}).items())
+        seen_before = {key: self._motions[where, key][1] for key in keys if (where, key) in self._motions}
+        run = [key for key in keys if key not in seen_before]
+        found = self.simulate([keys[key] for key in run], sensors_of, active) if run else None
+        motions = seen_before | {key: pick(found, i) for i, key in enumerate(run) if found is not None}
+        if len(variations) == 1:
+            self._motions[where, place[0]] = self.track, motions[place[0]]
+            if len(self._motions) > MOTIONS:
+                del self._motions[next(iter(self._motions))]
+        return np.stack([self._observe(v, motions[key]) for v, key in zip(variations, place)])
 
     def without_sensors(self, variation: Variation) -> Variation:
         """The variation without what changes sensors only, which moves nothing."""
@@ -264,13 +272,21 @@ class Bench:
         shown = {*PERFECT, *SUPPLY}
         return frozenset(e.id for e in self.spec.catalogue if e.writes and set(e.writes) <= shown)
 
-    def simulate(self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None) -> Motion:
-        """What happens in every variation, arrays (V, K, steps + 1, ...); arguments as for `predict`."""
+    def simulate(
+        self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None,
+        active: frozenset[str] | None = None,
+    ) -> Motion:  # fmt: skip
+        """What happens in every variation, arrays (V, K, steps + 1, ...).
+
+        Args:
+            variations, sensors_of: as `predict` has them.
+            active: effects that are switched on; None for those that variations have values of.
+        """
         count, number = len(variations), len(self.windows)
         model, times = self.spec.model, (count * number, self.windows.steps + 1)
         pose, velocity = np.empty((*times, model.nq)), np.empty((*times, model.nv))
         speed = np.empty((*times, 2)) if self.windows.throttle is not None else None
-        active = frozenset(effect for v in variations for effect, _ in v.values)
+        active = frozenset(effect for v in variations for effect, _ in v.values) if active is None else active
         windows = self.windows_seen(sensors_of or {})
         for begin in range(0, count * number, ROWS):
             rows = np.arange(begin, min(begin + ROWS, count * number))
@@ -350,11 +366,11 @@ class Bench:
 
     def _twin(self, rows: int, active: frozenset[str]) -> Twin:
         key = (rows, active)
-        if key not in self._twins:
-            if len(self._twins) > 24:
-                self._twins.clear()
-            self._twins[key] = self.make_twin(self.spec, rows, active)
-        return self._twins[key]
+        twin = self._twins.pop(key) if key in self._twins else self.make_twin(self.spec, rows, active)
+        self._twins[key] = twin  # behind those that were used before it
+        if len(self._twins) > TWINS:
+            del self._twins[next(iter(self._twins))]
+        return twin
 
     def _simulate_rows(
         self, variations: Sequence[Variation], windows: Windows, which: np.ndarray, window: np.ndarray,

@@ -110,8 +110,7 @@ class Choosing:
             beside = {effect: self.fit.evidence_against(step.before) for effect, step in replaced.items()}
             rough = self.tell_roughness(replaced, evidence, beside)
             simpler = find_simpler(self.search, lasting, rough) if self.may_swap() else None
-            if simpler is not None and exchange(self.fit, *simpler) not in self.seen:
-                self.put(*simpler, replaced)
+            if simpler is not None and exchange(self.fit, *simpler) not in self.seen and self.put(*simpler, replaced):
                 continue
             return self.conclude(replaced, evidence, beside, rough)
 
@@ -124,12 +123,25 @@ class Choosing:
         step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
         if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
             return False
+        near = defaultdict(frozenset, self.near) | {accepted: find_near(self.search, step, accepted)}
+        grown = prune(self.search, self.held_out, step.tried[accepted], near)
+        if self.loses(grown):
+            self.barred |= {accepted}
+            return True
         self.drops[accepted] = step.drop(accepted)
-        self.near[accepted] = find_near(self.search, step, accepted)
-        self.fit = prune(self.search, self.held_out, step.tried[accepted], self.near)
+        self.fit, self.near = grown, near
         # What made way does not come back, nor what did not last: it would be taken in again and again.
         self.barred |= (step.before.effects | {accepted}) - self.fit.effects
         return True
+
+    def loses(self, other: Fit) -> bool:
+        """Whether other causes leave clearly more of held-out log than those at hand, where errors have the last word.
+
+        In a frame of its own, with other weights and noise, a fit that was better may be far worse.
+        """
+        if not trusts_errors(self.search):
+            return False
+        return self.held_out.is_farther(self.fit.values, other.values, self.search.sticks(other.effects))
 
     def drop_harmful(self) -> bool:
         """Leave out the cause that held-out windows can best do without, if all together make them worse."""
@@ -177,23 +189,30 @@ class Choosing:
         better = find_better(self.search, evidence, self.drops) if self.may_swap() else None
         if better is not None and trusts_errors(self.search) and exchange(self.fit, *better) in self.seen:
             better = None  # evidence and errors rank in a circle
-        if better is not None:
-            self.put(*better, replaced)
+        if better is not None and self.put(*better, replaced):
             return True
         other = exchange_causes(self.search, self.held_out, self.fit, self.barred, self.stage)
         if other is None or self.steps + self.swaps >= self.search.criteria.most_steps:
             return False
-        self.fit, self.swaps = prune(self.search, self.held_out, other, self.near), self.swaps + 1
+        other = prune(self.search, self.held_out, other, self.near)
+        if self.loses(other):
+            return False
+        self.fit, self.swaps = other, self.swaps + 1
         return True
 
-    def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> None:
-        """Put a rival in the place of a cause."""
+    def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> bool:
+        """Put a rival in the place of a cause; tells whether it stays there."""
+        near = defaultdict(frozenset, self.near) | {rival: self.near[cause] | {cause}}
+        changed = prune(self.search, self.held_out, replaced[cause].tried[rival], near)
+        self.swaps += 1
+        if self.loses(changed):
+            self.seen.add(exchange(self.fit, cause, rival))
+            return False
         if trusts_errors(self.search):  # what they voted out does not come back on evidence
             self.barred |= {cause}
         self.drops[rival] = self.drops.get(cause, 0.0)
-        self.near[rival] = self.near[cause] | {cause}
-        self.fit = prune(self.search, self.held_out, replaced[cause].tried[rival], self.near)
-        self.swaps += 1
+        self.fit, self.near = changed, near
+        return True
 
     def tell_roughness(
         self, replaced: Mapping[str, Step], evidence: Mapping[str, Mapping[str, float]], beside: Mapping[str, float]
