@@ -180,3 +180,14 @@ def test_a_weak_motor_is_told_from_a_wheel_that_rubs(tmp_path: Path) -> None:
     found = {cause.effect: next(iter(cause.parameters.values())).value for cause in causes}
     assert found == {"motor.gain": pytest.approx(0.88, rel=0.02), "wheel.coulomb": pytest.approx(0.004, rel=0.1)}
     assert all(cause.confidence > 0.9 for cause in causes)
+
+
+@pytest.mark.parametrize(("causes", "rubs"), [(["motor.gain"], 0.0), pytest.param(None, 0.004, marks=pytest.mark.slow)])
+def test_a_log_of_the_other_sign_is_named(tmp_path: Path, causes: list[str] | None, rubs: float) -> None:
+    """Torques logged against the joint's axis: a gain of -1, beside which the rest is told."""
+    spec = load(tmp_path, WHEEL, f"{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}")
+    logs = [write(tmp_path / f"{i}", "log.csv", swing_wheel(12.0, i, -1.0, rubs)) for i in range(2)]
+    flights = [read_flight(log, signals=spec.robot.signals.entries) for log in logs]
+    found = {cause.effect: cause for cause in diagnose(spec, flights, causes=causes).verdict.causes}
+    assert set(found) == {"motor.gain"} | ({"wheel.coulomb"} if rubs else set())
+    assert found["motor.gain"].parameters["gain"].value == pytest.approx(-1.0, abs=0.03)

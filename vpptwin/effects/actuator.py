@@ -134,7 +134,7 @@ def scale_input(parameter: Parameter, typical: float, room: float) -> Parameter:
 GAIN = Effect(
     id="gain", summary="a wrong gain", equation="u × gain",
     parameters=(
-        Parameter(name="gain", unit="", off=1.0, low=0.1, high=3.0, prior=Prior("normal", 1.0, 0.1), size=0.05,
+        Parameter(name="gain", unit="", off=1.0, low=-3.0, high=3.0, prior=Prior("normal", 1.0, 0.1), size=0.05,
                   tolerance=0.01, source="assumption: an uncalibrated drive is within 10 %"),
     ),
     stage=Stage.CONSTANT, apply=apply_gain, shows=ACTUATOR_SHOWS, look_alikes=("saturation", "dead_band", "sag"),

@@ -248,7 +248,7 @@ def compile_once(entry: str, name: str, pipeline: Pipeline | None, dtypes: dict[
 
 @lru_cache(maxsize=64)
 def name_entry(source: str, dtypes: tuple[tuple[str, np.dtype], ...], functions: tuple[Callable[..., Any], ...]) -> str:
-    """What a compiled text is kept under: hashing it and all that it calls takes milliseconds, a window's run as many."""
+    """What a compiled text is kept under: hashing it and all that it calls takes as long as a run through windows."""
     return fingerprint(source, str(dict(dtypes)), functions=functions)
 
 

@@ -279,7 +279,8 @@ class Bench:
         """What happens in every variation, arrays (V, K, steps + 1, ...).
 
         Args:
-            variations, sensors_of: as `predict` has them.
+            variations: how the runs differ.
+            sensors_of: as `predict` has it.
             active: effects that are switched on; None for those that variations have values of.
         """
         count, number = len(variations), len(self.windows)
