@@ -111,8 +111,11 @@ def test_both_act_alike_and_beside_their_own(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "named"),
-    [({"gain": 0.92}, "actuators.gain"), ({"gain": -1.0}, "actuators.gain"), ({"late": 0.04}, "actuators.delay"), ({}, "")],
-)
+    [
+        ({"gain": 0.92}, "actuators.gain"), ({"gain": -1.0}, "actuators.gain"), ({"late": 0.04}, "actuators.delay"),
+        ({}, ""),
+    ],
+)  # fmt: skip
 def test_what_is_wrong_with_both_rotors_is_named(tmp_path: Path, hidden: dict[str, float], named: str) -> None:
     """Neither a mass with dampings, nor readings that are late; and nothing where nothing is hidden."""
     spec = load(tmp_path)
