@@ -19,7 +19,11 @@ from vpptwin.twin.manifold import (
 )
 
 SAMPLES = 8.0
-"""Samples of somebody's smooth estimate used on either side: beyond, the motion is no parabola."""
+"""Samples of somebody's smooth estimate used on either side where the log has not told how many."""
+SPANS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 45.0, 60.0)
+"""Samples from which the log tells; farther away than `HORIZON` none is used."""
+AHEAD, TRIED, ALIKE = 2, 1000, 1.15
+"""Samples ahead that a parabola foretells, instants at which it does, and what its error may be of the least."""
 HORIZON = 0.15
 """Measurements used on either side of an instant [s]."""
 SMOOTH = 0.3
@@ -194,6 +198,15 @@ def fit_local(
         Positions (K,) and velocities (K,).
     """
     horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
+    found = fit_parabola(series, rate, moved, times, until, horizon, track)
+    return found[:, 0], found[:, 1]
+
+
+def fit_parabola(
+    series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, until: np.ndarray,
+    horizon: float, track: bool = False,
+) -> np.ndarray:  # fmt: skip
+    """Position, velocity and extra acceleration at `times`, (K, 3), from samples within `horizon` [s]."""
     index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
@@ -218,7 +231,31 @@ def find_horizon(series: Series) -> float:
     """How far around an instant samples are used where nothing carries from one to the next [s]."""
     if series.white or len(series.time) < 2:
         return HORIZON
-    return min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
+    return series.span or min(HORIZON, SAMPLES * float(np.median(np.diff(series.time))))
+
+
+def choose_span(series: Series, rate: Series | None) -> float:
+    """The span [s] of which the samples up to an instant foretell the log best, or a longer one that does as well.
+
+    Of a joint that a motor jerks about, eight samples tell a velocity that is off by more than all noise; of a slow one
+    more of them tell it better. 0 for a log too short to tell.
+    """
+    period = float(np.median(np.diff(series.time))) if len(series.time) > 1 else 0.0
+    spans = [samples * period for samples in SPANS if samples == SPANS[0] or samples * period <= HORIZON]
+    first = int(np.searchsorted(series.time, series.time[0] + spans[-1]))
+    if len(series.time) - first < TRIED // 10:
+        return 0.0
+    at = np.unique(np.linspace(first, len(series.time) - 1 - AHEAD, TRIED).astype(int))
+    times, later = series.time[at], series.time[at + AHEAD] - series.time[at]
+    missed = []
+    for span in spans:
+        place, speed, turn = fit_parabola(series, rate, None, times, times, span).T
+        foretold = place + later * (speed + 0.5 * later * turn)
+        missed.append(float(((foretold - series.value[at + AHEAD]) ** 2).mean()))
+    best = int(np.argmin(missed))
+    while best + 1 < len(spans) and missed[best + 1] <= ALIKE**2 * min(missed):
+        best += 1
+    return spans[best]
 
 
 def taper(t: np.ndarray, horizon: float) -> np.ndarray:
@@ -234,14 +271,14 @@ def weigh_samples(
     return scaled[..., None] * np.stack(columns, axis=2), scaled * value
 
 
-def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Value and slope at t = 0 of parabolas by least squares, (K,) each; `curvature` is its prior."""
+def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float) -> np.ndarray:
+    """Value, slope and curvature at t = 0 of parabolas by least squares, (K, 3); `curvature`: the last's prior."""
     count = len(parts[0][0])
     prior = np.broadcast_to(np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / curvature]), (count, 3, 3))
     q, r = np.linalg.qr(np.concatenate([*(rows for rows, _ in parts), prior], axis=1))
     target = np.concatenate([*(value for _, value in parts), np.zeros((count, 3))], axis=1)
-    solution = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])
-    return solution[:, 0, 0], solution[:, 1, 0]
+    found: np.ndarray = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])[..., 0]
+    return found
 
 
 def fit_attitude(
@@ -267,7 +304,7 @@ def fit_attitude(
     place, speed = np.zeros((len(times), 3)), np.zeros((len(times), 3))
     for axis in range(3):
         rows = weigh_samples(t, near, attitude.std, (np.ones_like(t), t, 0.5 * t * t), left[..., axis])
-        place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)
+        place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)[:, :2].T
     pose = rotate(multiply_attitudes(at, turned[base]), place)
     if gyro:
         return pose, np.stack([fit_end(series, times, 0.01, until) for series in gyro], axis=1)

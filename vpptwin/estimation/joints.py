@@ -11,6 +11,7 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
+from vpptwin.estimation.initial import choose_span
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
 from vpptwin.estimation.sound import unwrap_turns, vet_joint, vet_rates
@@ -119,6 +120,8 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
     if "position" not in logged.values and velocity is not None:
         position = replace(position, std=DRIFT * velocity.std)
     found.add(dof, (position, velocity), label)
+    span = choose_span(found.positions[dof], found.velocities.get(dof))
+    found.positions[dof] = replace(found.positions[dof], span=span)
 
 
 def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:

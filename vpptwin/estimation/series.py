@@ -23,6 +23,7 @@ class Series:
     value: np.ndarray  # (n,) or (n, k)
     std: float  # sensor noise of one sample, 1 sigma, in the unit
     white: bool = True  # the noise is independent from sample to sample, so that averaging reduces it
+    span: float = 0.0  # how far around an instant samples tell a state there [s]; 0 where nobody has looked
 
 
 @dataclass(frozen=True)
