@@ -17,7 +17,7 @@ from tests.estimation.synthetic import (
     expect_rate_noise,
     locate,
 )
-from vpptwin.estimation.initial import DRIFT_STD, HORIZON, SLOPE_STD, estimate_states
+from vpptwin.estimation.initial import DRIFT_STD, HORIZON, SLOPE_STD, choose_span, estimate_states
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin import load_twin
 
@@ -148,3 +148,18 @@ def test_logged_velocities_sharpen_the_estimate() -> None:
     )
     assert sharper < 0.5 * without
     assert sharper < 4.0 * HORIZON**2 / 12  # m/s, by which a line through the velocity misses a jerk of 4 m/s³
+
+
+@pytest.mark.parametrize(
+    ("frequency", "with_rate", "low", "high"), [(4.0, False, 4, 5), (4.0, True, 4, 5), (0.3, False, 12, 15)]
+)
+def test_the_log_tells_from_how_many_samples_a_state_is_read(
+    frequency: float, with_rate: bool, low: int, high: int
+) -> None:
+    """Few where a joint is jerked about, of which eight are off by ten times the noise; many of a slow one."""
+    rng, time, std, turn = np.random.default_rng(7), np.arange(0.0, 12.0, 0.01), 5e-4, 2.0 * np.pi * frequency
+    angle = Series("arm", "rad", time, 0.3 * np.sin(turn * time) + std * rng.normal(size=time.size), std, white=False)
+    speed = 0.3 * turn * np.cos(turn * time) + 0.02 * rng.normal(size=time.size)
+    rate = Series("arm rate", "rad/s", time, speed, 0.02, white=False) if with_rate else None
+    assert low <= round(choose_span(angle, rate) / 0.01) <= high
+    assert choose_span(replace(angle, time=time[:60], value=angle.value[:60]), None) == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from tests.diagnosis.rigs import CARTS, MASS, write_rig
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench, Variation
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.search import motion
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
@@ -229,3 +231,10 @@ def test_a_force_that_a_parameter_makes_leaves_the_track(bench: Bench) -> None:
     assert np.abs(track.push).mean() < 0.01 * pushed
     foretold = choose_track(drawn, couple_gusts(drawn, response, np.ones(1)), np.zeros_like(missed))
     np.testing.assert_allclose(foretold.push, 0.0, atol=1e-12)
+
+
+def test_a_twin_that_runs_away_is_followed_somewhere(bench: Bench, response: Response) -> None:
+    """Beside what its starts do, all alike, nothing is left of the prior: no answer is right, none is a crash."""
+    away = replace(response, state=np.full_like(response.state, 2.0**60) / response.state_std, push=0.0 * response.push)
+    path = motion.Path(bench, away, motion.spread_gusts(bench, np.ones(1)))
+    assert np.isfinite(path.step(np.ones(bench.valid.shape))).all()

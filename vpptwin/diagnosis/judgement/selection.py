@@ -126,7 +126,7 @@ class Choosing:
         near = defaultdict(frozenset, self.near) | {accepted: find_near(self.search, step, accepted)}
         grown = prune(self.search, self.held_out, step.tried[accepted], near)
         if self.loses(grown):
-            self.barred |= {accepted}
+            self.barred, self.left_out = self.barred | {accepted}, self.left_out | {accepted}
             return True
         self.drops[accepted] = step.drop(accepted)
         self.fit, self.near = grown, near

@@ -9,6 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track
 from vpptwin.diagnosis.search.likelihood import (
+    ROUNDING,
     Likelihood,
     Response,
     likeness_of_gusts,
@@ -71,7 +72,12 @@ class Path:
         turned = np.swapaxes(columns, 1, 2)
         gram = turned @ columns + (1.0 + held[..., None]) * np.eye(columns.shape[2])
         target = turned @ (missed / self.bench.std)[..., None]
-        return np.linalg.solve(gram, target + (held * at)[..., None])[..., 0]
+        goal = target + (held * at)[..., None]
+        try:
+            return np.linalg.solve(gram, goal)[..., 0]
+        except np.linalg.LinAlgError:  # a twin that runs away leaves nothing of the prior beside its own rounding
+            most = np.abs(gram).max(axis=(1, 2), keepdims=True)
+            return np.linalg.solve(gram + ROUNDING * most * np.eye(gram.shape[1]), goal)[..., 0]
 
     def cost(self, missed: np.ndarray, found: np.ndarray) -> np.ndarray:
         """Square of what is missed about a path, (K, M), and of the path, both in units of their prior, (K,)."""
