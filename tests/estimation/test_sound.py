@@ -93,6 +93,20 @@ def test_angles_of_one_turn_go_on(low: float) -> None:
     assert vet_joint(found, "arm") == (found, [])
 
 
+def test_degrees_are_no_angles_of_one_turn() -> None:
+    """Quick swings over 2 rad in degrees: neither jumps by a turn nor radians."""
+    time = swing().time[::10]
+    fast = Stream(time, {"position": np.degrees(np.sin(12.0 * time))})
+    found, (line,) = unwrap_turns(fast, "log arm")
+    assert found is fast
+    assert re.fullmatch(
+        r"log arm: position moves \d+ times by more than half a turn from sample to sample; if these are degrees, say "
+        r"`unit: deg`",
+        line,
+    )
+    assert unwrap_turns(Stream(time, {"position": np.sin(12.0 * time)}), "arm")[1] == []
+
+
 def test_what_jumps_by_no_turn_is_left_as_it_is() -> None:
     """A glitch of 4 rad, half a turn, and motion within one."""
     stream = swing()

@@ -32,6 +32,8 @@ SLOWEST, FASTEST = 0.6, 1.6
 """The same of rotor speeds, against the governed one."""
 WRAP = 0.5
 """By how much [rad] a jump may differ from a turn."""
+RARE = 0.005
+"""Share of samples that may be half a turn from the one before, before a joint's unit is doubted."""
 UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """What lengths may be in [m]."""
 
@@ -198,6 +200,9 @@ def unwrap_turns(stream: Stream, label: str) -> tuple[Stream, list[str]]:
     position = stream.values.get("position", np.zeros(0))
     steps = np.abs(np.diff(position))
     wraps = steps > np.pi
+    if wraps.any() and wraps.mean() > RARE and np.ptp(position) > 2.0 * np.pi + WRAP:
+        often = f"{np.count_nonzero(wraps)} times by more than half a turn from sample to sample"
+        return stream, [f"{label}: position moves {often}; if these are degrees, say `unit: deg`"]
     if not wraps.any() or np.any(np.abs(steps[wraps] - 2.0 * np.pi) > max(WRAP, 4.0 * np.median(steps[~wraps]))):
         return stream, []
     told = f"{label}: position jumps by a turn {np.count_nonzero(wraps)} times, as angles of one turn do: it goes on"
