@@ -112,6 +112,14 @@ def test_a_clock_set_forward_is_refused(tmp_path: Path, ahead: int, place: int) 
         assert part in str(caught.value)
 
 
+def test_milliseconds_called_seconds_are_asked_for_their_unit(tmp_path: Path) -> None:
+    """A message every ten seconds, one like the other: no clock was set there."""
+    poses = [swing(k, 1000 * k + 7 * (k % 3)) for k in range(1200)]
+    path = Bag(tmp_path / "slow.mcap").add("/mocap/pose", POSE, poses).write()
+    with pytest.raises(InputError, match=r"one of /mocap/pose every 10\.\d* s; .* milliseconds, name the column"):
+        read_flight(path)
+
+
 def test_a_clock_set_forward_costs_nothing(tmp_path: Path, usual: float) -> None:
     """A line under 2 s and 1 GB, where a grid of 10 ms over the leap took all memory."""
     joints = [
