@@ -25,6 +25,8 @@ RECORDED = {
     "stuck_40417": "hidden_effects.py --report benchmarks/results/stuck_40417.json",
     "other_94414": "hidden_effects.py --rigs other --report benchmarks/results/other_94414.json",
     "other_66989": "hidden_effects.py --rigs other --report benchmarks/results/other_66989.json",
+    "other_65663": "hidden_effects.py --rigs other --report benchmarks/results/other_65663.json",
+    "other_94065": "hidden_effects.py --rigs other --report benchmarks/results/other_94065.json",
     "other_13989": "hidden_effects.py --rigs other --report benchmarks/results/other_13989.json",
     "other_71207": "hidden_effects.py --rigs other --report benchmarks/results/other_71207.json",
     "other_96897": "hidden_effects.py --rigs other --report benchmarks/results/other_96897.json",

@@ -44,6 +44,11 @@ class Forces:
     missing: np.ndarray  # what motion asks for beyond what the twin's model has for it, (n, nv)
 
 
+def in_eights(log: Measurements) -> Measurements:
+    """The same, its states read from eight samples: a span that tells a state best would smear a tight spot."""
+    return replace(log, positions={dof: replace(series, span=0.0) for dof, series in log.positions.items()})
+
+
 def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
     """Inverse dynamics of the twin's MJCF, none of its effects on, along every log; inputs act `late` [s]."""
     parts = [measure_log(spec, log, i, MOST // len(measurements), late) for i, log in enumerate(measurements)]
@@ -55,7 +60,7 @@ def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: 
     model = spec.model
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
-    around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
+    around = [estimate_states(in_eights(log), times + side, model, False) for side in (-REACH, 0.0, REACH)]
     if log.driven:
         led, (before, at, after) = spec.robot.driven, (pose for pose, _ in around)
         for (_, velocity), ends, span in zip(around, ((before, at), (before, after), (at, after)), (1.0, 2.0, 1.0)):
@@ -100,7 +105,7 @@ def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> floa
         times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
         times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
         control = average_held(log.command, times[:, None] + np.array([-REACH, REACH]))[:, 0]
-        for pose, velocity, inputs in zip(*estimate_states(log, times, model, False), control, strict=True):
+        for pose, velocity, inputs in zip(*estimate_states(in_eights(log), times, model, False), control, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
             mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
             rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)
