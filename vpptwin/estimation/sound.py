@@ -200,12 +200,15 @@ def unwrap_turns(stream: Stream, label: str) -> tuple[Stream, list[str]]:
     position = stream.values.get("position", np.zeros(0))
     steps = np.abs(np.diff(position))
     wraps = steps > np.pi
-    if wraps.any() and wraps.mean() > RARE and np.ptp(position) > 2.0 * np.pi + WRAP:
-        often = f"{np.count_nonzero(wraps)} times by more than half a turn from sample to sample"
-        return stream, [f"{label}: position moves {often}; if these are degrees, say `unit: deg`"]
-    if not wraps.any() or np.any(np.abs(steps[wraps] - 2.0 * np.pi) > max(WRAP, 4.0 * np.median(steps[~wraps]))):
+    if not wraps.any():
         return stream, []
-    told = f"{label}: position jumps by a turn {np.count_nonzero(wraps)} times, as angles of one turn do: it goes on"
+    often = f"{np.count_nonzero(wraps)} times"
+    if wraps.mean() > RARE and np.ptp(position) > 2.0 * np.pi + WRAP:
+        told = f"{label}: position moves {often} by more than half a turn from sample to sample"
+        return stream, [f"{told}; if these are degrees, say `unit: deg`"]
+    if np.any(np.abs(steps[wraps] - 2.0 * np.pi) > max(WRAP, 4.0 * np.median(steps[~wraps]))):
+        return stream, []
+    told = f"{label}: position jumps by a turn {often}, as angles of one turn do: it goes on"
     return Stream(stream.time, stream.values | {"position": np.unwrap(position)}), [told]
 
 

@@ -10,7 +10,7 @@ from vpptwin.errors import InputError
 
 MAX_LATE = 0.5  # s, how late a message may come and still be sorted in
 MAX_CLOCK_DISTANCE = 3600.0  # s between two topics of one recording
-SLOW = 3.0  # s between messages, all of them less than so many times the usual, that are another unit's
+SLOW = 3.0  # s from message to message, without a gap, from which the unit is doubted
 MIN_RATE = 10.0  # messages per s, all topics together, that a log of more than that has; else someone set a clock
 GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
@@ -113,7 +113,7 @@ def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
     topic = next(name for name, own in stamps.items() if after in own)
     index = int(np.searchsorted(stamps[topic], after))
     usual = float(np.median(steps)) * 1e-9
-    if usual > SLOW and steps.max() <= SLOW * usual * 1e9:
+    if usual > SLOW and steps.max() <= GAP_PERIODS * usual * 1e9:
         raise InputError(
             f"{path}: {count} messages over {span:.4g} s, one of {topic} every {usual:.4g} s",
             f"at least {MIN_RATE:g} messages a second",

@@ -28,7 +28,7 @@ from vpptwin.twin.twin import Twin
 ROWS = 4096
 """Simulations that run side by side: enough to keep the engine busy, few enough to stay in memory."""
 TWINS, MOTIONS = 32, 4
-"""Twins, and motions of one variation, that a bench keeps: those used last."""
+"""Twins, those used last, and motions of one variation, those simulated last, that a bench keeps."""
 ASTRAY, FARTHEST = 1e4, 1e8
 """Noises by which a simulation that diverged is taken to miss, and by which any can: squares must not overflow."""
 FAR, UNSEEN = 8.0, 1e4
@@ -136,7 +136,7 @@ class Bench:
         self._twins: dict[tuple[int, frozenset[str]], Twin] = {}
         self._starts: dict[tuple[float, ...], Windows] = {}
         self._pasts: dict[tuple[float, ...], Past] = {}
-        self._motions: dict[tuple[Hashable, Hashable], tuple[Track | None, Motion]] = {}
+        self._motions: dict[Hashable, tuple[Track | None, Motion]] = {}  # with its track, whose id is in the key
         self._gravity = -float(spec.model.opt.gravity[2])
 
     def about(self, track: Track | None) -> Bench:
@@ -195,21 +195,21 @@ class Bench:
             variations: how the runs differ. Those that differ in nothing but sensors share a simulation.
             sensors_of: the states that windows start from are those seen through the sensors of these values.
         """
-        active = frozenset(effect for v in variations for effect, _ in self.without_sensors(v).values)
-        place, keys = list[Hashable](), dict[Hashable, Variation]()
-        for variation in variations:
-            seen = self.without_sensors(variation)
-            shift = [None if a is None else a.tobytes() for a in (seen.pose, seen.velocity)]
-            place.append((frozenset(seen.values.items()), *shift, seen.push))
-            keys.setdefault(place[-1], seen)
-        # A fit looks at a point before it asks for derivatives there.
+        moving = [self.without_sensors(variation) for variation in variations]
+        active = frozenset(effect for seen in moving for effect, _ in seen.values)
         where = id(self.track), active, frozenset((sensors_of or {}).items())
-        seen_before = {key: self._motions[where, key][1] for key in keys if (where, key) in self._motions}
-        run = [key for key in keys if key not in seen_before]
-        found = self.simulate([keys[key] for key in run], sensors_of, active) if run else None
-        motions = seen_before | {key: pick(found, i) for i, key in enumerate(run) if found is not None}
-        if len(variations) == 1:
-            self._motions[where, place[0]] = self.track, motions[place[0]]
+        place: list[Hashable] = []
+        for seen in moving:
+            shift = [None if a is None else a.tobytes() for a in (seen.pose, seen.velocity)]
+            place.append((where, frozenset(seen.values.items()), *shift, seen.push))
+        # A fit looks at a point before it asks for derivatives there.
+        motions = {key: self._motions[key][1] for key in place if key in self._motions}
+        new = {key: seen for key, seen in zip(place, moving) if key not in motions}
+        if new:
+            found = self.simulate(list(new.values()), sensors_of, active)
+            motions |= {key: pick(found, i) for i, key in enumerate(new)}
+        if len(variations) == 1 and new:
+            self._motions[place[0]] = self.track, motions[place[0]]
             if len(self._motions) > MOTIONS:
                 del self._motions[next(iter(self._motions))]
         return np.stack([self._observe(v, motions[key]) for v, key in zip(variations, place)])

@@ -57,10 +57,10 @@ def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: f
 
 def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: float) -> tuple[np.ndarray, ...]:
     """The rows of `Forces` of one log, at most so many."""
-    model = spec.model
+    model, log = spec.model, in_eights(log)
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
-    around = [estimate_states(in_eights(log), times + side, model, False) for side in (-REACH, 0.0, REACH)]
+    around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
     if log.driven:
         led, (before, at, after) = spec.robot.driven, (pose for pose, _ in around)
         for (_, velocity), ends, span in zip(around, ((before, at), (before, after), (at, after)), (1.0, 2.0, 1.0)):

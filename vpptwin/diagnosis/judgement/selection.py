@@ -123,25 +123,31 @@ class Choosing:
         step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
         if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
             return False
-        near = defaultdict(frozenset, self.near) | {accepted: find_near(self.search, step, accepted)}
-        grown = prune(self.search, self.held_out, step.tried[accepted], near)
-        if self.loses(grown):
+        if not self.take(step.tried[accepted], {accepted: find_near(self.search, step, accepted)}):
             self.barred, self.left_out = self.barred | {accepted}, self.left_out | {accepted}
             return True
         self.drops[accepted] = step.drop(accepted)
-        self.fit, self.near = grown, near
         # What made way does not come back, nor what did not last: it would be taken in again and again.
         self.barred |= (step.before.effects | {accepted}) - self.fit.effects
         return True
 
-    def loses(self, other: Fit) -> bool:
-        """Whether other causes leave clearly more of held-out log than those at hand, where errors have the last word.
+    def take(self, found: Fit, near: dict[str, frozenset[str]]) -> bool:
+        """Make what lasts of other causes those at hand; tells whether it did.
 
-        In a frame of its own, with other weights and noise, a fit that was better may be far worse.
+        Where errors have the last word it does not if they leave clearly more of held-out log: in a frame of its own,
+        with other weights and noise, a fit that was better may be far worse.
+
+        Args:
+            found: the other causes.
+            near: cause → suspects that came near it, where this is news.
         """
-        if not trusts_errors(self.search):
+        known = defaultdict(frozenset, self.near) | near
+        other = prune(self.search, self.held_out, found, known)
+        sticks = self.search.sticks(other.effects)
+        if trusts_errors(self.search) and self.held_out.is_farther(self.fit.values, other.values, sticks):
             return False
-        return self.held_out.is_farther(self.fit.values, other.values, self.search.sticks(other.effects))
+        self.fit, self.near = other, known
+        return True
 
     def drop_harmful(self) -> bool:
         """Leave out the cause that held-out windows can best do without, if all together make them worse."""
@@ -194,24 +200,20 @@ class Choosing:
         other = exchange_causes(self.search, self.held_out, self.fit, self.barred, self.stage)
         if other is None or self.steps + self.swaps >= self.search.criteria.most_steps:
             return False
-        other = prune(self.search, self.held_out, other, self.near)
-        if self.loses(other):
+        if not self.take(other, {}):
             return False
-        self.fit, self.swaps = other, self.swaps + 1
+        self.swaps += 1
         return True
 
     def put(self, cause: str, rival: str, replaced: Mapping[str, Step]) -> bool:
         """Put a rival in the place of a cause; tells whether it stays there."""
-        near = defaultdict(frozenset, self.near) | {rival: self.near[cause] | {cause}}
-        changed = prune(self.search, self.held_out, replaced[cause].tried[rival], near)
         self.swaps += 1
-        if self.loses(changed):
+        if not self.take(replaced[cause].tried[rival], {rival: self.near[cause] | {cause}}):
             self.seen.add(exchange(self.fit, cause, rival))
             return False
         if trusts_errors(self.search):  # what they voted out does not come back on evidence
             self.barred |= {cause}
         self.drops[rival] = self.drops.get(cause, 0.0)
-        self.fit, self.near = changed, near
         return True
 
     def tell_roughness(
