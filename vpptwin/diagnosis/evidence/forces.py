@@ -44,11 +44,6 @@ class Forces:
     missing: np.ndarray  # what motion asks for beyond what the twin's model has for it, (n, nv)
 
 
-def in_eights(log: Measurements) -> Measurements:
-    """The same, its states read from eight samples: a span that tells a state best would smear a tight spot."""
-    return replace(log, positions={dof: replace(series, span=0.0) for dof, series in log.positions.items()})
-
-
 def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
     """Inverse dynamics of the twin's MJCF, none of its effects on, along every log; inputs act `late` [s]."""
     parts = [measure_log(spec, log, i, MOST // len(measurements), late) for i, log in enumerate(measurements)]
@@ -57,7 +52,7 @@ def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: f
 
 def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: float) -> tuple[np.ndarray, ...]:
     """The rows of `Forces` of one log, at most so many."""
-    model, log = spec.model, in_eights(log)
+    model, log = spec.model, log.in_eights()  # a span that tells a state best would smear a tight spot
     times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
     around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
@@ -105,7 +100,7 @@ def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> floa
         times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, MOST_STATES // len(measurements))
         times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
         control = average_held(log.command, times[:, None] + np.array([-REACH, REACH]))[:, 0]
-        for pose, velocity, inputs in zip(*estimate_states(in_eights(log), times, model, False), control, strict=True):
+        for pose, velocity, inputs in zip(*estimate_states(log.in_eights(), times, model, False), control, strict=True):
             data.qpos[:], data.qvel[:], data.ctrl[:] = pose, velocity, inputs
             mujoco.mjd_transitionFD(model, data, STEP, True, moved, None, None, None)
             rates.append(np.log(np.abs(np.linalg.eigvals(moved)).max()) / model.opt.timestep)
