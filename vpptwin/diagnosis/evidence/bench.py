@@ -21,7 +21,7 @@ from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, fly_windows, trace_past
 from vpptwin.twin.manifold import conjugate, find_place, turn_to_world
 from vpptwin.twin.recall import Past, evolves
-from vpptwin.twin.sensors import PERFECT, Constants
+from vpptwin.twin.sensors import PERFECT, Constants, body_force
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -339,18 +339,27 @@ class Bench:
 
     def _observe(self, variation: Variation, motion: Motion) -> np.ndarray:
         """All channels of one variation, (K, M)."""
-        constants = self.sensors(variation.values)
-        return np.concatenate([self.observe_channel(c, motion, constants) for c in self.channels], axis=1)
+        constants, force = self.sensors(variation.values), None
+        if any(channel.kind == "specific force" for channel in self.channels):
+            force = self._feel(motion)
+        return np.concatenate([self.observe_channel(c, motion, constants, force) for c in self.channels], axis=1)
 
-    def observe_channel(self, channel: Channel, motion: Motion, constants: Constants) -> np.ndarray:
-        """A channel as a simulation shows it, (K, B); arrays of `motion` (K, steps + 1, ...)."""
+    def _feel(self, motion: Motion) -> np.ndarray:
+        with np.errstate(invalid="ignore", over="ignore"):
+            return body_force(motion.pose, motion.velocity, self.windows.dt, self._gravity)
+
+    def observe_channel(
+        self, channel: Channel, motion: Motion, constants: Constants, force: np.ndarray | None = None
+    ) -> np.ndarray:
+        """A channel as a simulation shows it, (K, B); arrays of `motion` (K, steps + 1, ...), `force` where known."""
         if channel.kind in (SPEED, CURRENT):
             assert motion.rotor_speed is not None
             return predict_motor(channel, self.windows, motion.rotor_speed, constants, self.spec.vehicle.motor)
         pose, velocity, start = motion.pose, motion.velocity, self.windows.start
         place = find_place(self.spec.model, channel.axis)
         with np.errstate(invalid="ignore", over="ignore"):  # what diverges is told by `miss`
-            return predict_channel(channel, pose, velocity, self.windows.dt, self._gravity, start, constants, place)
+            told = self.windows.dt, self._gravity, start, constants, place, force
+            return predict_channel(channel, pose, velocity, *told)
 
     def sensors(self, values: Mapping[Key, float]) -> Constants:
         """Constants of the sensors and the battery of a twin with parameters set, (1,)."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
@@ -43,6 +44,40 @@ class Channel:
     turn: int = -1  # first of the three degrees of freedom of a body's rotation; -1 for all else
     # the attitude of each sample then, (K, B, S, 4): compared is the rotation from it, whose mean is 0
     measured: np.ndarray | None = None
+    _means: dict[tuple[float, float, int], csr_array] = field(init=False, default_factory=dict, repr=False)
+
+    def average(self, track: np.ndarray, dt: float, shift: float = 0.0, age: np.ndarray | float = 0.0) -> np.ndarray:
+        """Mean over each bin, (K, B), of what is known every `dt` [s] of the windows, (K, n).
+
+        Args:
+            track: values, between which lines are drawn, and on beyond the end to what is late.
+            dt: s.
+            shift: by how much later than said they are, s.
+            age: of what a sample shows, (K, B, S) s.
+        """
+        count = track.shape[1]
+        if np.any(age):
+            whole, part = self._locate(count, dt, shift - age)
+            rows, then = np.arange(len(track))[:, None, None], np.minimum(whole + 1, count - 1)
+            return np.asarray(
+                ((track[rows, whole] * (1.0 - part) + track[rows, then] * part) * self.weight).sum(axis=2)
+            )
+        if (dt, shift, count) not in self._means:
+            whole, part = self._locate(count, dt, shift)
+            where = np.nonzero(self.weight)
+            bins = where[0] * self.value.shape[1] + where[1]
+            first, part, weight = where[0] * count, part[where], self.weight[where]
+            columns = np.concatenate([first + whole[where], first + np.minimum(whole[where] + 1, count - 1)])
+            data = np.concatenate([weight * (1.0 - part), weight * part]), (np.concatenate([bins, bins]), columns)
+            self._means[dt, shift, count] = csr_array(data, shape=(self.value.size, track.size))
+        return np.asarray(self._means[dt, shift, count] @ track.ravel()).reshape(self.value.shape)
+
+    def _locate(self, count: int, dt: float, shift: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """The last of `count` values that is there when a sample is taken, and the way to the next, (K, B, S) each."""
+        position = (self.offset + shift) / dt
+        inside = np.clip(position, 0.0, count - 1.000001)
+        whole = inside.astype(np.intp)
+        return whole, (position if np.ndim(shift) else inside) - whole  # of what is late straight on, out of the window
 
     def take(self, ids: np.ndarray) -> Channel:
         """The channel in some of the windows."""
@@ -140,7 +175,7 @@ def pad_samples(array: np.ndarray, samples: int) -> np.ndarray:
 
 def predict_channel(
     channel: Channel, pose: np.ndarray, velocity: np.ndarray, dt: float, gravity: float, start: np.ndarray,
-    sensors: Constants, place: int | None = None,
+    sensors: Constants, place: int | None = None, force: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """The channel as a simulation shows it.
 
@@ -151,28 +186,27 @@ def predict_channel(
         dt: time between them, s.
         gravity: m/s².
         start: when the windows start, (K,) s since the start of the log.
-        sensors: constants of the sensors, of every degree of freedom, which broadcast over (K, B, S).
+        sensors: constants of the sensors, of every degree of freedom, which broadcast over (K, B).
         place: where in a pose its coordinate, or quaternion, lies; None for its `axis`, on rigs without quaternions.
+        force: of `body_force`, where it is known.
 
     Returns:
         Mean over each bin, (K, B).
     """
     place = channel.axis if place is None else place
     if channel.kind == "specific force":
-        track, shift = body_force(pose, velocity, dt, gravity)[..., channel.axis], -0.5 * dt
+        force = body_force(pose, velocity, dt, gravity) if force is None else force
+        track, shift = force[..., channel.axis], -0.5 * dt
     elif channel.kind == "velocity":
         track, shift = velocity[..., channel.axis], 0.0
     else:
         track, shift = pose[..., place], 0.0
-    age = np.zeros(())
+    age: np.ndarray | float = 0.0
     if channel.kind in SIGNALS:
         age = find_age(sensors, SIGNALS[channel.kind], channel.axis, start[:, None, None] + channel.offset)
-    position = (channel.offset + shift - age) / dt
-    inside = np.clip(position, 0.0, track.shape[1] - 1.000001)
-    whole = inside.astype(np.intp)
-    part = (position if age.any() else inside) - whole  # of what is late straight on, out of the window
-    rows = np.arange(len(track))[:, None, None]
     if channel.measured is not None:
+        whole, part = channel._locate(track.shape[1], dt, shift - age if np.any(age) else shift)
+        rows = np.arange(len(track))[:, None, None]
         turned = rotate(
             pose[..., place : place + 4][rows, whole],
             (part * dt)[..., None] * velocity[..., channel.turn : channel.turn + 3][rows, whole],
@@ -182,14 +216,11 @@ def predict_channel(
             turned = rotate(turned, np.stack([sensors["pose.offset"][..., axis] for axis in axes], axis=-1))
         left = difference_attitudes(channel.measured, turned)[..., channel.axis - channel.turn]
         return np.asarray((left * channel.weight).sum(axis=2))
-    then = np.minimum(whole + 1, track.shape[1] - 1)
-    sampled = track[rows, whole] * (1.0 - part) + track[rows, then] * part
+    if channel.kind == "velocity" and channel.turn >= 0 and sensors["rate.turn"].any():
+        body = [channel.average(velocity[..., channel.turn + axis], dt, shift, age) for axis in range(3)]
+        mean = turn_rates(sensors, np.stack(body, axis=-1), channel.turn)[..., channel.axis - channel.turn]
+    else:
+        mean = channel.average(track, dt, shift, age)
     if channel.kind == "velocity":
-        if channel.turn >= 0 and sensors["rate.turn"].any():
-            body = velocity[..., channel.turn : channel.turn + 3]
-            rates = body[rows, whole] * (1.0 - part)[..., None] + body[rows, then] * part[..., None]
-            sampled = turn_rates(sensors, rates, channel.turn)[..., channel.axis - channel.turn]
-        sampled = measure_rate(sensors, sampled, channel.axis)
-    elif channel.kind == "position":
-        sampled = measure_coordinate(sensors, channel.axis, sampled)
-    return (sampled * channel.weight).sum(axis=2)
+        return measure_rate(sensors, mean, channel.axis)
+    return measure_coordinate(sensors, channel.axis, mean) if channel.kind == "position" else mean

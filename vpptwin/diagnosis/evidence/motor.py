@@ -102,9 +102,4 @@ def predict_motor(
         speed = 0.5 * (measured + np.concatenate([measured[:, 1:], measured[:, -1:]], axis=1))  # after each step
         after = compute_current(motor, voltage, speed)
         track = np.concatenate([after[:, :1], after], axis=1)
-    position = np.clip(channel.offset / windows.dt, 0.0, windows.steps - 1e-6)
-    whole = position.astype(np.intp)
-    part = position - whole
-    rows = np.arange(len(track))[:, None, None]
-    sampled = track[rows, whole] * (1.0 - part) + track[rows, whole + 1] * part
-    return (sampled * channel.weight).sum(axis=2)
+    return channel.average(track, windows.dt)

@@ -7,12 +7,13 @@ S = R + J_x P J_xᵀ + J_n Q J_nᵀ, and a residual is judged by S⁻¹.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
@@ -69,8 +70,13 @@ class Response:
             return np.linalg.cholesky(sensor)
 
     @cached_property
+    def sensor_inverse(self) -> np.ndarray:
+        """Inverses of these factors, which whiten, (K, M, M)."""
+        return invert_factors(self.sensor_factor)
+
+    @cached_property
     def _pushed(self) -> tuple[np.ndarray, np.ndarray]:
-        white = whiten_with(self.sensor_factor, np.moveaxis(self.push, -1, 0))
+        white = apply(self.sensor_inverse, np.moveaxis(self.push, -1, 0))
         basis, triangles = np.linalg.qr(np.moveaxis(white, 0, -1))
         return basis, triangles
 
@@ -94,7 +100,7 @@ class Response:
 
     def along(self, residual: np.ndarray) -> np.ndarray:
         """What pulses could have done to residuals (..., K, M), (..., K, G)."""
-        return np.einsum("kmg,...km->...kg", self.basis, whiten_with(self.sensor_factor, residual), optimize=True)
+        return apply(np.swapaxes(self.basis, 1, 2), apply(self.sensor_inverse, residual))
 
 
 @dataclass(frozen=True)
@@ -119,10 +125,9 @@ class Likelihood:
 
     def whiten(self, residual: np.ndarray) -> np.ndarray:
         """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
-        white = whiten_with(self.response.sensor_factor, residual)
-        along = np.einsum("kmg,...km->...kg", self.response.basis, white, optimize=True)
-        moved = self.innovate(along) - along
-        return white + np.einsum("kmg,...kg->...km", self.response.basis, moved, optimize=True)
+        white = apply(self.response.sensor_inverse, residual)
+        along = apply(np.swapaxes(self.response.basis, 1, 2), white)
+        return white + apply(self.response.basis, self.innovate(along) - along)
 
     def innovate(self, along: np.ndarray) -> np.ndarray:
         """Innovations of the gusts from what pulses could have done, (..., K, G).
@@ -130,21 +135,37 @@ class Likelihood:
         They are independent with variance 1 if nothing but gusts as strong as assumed disturbs the rig.
         """
         innovation = np.empty_like(along)
-        for windows, factor in self.stretches:
+        for windows, inverses in self._stretched:
             part = along[..., windows, :]
-            flat = part.reshape(-1, factor.shape[0])
-            solved = solve_triangular(factor, flat.T, lower=True, check_finite=False).T
-            innovation[..., windows, :] = solved.reshape(part.shape)
+            flat = part.reshape(*along.shape[:-2], len(windows), -1)
+            innovation[..., windows, :] = apply(inverses, flat).reshape(part.shape)
         return innovation
+
+    @cached_property
+    def _stretched(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Stretches of as many windows each, side by side: windows (n, w), inverses of the factors (n, w G, w G)."""
+        alike = defaultdict[int, list[tuple[np.ndarray, np.ndarray]]](list)
+        for windows, factor in self.stretches:
+            alike[len(windows)].append((windows, factor))
+        pairs = [tuple(map(np.stack, zip(*each))) for each in alike.values()]
+        return [(windows, invert_factors(factors)) for windows, factors in pairs]
 
 
 def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Solve factor y = residual window by window; residual (V, K, M) or (K, M)."""
-    stacked = residual if residual.ndim == 3 else residual[None]
-    result = np.empty_like(stacked)
-    for k in range(stacked.shape[1]):
-        result[:, k] = solve_triangular(factor[k], stacked[:, k].T, lower=True, check_finite=False).T
-    return result if residual.ndim == 3 else result[0]
+    return apply(invert_factors(factor), residual)
+
+
+def invert_factors(factors: np.ndarray) -> np.ndarray:
+    """Inverses of lower triangular matrices, (K, M, M): one is used often, and solving for each costs more."""
+    return np.stack([dtrtri(factor.T)[0].T for factor in factors])
+
+
+def apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """The product of matrices (K, N, M) and vectors (V, K, M) or (K, M), one by one, (..., K, N)."""
+    if vectors.ndim == 2:
+        return np.asarray((matrices @ vectors[..., None])[..., 0])
+    return np.moveaxis(np.moveaxis(vectors, 0, 1) @ np.swapaxes(matrices, 1, 2), 1, 0)
 
 
 def gust_std(bench: Bench) -> np.ndarray:
