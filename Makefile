@@ -26,7 +26,8 @@ help: ## this list
 install: $(STAMP) ## everything into .venv, with the pinned versions
 
 # The stamp is written last, so that an install that failed or was interrupted is taken up again.
-# torch goes in alone and first: asked for as a range it would be replaced by the newest build.
+# torch goes in alone and first: asked for as a range it would be replaced by the newest build. Modules are compiled when
+# they are first imported: of all 23 000 that takes a minute, and most never are.
 $(STAMP): pyproject.toml constraints.txt
 	@if [[ -z "$(PYTHON)" ]]; then \
 		echo "vpptwin needs Python 3.11 or newer, found $$(python3 --version 2>&1 || echo none);" \
@@ -35,9 +36,9 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "vpptwin needs Python 3.11 or newer, and $(PYTHON) is $$($(PYTHON) --version 2>&1 || true)" >&2; exit 1; }
 	@$(BIN)/python -c 'import pip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || $(PYTHON) -m venv --clear $(VENV) || { \
 		rm -rf $(VENV); echo "could not make $(VENV): on Debian and Ubuntu, apt install python3-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --disable-pip-version-check $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) \
+	$(BIN)/python -m pip install --disable-pip-version-check --no-compile $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) \
 		--constraint constraints.txt "$$(grep '^torch==' constraints.txt)"
-	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --disable-pip-version-check --no-compile --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
 demo: $(STAMP) ## diagnose the flights that ship with the project, write a report

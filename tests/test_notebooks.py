@@ -21,7 +21,7 @@ PROMISED = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "quickstart" else name for name in PROMISED]
+    "name", [name if name == "training" else pytest.param(name, marks=pytest.mark.slow) for name in PROMISED]
 )
 def test_notebook(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a kernel of its own, in an empty folder."""

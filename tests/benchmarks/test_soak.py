@@ -61,6 +61,7 @@ def test_what_is_killed_full_or_shared_stays_whole(tmp_path: Path, name: str, ki
     assert soak.try_disks(name, tmp_path) == []
 
 
+@pytest.mark.slow
 def test_halves_and_mixtures_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command that writes in place: half a file after a kill, those of two runs after two at once."""
     (tmp_path / "vpptwin").mkdir()

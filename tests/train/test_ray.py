@@ -98,6 +98,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
             ray.shutdown()
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
 def test_batches_hold_every_simulation_step_by_step(flown: Flown) -> None:
     """A batch is (16, 8), rows are simulations that go on from batch to batch, and no two are alike."""
     assert [tuple(batch.shape) for batch in flown.batches] == [(16, 8)] * 5
@@ -112,6 +113,7 @@ def test_batches_hold_every_simulation_step_by_step(flown: Flown) -> None:
     assert len(torch.unique(starts, dim=0)) == 16
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
 def test_workers_fly_with_the_weights_and_the_exploration_of_the_moment(flown: Flown) -> None:
     """Every batch is flown with what the trainer holds as it comes in, however often that has changed."""
     exploration = compose_config(WORKED).exploration
@@ -121,6 +123,7 @@ def test_workers_fly_with_the_weights_and_the_exploration_of_the_moment(flown: F
     assert not torch.equal(flown.expected[0], flown.expected[1])
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
 def test_interrupted_run_goes_on_with_new_episodes(flown: Flown) -> None:
     """Ctrl-C keeps the checkpoint; resuming goes on with its steps, logs and curriculum, and flies other episodes."""
     content = read_checkpoint(flown.run, flying=False)
@@ -134,6 +137,7 @@ def test_interrupted_run_goes_on_with_new_episodes(flown: Flown) -> None:
     assert not torch.equal(flown.batches[0]["observation"][:, 0], flown.batches[3]["observation"][:, 0])
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
 def test_nothing_of_ray_is_left(flown: Flown) -> None:
     """Ray and its workers end with the run, interrupted or not."""
     assert flown.alive == [[], []]
@@ -168,6 +172,7 @@ def test_simulations_that_cannot_be_shared(tmp_path: Path) -> None:
         run_train([*WORKED, "workers=3", f"out={tmp_path / 'run'}"])
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
 def test_resume_with_other_workers_is_checked(flown: Flown) -> None:
     """Workers are the machine's matter and may change with a resume, if they can share the simulations."""
     with pytest.raises(InputError, match="num_envs=16 for workers=3"):
