@@ -111,7 +111,7 @@ def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
             prior=Prior("halfnormal", 0.0, 4.0 * size), source=source,
         )  # fmt: skip
         place = tuple(
-            Parameter(name=f"place_{axis}", unit="m", off=at, low=at - 4.0 * link.reach, high=at + 4.0 * link.reach,
+            Parameter(name=f"place_{axis}", unit="m", off=at, low=at - 2.0 * link.reach, high=at + 2.0 * link.reach,
                       size=0.3 * link.reach, tolerance=8.0 * link.reach, prior=Prior("normal", at, 0.3 * link.reach),
                       source="assumption: at the far end of the link")
             for axis, at in zip(AXES, link.tip)
