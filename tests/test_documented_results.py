@@ -57,7 +57,8 @@ def replay_record(name: str, folder: Path) -> str:
         try:
             runpy.run_path(sys.argv[0], run_name="__main__")
         except SystemExit as ended:
-            assert not ended.code, RECORDED[name]
+            if ended.code:
+                pytest.fail(f"{RECORDED[name]}: {ended.code}")
     return said.getvalue()
 
 
@@ -74,9 +75,7 @@ def test_a_picture_is_the_one_that_its_record_draws(picture: str, folder: Path) 
     assert (ROOT / "docs/pictures" / picture).read_text() == (folder / picture).read_text(), RECORDED[PICTURES[picture]]
 
 
-@pytest.mark.parametrize(
-    "picture", ["flight.svg", "policy_flip.svg", pytest.param("wall.svg", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("picture", ["flight.svg", "policy_flip.svg", pytest.param("wall.svg", marks=pytest.mark.slow)])
 def test_the_picture_of_a_flight_is_the_one_that_its_commands_draw(tmp_path: Path, picture: str) -> None:
     """The same words, and lines within a hundredth of its size: another machine rounds otherwise."""
     log = ROOT / "demo/flights/flip.mcap"

@@ -159,7 +159,7 @@ def test_rows_a_little_out_of_order_are_sorted(tmp_path: Path) -> None:
 def test_a_missing_column_is_named(tmp_path: Path) -> None:
     """With those that there are."""
     log = write_csv(tmp_path / "state.csv", FIELD["plain"][0])
-    with pytest.raises(InputError, match=r"no numeric field angle, only .*time, q"):
+    with pytest.raises(InputError, match=r"no numeric column angle, only time, q"):
         read_joint(log, "state", position="angle")
 
 
