@@ -193,9 +193,12 @@ def test_a_misfit_comes_with_what_would_help() -> None:
     """One sentence: an effect of one's own where something follows a quantity, else the log; without a misfit none."""
     assert summarise(VERDICT, NOISE, {}).remedy == ""
     assert "check unit, sign, scale, zero and stamps of elbow" in summarise(FAR, NOISE, {}).remedy
-    built = replace(MISFIT, within=["quad.com", "m3.gain", "m2.gain", "m4.gain", "m1.gain"])
+    built = replace(MISFIT, within=["quad.com", "m3.gain", "m2.gain", "m4.gain", "m1.gain"], explained=0.55)
     told = summarise(replace(FAR, misfit=built), NOISE, {}).remedy
     assert "quad.com, m3.gain, m2.gain and m4.gain may be off by" in told
+    assert "explains 55 % of it, so" in told
+    nearly = replace(FAR, misfit=replace(built, explained=0.93))
+    assert "explains it, so" in summarise(nearly, NOISE, {}).remedy
     assert "no one of them is accused" in told
     breeze = replace(FAR, unexplained=Unexplained(False, 1.0, None, [], 0.0, 0.0071))
     assert "maybe nothing, as a random force of 0.71 % of what drives a joint" in summarise(breeze, NOISE, {}).remedy

@@ -171,14 +171,16 @@ def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[
 def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:
     """How far the extended twin is off, which is far above what the sensors make."""
     found = Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(fit.values))
-    if held_out.chi2(fit.likeliest) - 1.0 > search.criteria.explained * (chi2 - 1.0):
+    explained = float(min((chi2 - held_out.chi2(fit.likeliest)) / (chi2 - 1.0), 1.0))
+    if explained < 0.5:
         return found
     moved: dict[str, float] = {}
     for unknown in search.unknowns:
         off = abs(fit.tolerated.get(unknown.key, unknown.nominal) - unknown.nominal)
         tolerance = max(unknown.parameter.tolerance, 1e-12)
         moved[unknown.effect.id] = max(moved.get(unknown.effect.id, 0.0), off / tolerance)
-    return replace(found, within=[e for e in sorted(moved, key=lambda e: -moved[e]) if moved[e] > 1.0])
+    within = [e for e in sorted(moved, key=lambda e: -moved[e]) if moved[e] > 1.0]
+    return replace(found, within=within, explained=explained if within else 0.0)
 
 
 def estimate(unknown: Unknown, fit: Fit) -> Estimate:

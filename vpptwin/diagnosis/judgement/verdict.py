@@ -77,7 +77,9 @@ class Misfit:
         horizon_s: from which on it stands out there; None if at none.
         rmse: the error there at the last horizon, in `unit`.
         unit: of the joint.
-        within: effects that together take it away without leaving their build tolerance, those that move most first.
+        within: effects that together take half of its excess chi² and more away without leaving their build tolerance,
+            those that move most first.
+        explained: the share that they take away.
     """
 
     times: float
@@ -86,6 +88,7 @@ class Misfit:
     rmse: float
     unit: str
     within: list[str] = field(default_factory=list)
+    explained: float = 0.0
 
 
 @dataclass(frozen=True)

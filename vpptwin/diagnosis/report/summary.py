@@ -154,10 +154,11 @@ def describe_remedy(verdict: Verdict) -> str:
     if verdict.misfit is None:
         return ""
     if verdict.misfit.within:
-        few = join_words(verdict.misfit.within[:MOST_WITHIN])
+        few, share = join_words(verdict.misfit.within[:MOST_WITHIN]), verdict.misfit.explained
+        much = f"{share:.0%} of it".replace("%", " %") if share < 0.9 else "it"
         return (
             f"What would help: {few} may be off by their build tolerance, as the twin believes it, and together that "
-            "explains it, so that no one of them is accused: measure one, or log a motion that tells them apart."
+            f"explains {much}, so that no one of them is accused: measure one, or log a motion that tells them apart."
         )
     joint = verdict.misfit.joint or "the joints"
     check = f"check unit, sign, scale, zero and stamps of {joint} in the log and of what drives it"
