@@ -15,7 +15,9 @@ from tests.diagnosis.rigs import BOB, DECAYS, LENGTH, LOG_EVERY, STEP, Track, le
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.evidence.forces import scale_twin
+from vpptwin.diagnosis.judgement import conclusion
 from vpptwin.diagnosis.judgement import diagnose as judgement
+from vpptwin.diagnosis.judgement.conclusion import HARMING
 from vpptwin.diagnosis.judgement.contradiction import Seen, weigh_causes
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.effects import find_effect
@@ -172,3 +174,24 @@ def test_a_verdict_with_a_made_up_cause_says_so(tmp_path: Path, monkeypatch: pyt
     by_name = {cause.effect: cause for cause in verdict.causes}
     assert by_name["slide.viscous"].confidence <= CRITERIA.sober
     assert verdict.warnings[0].startswith("slide.viscous is doubted: on joint slide inverse dynamics")
+    assert HARMING.format("slide.viscous") in verdict.warnings
+
+
+def test_a_cause_that_does_harm_is_an_even_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dry friction only, and a search that swears by a force besides, of which inverse dynamics has no say here."""
+    log, twin = record(slider(replace(BARE, coulomb=2.0)), 0.0, tmp_path, 5)
+    impose = judgement.impose_causes
+    bias = ("slide.bias", "force")
+
+    def swear(*given: object) -> Selection:
+        selection = impose(*given)  # type: ignore[arg-type]
+        return replace(selection, fit=replace(selection.fit, values=selection.fit.values | {bias: 0.5}))
+
+    monkeypatch.setattr(judgement, "impose_causes", swear)
+    monkeypatch.setattr(conclusion, "weigh_causes", lambda *given: [])
+    causes = ["slide.coulomb", "slide.bias"]
+    verdict = judgement.diagnose(load_twin(twin), [read_flight(log)], causes=causes).verdict
+    by_name = {cause.effect: cause for cause in verdict.causes}
+    assert by_name["slide.bias"].gain < 0.0
+    assert by_name["slide.bias"].confidence <= CRITERIA.sober < by_name["slide.coulomb"].confidence
+    assert HARMING.format("slide.bias") in verdict.warnings

@@ -12,7 +12,7 @@ import pytest
 from tests.diagnosis.fakes import lay_starts
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
-from vpptwin.diagnosis.judgement.conclusion import OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
+from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
@@ -116,7 +116,8 @@ def test_one_window_that_is_disturbed_is_no_veto(after: list[float], farther: bo
 
 @pytest.mark.parametrize(
     ("chi2", "errors", "doubt"),
-    [((144.6, 140.0), (9.0, 8.9), OUTWEIGHED), ((4600.0, 140.0), (9.0, 1.0), ""), ((0.9, 0.9), (9.0, 8.9), UNFELT),
+    [((1.46, 1.56), (9.0, 8.9), HARMING), ((144.6, 140.0), (9.0, 8.9), OUTWEIGHED),
+     ((4600.0, 140.0), (9.0, 1.0), ""), ((0.9, 0.9), (9.0, 8.9), UNFELT),
      ((3.76, 3.74), (9.0, 8.9), OUTWEIGHED), ((1.51, 1.49), (9.0, 8.9), OUTWEIGHED), ((1.02, 1.0), (9.0, 8.9), UNFELT),
      ((2.2, 0.5), (9.0, 8.9), ""), ((0.78, 0.56), (260.0, 40.0), ""), ((0.21, 0.23), (260.0, 40.0), UNFELT),
      ((0.78, 0.56), (9.0, 8.5), UNFELT)],

@@ -38,6 +38,7 @@ SOFT = (
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
 PASSING = "{}: a wave that does not come again along the way is any force that depends on place; no more than suggested"
 UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
+HARMING = "{}: the held-out error is smaller without it, so that it is no more than an even chance"
 OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
 
 
@@ -75,10 +76,11 @@ def conclude(
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
         gain, interval = held_out.share_removed(rest, fit.values, {})
         if guessed and (doubt := doubt_gain(held_out, rest, fit.values)):
-            doubts[effect] = doubt if doubt == OUTWEIGHED else doubts.get(effect, doubt)
+            doubts[effect] = doubts.get(effect, doubt) if doubt == UNFELT else doubt
         selected = selection.confidence(effect)
         confidence = min(sober * selected, criteria.suggested if effect in doubts else most)
-        confidence = min(confidence, criteria.sober) if effect in denied else confidence
+        if effect in denied or doubts.get(effect) == HARMING:
+            confidence = min(confidence, criteria.sober)
         causes.append(tell_cause(search, selection, effect, confidence, gain, interval))
     causes = order_causes(causes, selection.unconfirmed)
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
@@ -163,6 +165,8 @@ def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[
     """Why a cause, of a twin `without` it and one with all `values`, is but suggested by its gain; "" if it is more."""
     after = held_out.chi2(values)
     drop = held_out.chi2(without) - after
+    if drop < 0.0 < after - 1.0:
+        return HARMING
     if after - 1.0 > drop:
         return OUTWEIGHED
     return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.feels(without, values)) else UNFELT
