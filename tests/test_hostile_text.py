@@ -84,6 +84,7 @@ def test_pages_of_a_hostile_rig_hold_its_names_as_text(tmp_path: Path, monkeypat
     assert tags[MARKUP] == tags["harmless"]
 
 
+@pytest.mark.slow
 def test_the_report_of_hostile_effects_holds_them_as_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The words of an effect of the user's own, and a log's name."""
     monkeypatch.setattr(result, "judge", lambda *given, **named: make_diagnosis())

@@ -37,6 +37,7 @@ def test_a_slight_force_on_a_heavy_carriage_is_named(tmp_path: Path) -> None:
     assert verdict.misfit is None
 
 
+@pytest.mark.slow
 def test_strong_damping_is_named(tmp_path: Path) -> None:
     """12 N s/m on 1 kg, twelve time constants in a window: no derivative at a twin without any tells of it."""
     verdict = look_into(slider(Plant(1.0, viscous=12.0, drive=8.0)), tmp_path).verdict

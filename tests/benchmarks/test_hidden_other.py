@@ -151,7 +151,9 @@ def test_sessions_are_chosen_by_kind_number_and_shard() -> None:
     assert {s.kind for s in choose(5, 4, ["alien"], None, "1/1")} == {"alien"}
 
 
-@pytest.mark.parametrize("rigs", ["quadrotor", "servo", "leg"])
+@pytest.mark.parametrize(
+    "rigs", [pytest.param("quadrotor", marks=pytest.mark.slow), "servo", pytest.param("leg", marks=pytest.mark.slow)]
+)
 def test_quadrotors_servos_and_legs_are_sessions_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rigs: str
 ) -> None:

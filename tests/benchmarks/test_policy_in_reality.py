@@ -25,6 +25,7 @@ def checkpoint(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_results_are_shown_and_written(checkpoint: Path, tmp_path: Path) -> None:
     """An untrained policy falls; every flight is in the file with what was hidden, and where it all comes from."""
     out = tmp_path / "out.json"

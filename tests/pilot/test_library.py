@@ -59,6 +59,7 @@ def test_every_manoeuvre_is_safe() -> None:
     assert [(m.name, name, danger) for (m, name), danger in zip(flown, dangers) if danger] == []
 
 
+@pytest.mark.slow
 def test_every_manoeuvre_is_safe_at_its_bounds() -> None:
     """With each setting at a bound, and with all of them, it is safe in the nominal twin."""
     chosen, references = [], []

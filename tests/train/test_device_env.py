@@ -160,7 +160,7 @@ def test_what_diverges_begins_anew() -> None:
     assert torch.isfinite(shown["observation"]).all()
 
 
-@pytest.mark.parametrize("task", ["flip", "wall-backtrack"])
+@pytest.mark.parametrize("task", ["flip", pytest.param("wall-backtrack", marks=pytest.mark.slow)])
 def test_snapshot_goes_on_bit_equal(task: str) -> None:
     """What evolves is saved and put back whole; one of numba's is refused."""
     env, other = device_env(f"task={task}", "noise=1"), device_env(f"task={task}", "noise=1", "seed=7")

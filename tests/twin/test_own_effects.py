@@ -82,6 +82,7 @@ def test_friction_that_evolves(folder: Path) -> None:
     np.testing.assert_allclose(after, [START + 2.0 * STEPS * DT, START], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_docs(folder: Path) -> None:
     """The motors of docs/own_effects.md weaken as they get hot, each by its own load."""
     page = (Path(__file__).parents[2] / "docs/own_effects.md").read_text(encoding="utf-8")
@@ -107,6 +108,7 @@ def test_an_edited_file_is_compiled_anew(folder: Path) -> None:
     assert coast(twin, write_effects(folder)) == weak
 
 
+@pytest.mark.slow
 def test_files_with_the_same_ids_do_not_clash(folder: Path) -> None:
     """Two files of one name, with effects of one id, are two: each does what is written in it."""
     twin = write_rig(folder)
