@@ -1,4 +1,4 @@
-"""Fresh flights in every run with something hidden in rotors, servos or sensors, with nothing hidden, with an alien.
+"""Fresh flights in every run: something hidden in rotors, servos or sensors, or an alien; and nothing hidden.
 
 The diagnosis has to find what is there, say nothing where there is nothing, and say "unexplained" where the catalogue
 has no name for it. tests/test_hidden_mechanics.py has the rest, so that two workers share them.

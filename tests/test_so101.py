@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,13 +82,20 @@ def test_a_target_is_followed_within_three_samples(folder: Path) -> None:
     assert 1 <= np.median(moved) <= 3
 
 
-@pytest.mark.slow
-def test_the_verdict_on_the_turntable(folder: Path, tmp_path: Path) -> None:
-    """24 s of random steps: friction, of which its makers have a tenth, and damping or its like; nothing for sure."""
-    convert(folder / "prbs_excitation", tmp_path / "log.mcap", last=24.0)
+@pytest.fixture(scope="module")
+def verdict(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Of 24 s of random steps of the turntable."""
+    out = tmp_path_factory.mktemp("turntable")
+    convert(folder / "prbs_excitation", out / "log.mcap", last=24.0)
     twin = str(EXAMPLE / "rotation.yaml")
-    assert main(["diagnose", str(tmp_path / "log.mcap"), "--twin", twin, "--out", str(tmp_path / "out")]) == 0
-    verdict = json.loads((tmp_path / "out/verdict.json").read_text())
+    assert main(["diagnose", str(out / "log.mcap"), "--twin", twin, "--out", str(out / "out")]) == 0
+    found: dict[str, Any] = json.loads((out / "out/verdict.json").read_text())
+    return found
+
+
+@pytest.mark.slow
+def test_the_verdict_on_the_turntable(verdict: dict[str, Any]) -> None:
+    """Friction, of which its makers have a tenth, and damping or its like; nothing for sure."""
     causes = {cause["effect"]: cause for cause in verdict["causes"]}
     assert {"Rotation.coulomb", "Rotation.stiction"} & set(causes)
     alike = {rival["effect"] for cause in causes.values() for rival in cause["also_explained_by"]}
@@ -96,3 +104,10 @@ def test_the_verdict_on_the_turntable(folder: Path, tmp_path: Path) -> None:
     assert after < before / 3.0
     assert verdict["gap"]
     assert all(cause["confidence"] < 0.9 for cause in causes.values())
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="0.108 since what is named is dry friction alone, in place of two laws")
+def test_a_tenth_of_the_turntables_error_is_left(verdict: dict[str, Any]) -> None:
+    """Of held-out chi²."""
+    assert verdict["after"]["chi2"] < 0.1 * verdict["before"]["chi2"]

@@ -126,7 +126,7 @@ class Criteria:
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
         "issue 22, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow",
-        "e1272d1, b200008; issue 22: of 21 causes that did harm, in seven seeds of other rigs, 8 were right")
+        "e1272d1, b200008; issue 22: of 19 causes that did harm, in eight seeds of other rigs, 7 were right")
     has_a_say: float = assumed(0.2, "", "standard error of the share of a force up to which inverse dynamics has a say",
         "issue 20, rigs whose sensors are assumed; development seeds 701 to 720")
     sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "issue 20")

@@ -167,7 +167,7 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
 def refuse_messages(path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError) -> InputError:
     """What to say of messages that do not decode."""
     headless, named = "field header.stamp" in str(error), [name for name in paths if name != "header.stamp"]
-    if not headless and channel.message_type.startswith("vpptwin_msgs/") and Path(path).suffix != ".mcap":  # a table
+    if channel.rows and not headless:  # a table
         found = str(error).replace("numeric field", "numeric column").replace("only header.stamp, ", "only ")
         what = f"columns {', '.join(named)}, as the twin's `signals` or the topic map name them"
         return InputError(f"{path}: {channel.topic} has {found}", what, "correct their names there, or in the log")

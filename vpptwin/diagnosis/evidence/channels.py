@@ -57,13 +57,13 @@ class Channel:
         """
         count = track.shape[1]
         if np.any(age):
-            whole, part = self._locate(count, dt, shift - age)
+            whole, part = self.locate(count, dt, shift - age)
             rows, then = np.arange(len(track))[:, None, None], np.minimum(whole + 1, count - 1)
             return np.asarray(
                 ((track[rows, whole] * (1.0 - part) + track[rows, then] * part) * self.weight).sum(axis=2)
             )
         if (dt, shift, count) not in self._means:
-            whole, part = self._locate(count, dt, shift)
+            whole, part = self.locate(count, dt, shift)
             where = np.nonzero(self.weight)
             bins = where[0] * self.value.shape[1] + where[1]
             first, part, weight = where[0] * count, part[where], self.weight[where]
@@ -72,7 +72,7 @@ class Channel:
             self._means[dt, shift, count] = csr_array(data, shape=(self.value.size, track.size))
         return np.asarray(self._means[dt, shift, count] @ track.ravel()).reshape(self.value.shape)
 
-    def _locate(self, count: int, dt: float, shift: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    def locate(self, count: int, dt: float, shift: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """The last of `count` values that is there when a sample is taken, and the way to the next, (K, B, S) each."""
         position = (self.offset + shift) / dt
         inside = np.clip(position, 0.0, count - 1.000001)
@@ -205,7 +205,7 @@ def predict_channel(
     if channel.kind in SIGNALS:
         age = find_age(sensors, SIGNALS[channel.kind], channel.axis, start[:, None, None] + channel.offset)
     if channel.measured is not None:
-        whole, part = channel._locate(track.shape[1], dt, shift - age if np.any(age) else shift)
+        whole, part = channel.locate(track.shape[1], dt, shift - age if np.any(age) else shift)
         rows = np.arange(len(track))[:, None, None]
         turned = rotate(
             pose[..., place : place + 4][rows, whole],

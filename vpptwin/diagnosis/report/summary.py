@@ -155,7 +155,7 @@ def describe_remedy(verdict: Verdict) -> str:
         return ""
     if verdict.misfit.within:
         few, share = join_words(verdict.misfit.within[:MOST_WITHIN]), verdict.misfit.explained
-        much = f"{share:.0%} of it".replace("%", " %") if share < 0.9 else "it"
+        much = f"{100.0 * share:.0f} % of it" if share < 0.9 else "it"
         return (
             f"What would help: {few} may be off by their build tolerance, as the twin believes it, and together that "
             f"explains {much}, so that no one of them is accused: measure one, or log a motion that tells them apart."
