@@ -12,9 +12,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 from numba import types
+from numba.core.compiler import Flags
 
 from vpptwin.engine import store
-from vpptwin.engine.compile import c_function, can_keep, compilable
+from vpptwin.engine.compile import c_function, can_keep, compilable, hashed_once
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.twin.pipeline import fingerprint
 
@@ -325,3 +326,16 @@ def test_what_makes_arrays_compiles() -> None:
         return array.sum()
 
     assert c_function(types.float64(types.float64), keep=False)(total).ctypes(2.0) == 2.0
+
+
+def test_options_are_told_apart_as_by_numba() -> None:
+    """What is compiled under some options is taken for others nowhere; set to its default, an option is the default."""
+    plain, default, inlined, again = Flags(), Flags(), Flags(), Flags()
+    default.forceinline = False
+    inlined.forceinline = again.forceinline = True
+    everything = [plain, default, inlined, again, Flags(inlined)]
+    found = [[a == b for a in everything] for b in everything], [hash(a) for a in everything]
+    with hashed_once():
+        assert ([[a == b for a in everything] for b in everything], [hash(a) for a in everything]) == found
+        assert plain != 1
+    assert found[0][0] == [True, True, False, False, False]

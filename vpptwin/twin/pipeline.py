@@ -59,7 +59,8 @@ class Pipeline:
             file: where the text is said to come from.
         """
         namespace: dict[str, Any] = {"__name__": __name__, "Motion": Motion, "Body": Body}
-        namespace |= {name: transform(function) for name, function in self.functions.items()}
+        shared = {function: transform(function) for function in self.functions.values()}
+        namespace |= {name: shared[function] for name, function in self.functions.items()}
         exec(compile(self.source, file, "exec"), namespace)
         chain = {name: transform(namespace[name], inline=True) for name in CHAIN}
         return {f.__name__: transform(bind_names(f, chain), inline=True) for f in STEPS}
@@ -166,10 +167,11 @@ class ChainWriter:
         lines = ["def push_joints(on, p, s, view, load, lever, force):", "    dt = view.timestep"]
         lines += self.push_bodies()
         for joint, i in joints.items():
-            for effect in self.of(Stage.FORCE, joint) if joint else ():
-                dof = int(self.model.jnt_dofadr[i])
-                lines += [self.when(effect), self.call(effect, "more", self.moves(dof, "0.0"))]
-                lines += [f"        force[{dof}] += more"]
+            dof = int(self.model.jnt_dofadr[i])
+            pushing = self.of(Stage.FORCE, joint) if joint else []
+            lines += [f"    still = {self.moves(dof, '0.0')}"] if pushing else []
+            for effect in pushing:
+                lines += [self.when(effect), self.call(effect, "more", "still"), f"        force[{dof}] += more"]
         return [*lines, "    return None"]
 
     def push_bodies(self) -> list[str]:
@@ -180,9 +182,10 @@ class ChainWriter:
             name, free = self.model.body(int(self.model.jnt_bodyid[joint])).name, self.model.jnt_type[joint] == FREE
             place = [f"view.qpos[{q - 3 + i}]" if free or i > 2 else "0.0" for i in range(7)]
             speed = [f"view.qvel[{turn - 3 + i}]" if free or i > 2 else "0.0" for i in range(6)]
-            for effect in self.of(Stage.FORCE, name) if name else ():
-                given = f"Body({', '.join([*place, *speed])}, view.time)"
-                lines += [self.when(effect), self.call(effect, ", ".join(more), given)]
+            pushing = self.of(Stage.FORCE, name) if name else []
+            lines += [f"    body = Body({', '.join([*place, *speed])}, view.time)"] if pushing else []
+            for effect in pushing:
+                lines += [self.when(effect), self.call(effect, ", ".join(more), "body")]
                 lines += [f"        force[{turn - 3 + i}] += {more[i]}" for i in range(0 if free else 3, 6)]
         return lines
 
@@ -196,20 +199,22 @@ class ChainWriter:
             dofs = int(self.model.jnt_dofadr[i]) + np.arange(3 if self.model.jnt_type[i] == BALL else 1)
             for dof in map(int, dofs) if rubbing or slipping else ():
                 lines += [f"    ahead, back = dry[{dof}], dry[{dof}]"]
+                lines += [f"    still = {self.moves(dof, '0.0')}"]
+                lines += [f"    onward, backward_on = {self.moves(dof, '1.0')}, {self.moves(dof, '-1.0')}"]
                 for effect in rubbing:
                     lines += self.muster(effect, dof)
                 for effect in slipping:
-                    lines += [self.when(effect), self.call(effect, "more", self.moves(dof, "0.0"), "ahead", "back")]
+                    lines += [self.when(effect), self.call(effect, "more", "still", "ahead", "back")]
                     lines += [f"        force[{dof}] += more", "        ahead = back = 0.0"]
                 lines += [f"    forward[{dof}], backward[{dof}] = ahead, back", "    most = max(most, ahead, back)"]
         return [*lines, "    return most > 0.0"]
 
     def muster(self, effect: Effect, dof: int) -> list[str]:
         """Either sense of motion has a level, which passes through the joint's effects in order: they add or scale."""
-        ways = {"ahead": "1.0", "back": "-1.0"}
+        ways = {"ahead": "onward", "back": "backward_on"}
         after = {level: [f"{level}_{k}" for k in range(len(effect.states))] for level in ways}
         lines = [self.when(effect)]
-        lines += [self.call(effect, way, way, self.moves(dof, s), kept=after[way]) for way, s in ways.items()]
+        lines += [self.call(effect, way, way, s, kept=after[way]) for way, s in ways.items()]
         for own, *pair in zip(self.states[effect.id], *after.values()):
             lines += [f"        {own} = {pair[0]} if view.qvel[{dof}] >= 0.0 else {pair[1]}"]
         return lines
