@@ -148,7 +148,7 @@ def hashed_once() -> Iterator[None]:
         mine, theirs = self._values, other._values
         return mine == theirs or all(getattr(self, k) == getattr(other, k) for k in mine.keys() | theirs.keys())
 
-    TargetConfig.__hash__, TargetConfig.__eq__ = hash_names, is_equal  # type: ignore[method-assign,assignment]
+    TargetConfig.__hash__, TargetConfig.__eq__ = hash_names, is_equal  # type: ignore[method-assign]
     try:
         yield
     finally:
