@@ -49,7 +49,7 @@ for nu in map(int, sys.argv[1:]):
     layer, constants = np.zeros(1, layer_dtype(nu, 4)), np.zeros(1, constants_dtype(nu, nu))
     for name, value in nominal_constants(0.05, constants).items():
         constants[name] = value
-    print(warm_up(layer, constants, np.ones((1, 5, nu)), 0.01)["horn"].tolist())
+    print(warm_up(layer, constants, np.ones((1, 5, nu)), np.zeros(1, int), 0.01)["horn"].tolist())
 """
 
 

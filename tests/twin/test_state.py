@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vpptwin.twin import Twin, TwinState, load_twin
+from vpptwin.actuators.layer import constants_dtype, layer_dtype, nominal_constants
+from vpptwin.twin import Twin, TwinState, kernel, load_twin
+from vpptwin.twin.kernel import find_first
 
 SPEC = load_twin()
 ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass", "rail_x.lugre",
@@ -289,13 +291,33 @@ def test_equal_actuators_are_warmed_up_once(twin: Twin) -> None:
     start, drawn = twin.initial_state(), np.random.default_rng(9).uniform(0.05, 0.15, (2, 40, 2))
     number = np.array([0, 1, 1, 0])
     alone = twin.warm_up(start.actuators, drawn[number])
-    np.testing.assert_array_equal(twin.warm_up(start.actuators, drawn[number], number), alone)
+    np.testing.assert_array_equal(twin.warm_up(start.actuators, drawn, number), alone)
     assert len(np.unique(alone["output"][:, 0])) == 4  # four delays
     spec = load_twin()
     same = Twin(spec, 4)
-    layer = same.warm_up(same.initial_state().actuators, drawn[number], number)
+    layer = same.warm_up(same.initial_state().actuators, drawn, number)
     np.testing.assert_array_equal(layer["blade"][number == 0], layer["blade"][[0, 0]])
     np.testing.assert_array_equal(layer, same.warm_up(same.initial_state().actuators, drawn[number]))
+
+
+def test_actuators_that_forget_are_not_run_through_all_of_the_past(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last digit: some have lag, play, a rate that limits them or a delay, and one has a large step ahead."""
+    layer, constants = np.zeros(6, layer_dtype(2, 30)), np.zeros(6, constants_dtype(2, 3))
+    for name, value in nominal_constants(0.0, constants).items():
+        constants[name] = value
+    constants["actuator.time_constant"][1, 0] = 0.02
+    constants["actuator.gap"][2] = 0.02
+    constants["actuator.rate_limit"][3] = 50.0
+    constants["actuator.delay"] = np.array([0.0, 0.01, 0.0073, 0.02, 0.028, 0.0])[:, None]
+    constants["actuator.rate_limit"][4:] = 1000.0
+    layer["horn"][5, 1] = 0.6  # as far away as a step reaches, nearly
+    past, rows = np.random.default_rng(3).uniform(-0.2, 0.2, (2, 150, 2)), np.array([0, 1, 0, 1, 0, 1])
+    forgets = np.array([[1, 1], [0, 1], [0, 0], [0, 0], [0, 0], [0, 0]], bool) | (np.arange(6) > 3)[:, None]
+    forgets[5, 1] = False
+    np.testing.assert_array_equal(find_first(layer, constants, past, 0.001) > 0, forgets)
+    found = kernel.warm_up(layer, constants, past, rows, 0.001)
+    monkeypatch.setattr(kernel, "find_first", lambda *given: np.zeros_like(find_first(*given)))
+    np.testing.assert_array_equal(found, kernel.warm_up(layer, constants, past, rows, 0.001))
 
 
 def test_advancing_in_place_is_stepping(twin: Twin, flown: TwinState) -> None:

@@ -25,6 +25,8 @@ PITCH = 2
 """Degree of freedom whose rate the drone's gyro shows."""
 SUPPLY = ("battery.sag",)
 """Constants of the battery, which telemetry of motors shows as it shows sensors."""
+PACES = tuple(f"actuator.{name}" for name in ("delay", "time_constant", "rate_limit", "gap", "trim"))
+"""Constants by which actuators move."""
 NOMINAL = {"actuator.gain": 1.0, "actuator.rate_limit": NO_LIMIT, "actuator.limit": NO_LIMIT,
            "rotor.drag_gain": 1.0, "pose.scale": 1.0, "rate.scale": 1.0}  # fmt: skip
 """Constants of actuators and sensors that are not zero by themselves."""
@@ -71,12 +73,12 @@ def constants_dtype(actuators: int, dofs: int) -> np.dtype:
         Of what sensors say of every degree of freedom, (nv,): pose.delay, rate.delay: s. pose.drift, rate.drift: s/s.
         pose.scale, rate.scale: factors. pose.offset: m, rad. rate.bias: m/s, rad/s. rate.turn: rad.
     """
-    of_actuators = ("delay", "time_constant", "rate_limit", "gap", "trim", "gain", "limit", "dead_band", "sag")
+    of_actuators = (*PACES, *(f"actuator.{name}" for name in ("gain", "limit", "dead_band", "sag")))
     of_sensors = ("pose.delay", "pose.drift", "pose.offset", "pose.scale", "rate.delay", "rate.drift", "rate.bias",
                   "rate.scale", "rate.turn")  # fmt: skip
     return np.dtype(
         [
-            *((f"actuator.{name}", np.float64, (actuators,)) for name in of_actuators),
+            *((name, np.float64, (actuators,)) for name in of_actuators),
             *((name, np.float64) for name in ("rotor.drag_gain", "battery.sag")),
             *((name, np.float64, (dofs,)) for name in of_sensors),
         ]

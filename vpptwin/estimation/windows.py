@@ -29,7 +29,8 @@ class Windows:
         start: start time on its flight's clock, (K,) s.
         steps: inner steps in a window.
         dt: inner step [s].
-        warm: past commands, (K, warm steps, nu).
+        warm: past commands, (R, warm steps, nu).
+        past: in which row of these its own are, (K,).
         command: actuator commands, mean over each step, (K, steps, nu).
         rotor_speed: measured rotor speed, mean over each step, (K, steps, 2); None where it was not measured.
         pose: estimated pose at the start, (K, nq).
@@ -44,6 +45,7 @@ class Windows:
     steps: int
     dt: float
     warm: np.ndarray
+    past: np.ndarray
     command: np.ndarray
     rotor_speed: np.ndarray | None
     pose: np.ndarray
@@ -69,7 +71,7 @@ class Windows:
     def known_rows(self) -> dict[str, Any]:
         """The arrays with a row a window, by name, but those that are not known and the tracks of driven joints."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
+        return {name: value for name, value in arrays.items() if isinstance(value, np.ndarray) and name != "warm"}
 
     def shift(self, model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray) -> Windows:
         """The same windows with their starting states moved along tangent vectors, (K, nv) each."""
@@ -123,8 +125,8 @@ def cut_windows(
         driven = Driven(spec.robot.driven, *follow_log(measurements, edges[:, warm:-1], spec.model))
     return Windows(
         flight=np.full(len(starts), flight), start=starts, steps=steps, dt=dt, warm=command[:, :warm],
-        command=command[:, warm:], rotor_speed=speed, pose=pose, velocity=velocity, driven=driven, throttle=throttle,
-        spin=spin,
+        past=np.arange(len(starts)), command=command[:, warm:], rotor_speed=speed, pose=pose, velocity=velocity,
+        driven=driven, throttle=throttle, spin=spin,
     )  # fmt: skip
 
 
@@ -141,10 +143,11 @@ def join_windows(parts: list[Windows]) -> Windows:
     if tracks:
         pose, velocity = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("pose", "velocity"))
         driven = Driven(tracks[0].dofs, pose, velocity)
-    rows = [part.known_rows() for part in parts]
+    behind = np.cumsum([0, *(len(part.warm) for part in parts)])
+    rows = [part.known_rows() | {"past": part.past + first} for part, first in zip(parts, behind)]
     known: dict[str, Any] = dict.fromkeys(rows[0])  # None where one part does not know it
     known |= {name: np.concatenate([r[name] for r in rows]) for name in known if all(name in r for r in rows)}
-    return replace(parts[0], driven=driven, **known)
+    return replace(parts[0], driven=driven, warm=np.concatenate([part.warm for part in parts]), **known)
 
 
 class Motion(NamedTuple):
@@ -212,12 +215,11 @@ def fly_windows(
     qpos = twin.pose_for_engine(windows.pose, windows.velocity)
     start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
     layer = start.actuators
-    layer["horn"] = layer["blade"] = windows.warm[:, 0]
-    layer["history"] = windows.warm[:, :1]
+    begin = windows.warm[windows.past, 0]
+    layer["horn"], layer["blade"], layer["history"] = begin, begin, begin[:, None]
     if windows.spin is not None:
         layer["rotor_speed"] = windows.spin
-    number = np.unique(np.stack([windows.flight, windows.start]), axis=1, return_inverse=True)[1]
-    start = replace(start, actuators=twin.warm_up(layer, windows.warm, number))
+    start = replace(start, actuators=twin.warm_up(layer, windows.warm, windows.past))
     if past is not None:
         start = replace(start, effects=start.effects + past)
     _, qpos, qvel, rotor_speed = twin.replay_commands(

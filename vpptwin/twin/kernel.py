@@ -115,18 +115,22 @@ def control(m, d):
 """
 
 
-SIZES = np.dtype([("count", np.int64), ("steps", np.int64), ("dt", np.float64)])
+SIZES = np.dtype([(name, np.int64) for name in ("count", "steps", "rows", "first")] + [("dt", np.float64)])
+"""Of past commands: numbers of simulations and steps, addresses of whose row is which and of first steps, step [s]."""
 WARM_UP = """
 def warm_up(layer, constants, commands, sizes):
     size = array_at(sizes, (1,), SIZES)[0]
     layers = array_at(layer, (size.count,), LAYER)
     known = array_at(constants, (size.count,), CONSTANTS)
+    rows = array_at(size.rows, (size.count,), np.int64)
     for i in range(size.count):
-        given = array_at(commands + size.steps * {nu} * 8 * i, (size.steps, {nu}), np.float64)
+        given = array_at(commands + size.steps * {nu} * 8 * rows[i], (size.steps, {nu}), np.float64)
+        first = array_at(size.first + {nu} * 8 * i, ({nu},), np.int64)
         for k in range(size.steps):
             push_commands(layers[i])
             for j in range({nu}):
-                move_actuator(layers[i], known[i], j, given[k, j], size.dt)
+                if k >= first[j]:
+                    move_actuator(layers[i], known[i], j, given[k, j], size.dt)
 """
 
 
@@ -290,13 +294,35 @@ def delay_depth(effects: Iterable[Effect], dt: float) -> int:
     return int(np.ceil(max(longest.values()) / dt)) + 2 if longest else 0
 
 
-def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> np.ndarray:
-    """The actuators' state after past commands, (N, steps, nu), oldest first; `layer` (N,) is not changed."""
-    result, given = layer.copy(), np.ascontiguousarray(commands, dtype=np.float64)
-    count, steps, nu = given.shape
-    arrays = result, np.ascontiguousarray(constants), given, np.array([(count, steps, dt)], SIZES)
-    compile_warm_up(result.dtype, constants.dtype, nu)(*(array.ctypes.data for array in arrays))
+def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, rows: np.ndarray, dt: float) -> np.ndarray:
+    """The actuators' state after past commands, those of its row of (R, steps, nu), oldest first.
+
+    Args:
+        layer: (N,), which is not changed.
+        constants: (N,).
+        commands: (R, steps, nu).
+        rows: (N,).
+        dt: inner step [s].
+    """
+    result, known = layer.copy(), np.ascontiguousarray(constants)
+    given, own = np.ascontiguousarray(commands, float), np.ascontiguousarray(rows, np.int64)
+    first = find_first(layer, constants, given, dt)
+    sizes = np.array([(len(own), given.shape[1], own.ctypes.data, first.ctypes.data, dt)], SIZES)
+    arrays = result, known, given, sizes
+    compile_warm_up(result.dtype, constants.dtype, given.shape[2])(*(array.ctypes.data for array in arrays))
     return result
+
+
+def find_first(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, dt: float) -> np.ndarray:
+    """The first of past commands, (R, steps, nu), that each actuator may still know of, (N, nu).
+
+    One without lag, play and a rate that limits it remembers those alone that are on their way, to the last digit.
+    """
+    steps, depth, horn = commands.shape[1], layer.dtype["history"].shape[0], layer["horn"]
+    way = np.maximum(commands.max(initial=-np.inf), horn) - np.minimum(commands.min(initial=np.inf), horn)
+    forgets = (constants["actuator.time_constant"] == 0.0) & (constants["actuator.gap"] == 0.0)
+    forgets &= constants["actuator.rate_limit"] * dt > 2.0 * way
+    return np.where(forgets, max(steps - 2 * depth - 4, 0), 0)
 
 
 def compile_warm_up(layer: np.dtype, constants: np.dtype, nu: int) -> Any:  # noqa: ANN401

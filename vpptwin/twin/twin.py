@@ -12,6 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from vpptwin.actuators.adaptive import start_memory
+from vpptwin.actuators.layer import PACES
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
 from vpptwin.twin.constants import ConstantTable
@@ -255,19 +256,20 @@ class Twin:
     def warm_up(self, layer: np.ndarray, commands: np.ndarray, number: np.ndarray | None = None) -> np.ndarray:
         """Run delay, lag and play of the actuators alone over past commands, (N, steps, nu), oldest first.
 
-        Simulations of one `number`, (N,), have equal commands and layers: of those whose constants are equal too one is
-        run for all.
+        With `number`, (N,), those of a simulation are in that row of the commands, (R, steps, nu). Simulations of one
+        number have equal layers: of those whose actuators move alike one is run for all.
         """
-        expected = (self.num_sims, commands.shape[1] if commands.ndim > 1 else 0, self.spec.model.nu)
+        number = np.arange(self.num_sims) if number is None else number
+        rows = max(len(commands), int(number.max(initial=-1)) + 1)
+        expected = (rows, commands.shape[1] if commands.ndim > 1 else 0, self.spec.model.nu)
         if commands.shape != expected or layer.shape != (self.num_sims,):
             raise ValueError(f"commands have shape {commands.shape}, the layer {layer.shape}; expected {expected}")
         self._constants.refresh()
         records = self._constants.records
-        if number is None:
-            return warm_up(layer, records, commands, self.dt)
-        kinds = np.unique(records.view(f"V{records.itemsize}"), return_inverse=True)[1]
-        _, first, back = np.unique(np.stack([kinds, number]), axis=1, return_index=True, return_inverse=True)
-        return warm_up(layer[first], records[first], commands[first], self.dt)[back]
+        paces = np.concatenate([records[name] for name in PACES], axis=1)
+        kinds = np.unique(paces.view(f"V{paces[0].nbytes}"), return_inverse=True)[1].ravel() if paces.size else 0
+        _, first, back = np.unique(kinds * rows + number, return_index=True, return_inverse=True)
+        return warm_up(layer[first], records[first], commands, number[first], self.dt)[back]
 
     @property
     def remembers(self) -> bool:

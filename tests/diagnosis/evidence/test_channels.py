@@ -33,6 +33,7 @@ def lay_windows(starts: list[float], length: float) -> Windows:
         steps=steps,
         dt=DT,
         warm=np.zeros((count, 1, 2)),
+        past=np.arange(count),
         command=np.zeros((count, steps, 2)),
         rotor_speed=None,
         pose=np.zeros((count, 3)),

@@ -40,6 +40,7 @@ def lay_windows(count: int = 2) -> Windows:
         steps=steps,
         dt=DT,
         warm=np.zeros((count, 1, 2)),
+        past=np.arange(count),
         command=np.zeros((count, steps, 2)),
         rotor_speed=np.tile([460.0, 480.0], (count, steps, 1)),
         pose=np.zeros((count, 3)),

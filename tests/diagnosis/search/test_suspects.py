@@ -163,10 +163,10 @@ def test_covariance_is_that_of_repeated_experiments() -> None:
 
 def test_freedom_has_its_price() -> None:
     """Laplace by hand: a force known to 0.03 N of a range of 0.9 N costs 2 ln 30, a pair by its determinant."""
-    covariance = np.zeros((5, 5))
+    covariance = np.zeros((3, 3))
     covariance[0, 0] = 0.03**2
-    covariance[3:, 3:] = [[0.09**2, 0.5 * 0.09 * 0.06], [0.5 * 0.09 * 0.06, 0.06**2]]
-    solution = Solution(np.zeros(5), 0.0, covariance)
+    covariance[1:, 1:] = [[0.09**2, 0.5 * 0.09 * 0.06], [0.5 * 0.09 * 0.06, 0.06**2]]
+    solution = Solution(np.zeros(5), 0.0, np.linalg.inv(covariance), np.array([1.0, 0.0, 0.0, 1.0, 1.0]))
     force = 2.0 * np.log(30.0)
     # Shares 0.1 and 0.1 of their ranges 0.9 and 0.6, correlation 0.5: determinant 1e-4 * 0.75.
     pair = -np.log(1e-4 * 0.75)
@@ -198,18 +198,18 @@ def test_scatter_by_hand() -> None:
     """Scores 1, 2, -1, -1 in a stretch of four windows and 6 after it: sums 1 and 6, curvature 16; √37 / 16."""
     bench = lay_starts([0.0, 0.25 * STRETCH, 0.5 * STRETCH, 0.75 * STRETCH, 1.01 * STRETCH])
     fit = linear(np.zeros(1), np.array([[1.0, 2.0, 1.0, 1.0, 3.0]]), np.array([1.0, 1.0, -1.0, -1.0, 2.0]))
-    solution = Solution(np.zeros(1), 0.0, np.array([[1.0 / 16.0]]))
+    solution = Solution(np.zeros(1), 0.0, np.array([[16.0]]), np.ones(1))
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [np.sqrt(37.0) / 16.0])
     # The fit may have moved by 0.5: residuals 0.5, 0, -1.5, -1.5, 0.5; scores 0.5, 0, -1.5, -1.5 and 1.5; over scale 2.
     twice = replace(fit, frame=replace(fit.frame, scale=2.0))
-    moved = Solution(np.array([0.5]), 0.0, np.array([[1.0 / 8.0]]))
+    moved = Solution(np.array([0.5]), 0.0, np.array([[8.0]]), np.ones(1))
     np.testing.assert_allclose(scatter_by_stretch(twice, moved, bench), [np.hypot(2.5, 1.5) / 2.0 / 8.0])
 
 
 def test_windows_of_other_flights_are_other_stretches() -> None:
     """Scores 1, 2 at the same time of two flights: √5, not 3."""
     fit = linear(np.zeros(1), np.ones((1, 2)), np.array([1.0, 2.0]))
-    solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)))
+    solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)), np.ones(1))
     for flight, expected in (([0, 1], np.sqrt(5.0)), ([0, 0], 3.0)):
         np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_starts([0.5, 0.5], flight)), [expected])
 
@@ -219,7 +219,7 @@ def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
     error = np.repeat(np.random.default_rng(0).standard_normal(200), 20)
     error -= error.mean()
     fit = linear(np.zeros(1), np.ones((1, len(error))), error)
-    solution = Solution(np.zeros(1), 0.0, np.array([[1.0 / len(error)]]))
+    solution = Solution(np.zeros(1), 0.0, np.array([[float(len(error))]]), np.ones(1))
     bench = lay_starts(list(STRETCH * (np.arange(800) // 4 + 0.2 * (np.arange(800) % 4) + 0.1)))
     # 200 draws know their own scatter to 5 %.
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [1.0 / np.sqrt(200.0)], rtol=0.15)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 from scipy.optimize import lsq_linear
 
 from vpptwin.diagnosis.evidence.bench import Bench
@@ -18,11 +19,25 @@ SETS = 30
 
 @dataclass(frozen=True)
 class Solution:
-    """Minimum of a penalised fit: parameter deviations from the point of linearisation, and the cost there."""
+    """Minimum of a penalised fit: parameter deviations from the point of linearisation, (P,), and the cost there.
+
+    Attributes:
+        hessian: half of the cost's by those n parameters that move, each in its unit, (n, n).
+        unit: of every parameter; 0 for those that stay, (P,).
+    """
 
     deviation: np.ndarray
     cost: float
-    covariance: np.ndarray
+    hessian: np.ndarray
+    unit: np.ndarray
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of all parameters, (P, P), 0 for those that stay."""
+        moving, result = self.unit > 0.0, np.zeros((len(self.unit), len(self.unit)))
+        unit = self.unit[moving]
+        result[np.ix_(moving, moving)] = np.linalg.inv(self.hessian) * unit[:, None] * unit
+        return result
 
 
 def solve_hypothesis(
@@ -47,7 +62,8 @@ def solve_hypothesis(
     # A freed parameter is not drawn anywhere: only its range is known.
     pull = np.where(free, 0.0, nominal - about.at)
     moving = ~(free & frozen)
-    unit = np.array([u.scale_at(at) for u, at in zip(unknowns, about.at)])[moving]
+    units = np.where(moving, [u.scale_at(at) for u, at in zip(unknowns, about.at)], 0.0)
+    unit = units[moving]
     gram, slope = about.gram[np.ix_(moving, moving)], about.slope[moving]
     hessian = gram / scale * unit[:, None] * unit + np.diag((unit / width[moving]) ** 2)
     target = slope / scale * unit + unit / width[moving] ** 2 * pull[moving]
@@ -59,9 +75,7 @@ def solve_hypothesis(
     cost = (about.residual @ about.residual - 2.0 * slope @ step + step @ gram @ step) / scale
     held = ~free
     cost += float(np.sum(((deviation[held] - pull[held]) / width[held]) ** 2))
-    covariance = np.zeros((len(unknowns), len(unknowns)))
-    covariance[np.ix_(moving, moving)] = np.linalg.inv(hessian) * unit[:, None] * unit
-    return Solution(deviation, float(cost), covariance)
+    return Solution(deviation, float(cost), hessian, units)
 
 
 def solve_bounded(hessian: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -76,7 +90,9 @@ def solve_bounded(hessian: np.ndarray, target: np.ndarray, bounds: tuple[np.ndar
         x = np.where(below, low, np.where(above, high, 0.0))
         if not held.all():
             pulled = target[~held] - hessian[np.ix_(~held, held)] @ x[held]
-            x[~held] = cho_solve(cho_factor(hessian[np.ix_(~held, ~held)], check_finite=False), pulled)
+            x[~held], failed = dposv(hessian[np.ix_(~held, ~held)], pulled)[1:]
+            if failed:
+                raise np.linalg.LinAlgError(f"order {failed} of the matrix is not positive definite")
         uphill = hessian @ x - target
         then = (x < low) | (below & (uphill > 0.0)), (x > high) | (above & (uphill < 0.0))
         if np.array_equal(then, (below, above)):
