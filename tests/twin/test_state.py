@@ -419,6 +419,10 @@ WRONG_TAPES = {
         replace(state, effects=state.effects[:, :1].copy()), np.zeros((4, 2))
     ),
     "past commands of fewer": lambda twin, state: twin.warm_up(state.actuators, np.zeros((3, 5, 2))),
+    "past commands of more": lambda twin, state: twin.warm_up(state.actuators, np.zeros((5, 5, 2))),
+    "a row of them that is not there": lambda twin, state: twin.warm_up(
+        state.actuators, np.zeros((2, 5, 2)), np.array([0, 1, 2, 0])
+    ),
     "actuators of fewer": lambda twin, state: twin.warm_up(state.actuators[:3], np.zeros((4, 5, 2))),
 }
 

@@ -259,8 +259,8 @@ class Twin:
         With `number`, (N,), those of a simulation are in that row of the commands, (R, steps, nu). Simulations of one
         number have equal layers: of those whose actuators move alike one is run for all.
         """
-        number = np.arange(self.num_sims) if number is None else number
-        rows = max(len(commands), int(number.max(initial=-1)) + 1)
+        rows = self.num_sims if number is None else max(len(commands), int(number.max(initial=-1)) + 1)
+        number = np.arange(rows) if number is None else number
         expected = (rows, commands.shape[1] if commands.ndim > 1 else 0, self.spec.model.nu)
         if commands.shape != expected or layer.shape != (self.num_sims,):
             raise ValueError(f"commands have shape {commands.shape}, the layer {layer.shape}; expected {expected}")
