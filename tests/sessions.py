@@ -7,7 +7,7 @@ every run, which pytest prints first; a failure prints how to repeat it (`VPPTWI
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,15 +95,20 @@ def read_seed() -> int:
     return int(os.environ["VPPTWIN_SEED"])
 
 
-def draw_names(names: Sequence[str], count: int) -> list[str]:
-    """The names that the seed of this run draws."""
-    order = np.random.default_rng([read_seed(), *names[0].encode()]).permutation(len(names))
-    return [names[i] for i in order[:count]]
+MECHANICS = ("sticking rail", "rail", "guide and pivot", "craft", "two")
+"""Families of tests/test_hidden_mechanics.py, and two effects of any."""
+ACTUATION, ALIENS = ("rotors", "servo and timing", "sensors"), "alien"
+"""Families of tests/test_hidden_effects.py, and what the catalogue lacks."""
 
 
-def mark_undrawn(names: Sequence[str], drawn: Sequence[str]) -> list[ParameterSet]:
-    """Parameters of a test, all marked `slow` but those that are drawn."""
-    return [pytest.param(name, marks=[] if name in drawn else [pytest.mark.slow]) for name in names]
+def draw_name() -> str:
+    """What the seed of this run hides, of all that the two files can: each takes a minute or more."""
+    return str(np.random.default_rng([read_seed(), 1]).choice([*MECHANICS, *ACTUATION, ALIENS]))
+
+
+def mark_undrawn(names: Sequence[str]) -> list[ParameterSet]:
+    """Parameters of a test, all marked `slow` but the one that is drawn."""
+    return [pytest.param(name, marks=[] if name == draw_name() else [pytest.mark.slow]) for name in names]
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ class Session:
 
 
 class Sessions:
-    """Sessions of one test file, those drawn flown in one batch; one that is missed is drawn and flown once more.
+    """Sessions of one test file, flown when they are asked for; one that is missed is drawn and flown once more.
 
     What the diagnosis promises are rates, 95 of 100 (benchmarks/hidden_effects.py): of nine sessions one may well be
     missed. Two of the same kind in a row are a fault.
@@ -142,29 +147,20 @@ class Sessions:
         draws: name, by which `pytest -k` finds its test, → draws what is hidden.
         folder: for the logs.
         test: the test file.
-        drawn: names that this run is about; others are flown when they are asked for.
     """
 
     def __init__(
-        self, draws: Mapping[str, Callable[[np.random.Generator], Effects]], folder: Path, test: str,
-        drawn: Sequence[str],
+        self, draws: Mapping[str, Callable[[np.random.Generator], Effects]], folder: Path, test: str
     ) -> None:  # fmt: skip
         self._draws, self._folder, self._test = draws, folder, test
-        self._flown = self._fly(drawn, 0)
-
-    def _fly(self, names: Iterable[str], turn: int) -> dict[str, Flown]:
-        seed, folder = read_seed(), self._folder / str(turn)
-        folder.mkdir(exist_ok=True)
-        drawn = {name: np.random.default_rng([seed, turn, *name.encode()]) for name in names}
-        hidden = {name: self._draws[name](rng) for name, rng in drawn.items()}
-        return fly_sessions(hidden, seed + turn, folder, self._test)
 
     def require(self, name: str, find: Callable[[Session], list[str]], tries: int = 2) -> None:
         """Fail if what is wrong with the verdict, by `find`, is so in every one of `tries` sessions."""
         stories = []
         for turn in range(tries):
-            known = self._flown if not turn and name in self._flown else self._fly([name], turn)
-            session = diagnose_session(known[name])
+            hidden = self._draws[name](np.random.default_rng([read_seed(), turn, *name.encode()]))
+            home = self._folder / str(turn) / name.replace(" ", "_")
+            session = diagnose_session(fly_session(name, hidden, read_seed() + turn, home, self._test))
             faults = find(session)
             if not faults:
                 return
@@ -172,30 +168,25 @@ class Sessions:
         pytest.fail("\n".join(stories))
 
 
-def fly_sessions(hidden: Mapping[str, Effects], seed: int, folder: Path, test: str) -> dict[str, Flown]:
-    """Fly a rig for each name, all in one batch, closed loop, all realism on, each with gusts of its own.
+def fly_session(name: str, hidden: Effects, seed: int, folder: Path, test: str) -> Flown:
+    """Fly a rig, closed loop, all realism on, with gusts of its own.
 
     Where something is hidden there may be small deviations too; where nothing is, a rig is within its tolerances.
 
     Args:
-        hidden: name, by which `pytest -k` finds its test, → what is hidden.
-        seed: of all that was drawn; rigs and flights follow from it and the test file.
-        folder: for the logs.
+        name: by which `pytest -k` finds its test.
+        hidden: what is.
+        seed: of all that was drawn; rig and flights follow from it, the name and the test file.
+        folder: for the logs; made.
         test: the test file.
     """
-    rng = np.random.default_rng([seed, len(test), *"".join(hidden).encode()])
-    rigs = {name: int(rng.integers(2**31)) for name in hidden}
-    winds = {name: draw_wind(rng, most=STRONGEST) for name in hidden}
-    small = {name: draw_small(rng, effects, (*CORE, *EXTENDED)) if effects else {} for name, effects in hidden.items()}
-    planned = [plan_rig(small[name] | hidden[name], rig, winds[name]) for name, rig in rigs.items()]
-    flights, flown = iter(fly_many([flight for flights in planned for flight in flights])), {}
-    for name, rig in rigs.items():
-        home = folder / name.replace(" ", "_")
-        home.mkdir()
-        logs = [write_mcap(next(flights), home / f"{manoeuvre}.mcap") for manoeuvre in MANOEUVRES]
-        repeat = f"VPPTWIN_SEED={read_seed()} python -m pytest {test} -k '{name}'"
-        flown[name] = Flown(hidden[name], small[name], winds[name], rig, logs, repeat)
-    return flown
+    rng = np.random.default_rng([seed, len(test), *name.encode()])
+    rig, wind = int(rng.integers(2**31)), draw_wind(rng, most=STRONGEST)
+    small = draw_small(rng, hidden, (*CORE, *EXTENDED)) if hidden else {}
+    folder.mkdir(parents=True)
+    flights = fly_many(plan_rig(small | hidden, rig, wind))
+    logs = [write_mcap(flight, folder / f"{manoeuvre}.mcap") for flight, manoeuvre in zip(flights, MANOEUVRES)]
+    return Flown(hidden, small, wind, rig, logs, f"VPPTWIN_SEED={read_seed()} python -m pytest {test} -k '{name}'")
 
 
 def plan_rig(

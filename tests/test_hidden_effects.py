@@ -12,11 +12,12 @@ import pytest
 
 from tests.reality import ALIEN, Wind, draw_effect
 from tests.sessions import (
+    ACTUATION,
+    ALIENS,
     FAMILIES,
     STRONG,
     Session,
     Sessions,
-    draw_names,
     find_claims,
     find_faults,
     judge_rig,
@@ -24,19 +25,16 @@ from tests.sessions import (
 )
 from vpptwin.diagnosis.criteria import CRITERIA
 
-SINGLES = ("rotors", "servo and timing", "sensors")
-DRAWN = draw_names((*SINGLES, "alien"), 1)
-
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     """The sessions of this file."""
-    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in SINGLES}
-    draws |= {"none": lambda rng: {}, "alien": lambda rng: draw_effect(rng, tuple(ALIEN), least=STRONG)}
-    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py", [*DRAWN, "none"])
+    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in ACTUATION}
+    draws |= {"none": lambda rng: {}, ALIENS: lambda rng: draw_effect(rng, tuple(ALIEN), least=STRONG)}
+    return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_effects.py")
 
 
-@pytest.mark.parametrize("family", mark_undrawn(SINGLES, DRAWN))
+@pytest.mark.parametrize("family", mark_undrawn(ACTUATION))
 def test_a_single_hidden_effect_is_named(sessions: Sessions, family: str) -> None:
     """One effect of a family, of any sign: named first or in the first cause's group, with its size, and it helps."""
     sessions.require(family, find_faults)
@@ -75,7 +73,7 @@ def test_rotor_blades_that_chip_leave_something_unexplained(tmp_path: Path) -> N
     assert all(cause.confidence <= CRITERIA.suggested for cause in verdict.causes)
 
 
-@pytest.mark.parametrize("family", mark_undrawn(("alien",), DRAWN))
+@pytest.mark.parametrize("family", mark_undrawn((ALIENS,)))
 def test_an_alien_is_unexplained(sessions: Sessions, family: str) -> None:
     """An effect that the catalogue lacks leaves something unexplained, and nothing is blamed for it with confidence."""
 

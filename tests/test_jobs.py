@@ -40,6 +40,7 @@ def test_bad_input_stays_what_it_is(tmp_path: Path) -> None:
     assert not [child for child in psutil.Process().children() if "spawn_main" in " ".join(child.cmdline())]
 
 
+@pytest.mark.slow
 def test_work_by_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same by Ray's processes on this machine, which end with the work."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)

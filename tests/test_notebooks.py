@@ -20,9 +20,8 @@ PROMISED = {
 """Words of their output."""
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "training" else pytest.param(name, marks=pytest.mark.slow) for name in PROMISED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(PROMISED))
 def test_notebook(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a kernel of its own, in an empty folder."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))

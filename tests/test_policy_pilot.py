@@ -190,6 +190,7 @@ def test_both_firmwares_allocate_alike() -> None:
             np.testing.assert_allclose(pitch, wanted, rtol=0.0, atol=PITCH_LSB)
 
 
+@pytest.mark.slow
 def test_the_adaptive_controller_flies_worn_actuators_better() -> None:
     """Play, trim and drag as on the thrust stand: the median error is four fifths of the map's or less."""
     policy, task = load_flyer("flip")

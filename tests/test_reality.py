@@ -139,6 +139,7 @@ def compare(one: Recording, other: Recording, topic: str, column: str) -> float:
     return float(np.abs(first[:size] - second[:size]).mean())
 
 
+@pytest.mark.slow
 def test_every_effect_changes_the_flight() -> None:
     """Each effect, flown with the same seed as a flight without, shows in at least one topic."""
     rng = np.random.default_rng(6)

@@ -37,6 +37,7 @@ def peers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("peers")
 
 
+@pytest.mark.slow
 def test_results_say_where_they_come_from(result: dict) -> None:
     """Machine, versions, seed and tolerance stand in the file."""
     assert result["machine"]["cores"] >= 1
@@ -46,6 +47,7 @@ def test_results_say_where_they_come_from(result: dict) -> None:
     assert result["tolerance"]["after_s"] == 0.2
 
 
+@pytest.mark.slow
 def test_every_simulator_is_timed_or_says_why_not(result: dict) -> None:
     """A row has numbers of its rounds, or a reason; only gymnasium may be missing here."""
     rows = {row["name"]: row for row in result["rows"]}
@@ -62,6 +64,7 @@ def test_every_simulator_is_timed_or_says_why_not(result: dict) -> None:
         assert row["leaves_out"]
 
 
+@pytest.mark.slow
 def test_what_is_timed_flies_like_the_twin(result: dict) -> None:
     """Every simulator with a controller was compared with the twin and is within the tolerance in the file."""
     timed = [row for row in result["rows"] if not row["skipped"] and not row["name"].startswith("raw")]

@@ -76,6 +76,7 @@ def test_it_is_told_in_plain_words(found: History) -> None:
     assert "over all 5 flights" in grows
 
 
+@pytest.mark.slow
 def test_friction_that_stays_is_not_said_to_grow(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two processes fit it; the command ends with 0, prints a sentence, writes page and data."""
     logs, out = fly_weekly(STAYING, tmp_path / "staying"), tmp_path / "out"

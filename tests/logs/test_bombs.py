@@ -152,6 +152,7 @@ def test_stamps_that_are_no_time_are_refused(tmp_path: Path, stamp: float) -> No
         read_flight(path, mapped)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_flight_not_of_the_file(tmp_path: Path) -> None:
     """Pictures among the messages, 20 times the flight: they cost no memory, however many there are."""
     filmed = add_camera(copy(FLIP, tmp_path / "flip.mcap"), 0.2)

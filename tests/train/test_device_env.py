@@ -51,7 +51,11 @@ def copy_over(plain: VppEnv, env: DeviceEnv) -> None:
 
 @pytest.mark.parametrize(
     "overrides",
-    [(), ("task=flip", "critic=lstm", "task.target.turns=0"), ("task=wall-backtrack",)],
+    [
+        (),
+        ("task=flip", "critic=lstm", "task.target.turns=0"),
+        pytest.param(("task=wall-backtrack",), marks=pytest.mark.slow),
+    ],
     ids=["hover", "flip", "wall"],
 )
 def test_flies_as_numba_does(overrides: tuple[str, ...]) -> None:

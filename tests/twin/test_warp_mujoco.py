@@ -119,10 +119,8 @@ def to_single(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float32).astype(float)
 
 
-@pytest.mark.parametrize(
-    "without",
-    [pytest.param((), marks=pytest.mark.slow, id="all effects"), pytest.param((Stage.SLIP,), id="sticking friction")],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("without", [(), (Stage.SLIP,)], ids=["all effects", "sticking friction"])
 def test_drone_at_the_wall_equals_numba(without: tuple[Stage, ...]) -> None:
     """An open-loop second with every effect drawn, half of the rigs thrown at the wall, within rounding; as is a step.
 

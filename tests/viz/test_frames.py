@@ -214,6 +214,7 @@ def test_the_environment_shows_itself() -> None:
         env.render("human")
 
 
+@pytest.mark.slow
 def test_rlrender_works_on_it(tmp_path: Path) -> None:
     """TorchRL's own viewer flies the shipped policy and writes an animation."""
     out, command = tmp_path / "flip.gif", Path(sys.executable).with_name("rlrender")

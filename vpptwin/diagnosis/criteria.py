@@ -70,6 +70,7 @@ class Criteria:
     few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not", "issue 20")
     generous: int = assumed(10, "", "suspects refitted at every step of a rig of which little is known", "issue 20")
     neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "issue 20")
+    more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "issue 22")
     worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a suspect is refitted",
         "2 at 85fc87b, 8 since e1272d1")
     rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")

@@ -300,7 +300,8 @@ def exchange_causes(
 ) -> Fit | None:  # fmt: skip
     """A set of causes that differs in two and is better, on the fitted windows and not worse on the others; or None.
 
-    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other.
+    Two wrong laws may hold against the right ones: no single exchange leads from one set to the other. Of many sets
+    one fits by chance: where errors have the last word, the other windows have to show that it is better.
     """
     if not fit.effects:
         return None
@@ -311,7 +312,8 @@ def exchange_causes(
         won = other.evidence_against(fit) - search.criteria.better - more * search.criteria.bar
         if won > best[0] and not other.effects & barred and len(other.effects) <= search.criteria.most_causes:
             gain, error = compare(search, held_out, fit, other)
-            if gain > -search.criteria.sigmas_against * error and not held_out.worsens(fit.values, other.values):
+            agreed = gain > -search.criteria.sigmas_against * error and confirms(search, held_out, fit, other)
+            if agreed and not held_out.worsens(fit.values, other.values):
                 best = won, other
     return best[1]
 

@@ -277,16 +277,27 @@ class Search(Fitter):
                         values = advance(fit.about, self.unknowns, chosen, solution)
                         price = price_of_freedom(solution, self.unknowns, chosen)
                         starts[chosen] = Start(",".join(sorted(chosen)), values, -solution.cost - price)
-        best = sorted(starts, key=lambda chosen: -starts[chosen].drop)[: self.criteria.neighbours]
+        best = sorted(starts, key=lambda chosen: -starts[chosen].drop)[: self._width]
         return [self.judge_alone(self.fit(chosen, starts[chosen].values, fit.about)) for chosen in best]
 
     def _pair_up(self, fit: Fit, left: frozenset[str], out: frozenset[str]) -> list[frozenset[str]]:
-        """What is left with one or two of the suspects that linearisation likes best beside it."""
-        base = solve_hypothesis(fit.about, self.unknowns, left)
-        ranked = rank_effects(fit.about, self.unknowns, base, left, out)
-        names = [start.effect for start in sorted(ranked, key=lambda start: (-start.drop, start.effect))]
-        pairs = combinations(names[: 2 * self.criteria.neighbours], 2)
-        return [left | {name} for name in names[: self.criteria.neighbours]] + [left | set(pair) for pair in pairs]
+        """What is left with one or two suspects beside it: those that linearisation likes best, and best beside one."""
+        most, names = self.criteria.neighbours, self._rank_beside(fit, left, out)
+        pairs = [left | set(pair) for pair in combinations(names[: 2 * most], 2)]
+        for name in names[:most]:
+            pairs += [left | {name, other} for other in self._rank_beside(fit, left | {name}, out)[: 2 * most]]
+        return [left | {name} for name in names[:most]] + pairs
+
+    @property
+    def _width(self) -> int:
+        """How many neighbours are refitted, and how many second suspects are looked at."""
+        return self.criteria.more_neighbours if self.bench.guessed else self.criteria.neighbours
+
+    def _rank_beside(self, fit: Fit, effects: frozenset[str], out: frozenset[str]) -> list[str]:
+        """Suspects as linearisation likes them beside some effects, the best first."""
+        base = solve_hypothesis(fit.about, self.unknowns, effects)
+        ranked = rank_effects(fit.about, self.unknowns, base, effects, out)
+        return [start.effect for start in sorted(ranked, key=lambda start: (-start.drop, start.effect))]
 
     def _refit(
         self, found: dict[str, Fit], fit: Fit, starts: Sequence[Start], iterations: int = ITERATIONS
