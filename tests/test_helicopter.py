@@ -90,6 +90,7 @@ def test_what_rotors_have_in_common_is_suspected(tmp_path: Path) -> None:
     assert not [effect.id for effect in alone.catalogue if effect.id.startswith("actuators.")]
 
 
+@pytest.mark.slow
 def test_both_act_alike_and_beside_their_own(tmp_path: Path) -> None:
     """Gains multiply, delays add up, beyond what one alone may have."""
     spec = load(tmp_path)

@@ -57,6 +57,7 @@ def check_named(verdict: dict, effect: str, parameter: str, truth: float) -> Non
     assert not verdict["unexplained"]["significant"]
 
 
+@pytest.mark.slow
 def test_dry_friction_of_a_cart_is_named(tmp_path: Path) -> None:
     """A cart that sticks and slips: coulomb, not viscous; and the extended twin lacks nothing more.
 

@@ -162,6 +162,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
     assert len(set(logs)) == 3
 
 
+@pytest.mark.slow
 def test_shipped_demo_flights_are_these(tmp_path: Path) -> None:
     """demo/flights hold what tests/reality/demo.py flies: same messages, each file under 3 MB."""
     for name, _, _, _ in FLIGHTS:

@@ -102,7 +102,7 @@ def test_the_line_is_one_of_its_own_behind_a_bar(tmp_path: Path) -> None:
     assert finish(start(tmp_path, "effects", "--effects", "own.py")) == (130, f"\nbar\n{STOPPED}")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
     """A diagnosis that is stopped in mid-search: its folder, which it made, is gone."""
     child = start(tmp_path, "diagnose", str(ROOT / "demo/flights/flip.mcap"), "--out", "out")
@@ -116,7 +116,9 @@ def test_a_signal_leaves_no_drafts(tmp_path: Path, how: signal.Signals) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("force", "said"), [(0.71, "own.py:9: ValueError: boom; "), (0.72, "diverges ")])
+@pytest.mark.parametrize(
+    ("force", "said"), [(0.71, "own.py:9: ValueError: boom; "), pytest.param(0.72, "diverges ", marks=pytest.mark.slow)]
+)
 def test_effects_that_raise_or_make_no_number_in_flight_end_it(failing: Path, force: float, said: str) -> None:
     """No log is written of a flight that cannot be believed."""
     code, line = finish(start_flight(failing, force))

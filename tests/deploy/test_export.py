@@ -50,7 +50,14 @@ def test_onnx_gives_the_actions_of_torch(shipped: Content, model: Path) -> None:
     np.testing.assert_allclose(seen, observe(pose, velocity, target, integral, shipped.trained.sight), atol=3e-6)
 
 
-@pytest.mark.parametrize("options", [("setup=VA",), ("setup=PI",), ("setup=TA", "paper_inputs=true")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(("setup=VA",), marks=pytest.mark.slow),
+        pytest.param(("setup=PI",), marks=pytest.mark.slow),
+        ("setup=TA", "paper_inputs=true"),
+    ],
+)
 def test_other_setups_as_onnx(options: tuple[str, ...], tmp_path: Path) -> None:
     """Written, loaded, their test vectors pass."""
     loaded = load_exported(write_onnx(make_random(*options), tmp_path / "policy.onnx"))

@@ -33,7 +33,9 @@ def load_cart(folder: Path, joints: str, driven: str = "") -> TwinSpec:
     return load_twin(path)
 
 
-@pytest.mark.parametrize(("free", "driven"), [(0, 1), (1, 0)], ids=["swing driven", "slide driven"])
+@pytest.mark.parametrize(
+    ("free", "driven"), [(0, 1), pytest.param(1, 0, marks=pytest.mark.slow)], ids=["swing driven", "slide driven"]
+)
 def test_free_joint_feels_a_driven_one(tmp_path: Path, free: int, driven: int) -> None:
     """Led along the track of a full simulation, with friction and a pull unknown to it, one joint moves the other."""
     rng = np.random.default_rng(1)

@@ -109,6 +109,7 @@ def test_view_follows_the_craft(browser: Browser) -> None:
     browser.evaluate("view.value = 'flight'; view.dispatchEvent(new Event('change')); 0")
 
 
+@pytest.mark.slow
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
     imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live"

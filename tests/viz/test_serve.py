@@ -220,14 +220,18 @@ def test_who_comes_late_sees_the_scene_as_it_is() -> None:
 
 COMMANDS = {"log": ["play", str(DEMO)], "live": ["play", "--live", "flip"]}
 ENDS = ("SIGTERM", "SIGINT", "SIGHUP", "SIGKILL", "parent")
+OFTEN = (("log", "SIGTERM"), ("log", "parent"), ("live", "SIGINT"))
 SHELL = "import subprocess, sys, time; subprocess.Popen(sys.argv[1:]); time.sleep(600)"
 
 
 @pytest.mark.parametrize(
     ("command", "how"),
-    [*(("log", how) for how in ENDS), ("live", "SIGINT"), *(pytest.param("live", how, marks=pytest.mark.slow)
-                                                            for how in ENDS if how != "SIGINT")],
-)  # fmt: skip
+    [
+        pytest.param(command, how, marks=[] if (command, how) in OFTEN else [pytest.mark.slow])
+        for command in COMMANDS
+        for how in ENDS
+    ],
+)
 def test_nothing_is_left_running(command: str, how: str, tmp_path: Path) -> None:
     """After Ctrl-C, SIGTERM, a closed terminal, kill -9, or the death of who started it: no process, no open port."""
     arguments = [sys.executable, "-u", "-m", "vpptwin", *COMMANDS[command]]

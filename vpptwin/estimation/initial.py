@@ -315,11 +315,11 @@ def carry_attitude(gyro: Sequence[Series], times: np.ndarray) -> np.ndarray:
     """Attitudes at any times (K,) as a gyro alone has them, from its first sample on; no look ahead, (K, 4)."""
     time, rate = gyro[0].time, np.stack([np.interp(gyro[0].time, s.time, s.value) for s in gyro], axis=1)
     steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
-    track = np.empty((len(time), 4))
-    track[0] = [1.0, 0.0, 0.0, 0.0]
-    turns = rotate(np.broadcast_to(track[0], (len(steps), 4)), steps)
-    for k, turn in enumerate(turns):
-        track[k + 1] = multiply_attitudes(track[k], turn)
+    still = np.array([[1.0, 0.0, 0.0, 0.0]])
+    track, span = np.concatenate([still, rotate(still, steps)]), 1
+    while span < len(track):  # each turn with those before it, twice as many every time
+        track[span:] = multiply_attitudes(track[:-span], track[span:])
+        span *= 2
     last = np.maximum(np.searchsorted(time, times, side="right") - 1, 0)
     return rotate(track[last], rate[last] * (times - time[last])[:, None])
 

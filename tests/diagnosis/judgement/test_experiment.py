@@ -52,6 +52,7 @@ def rank(few: tuple[list[Candidate], Bench], *hypotheses: Explanation) -> dict[s
     return {c.manoeuvre.name: sigma[:, i] for i, c in enumerate(candidates)}
 
 
+@pytest.mark.slow
 def test_delay_and_lag_are_told_apart_by_fast_turns(few: tuple[list[Candidate], Bench]) -> None:
     """Steps and turns move the servos fast; hovering does not tell."""
     sigma = rank(few, DELAY, LAG)
@@ -126,6 +127,7 @@ def test_the_best_manoeuvre_is_proposed_with_its_command() -> None:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_manoeuvres_that_a_rival_makes_dangerous_are_not_proposed() -> None:
     """A craft with half its thrust and a third more mass falls (by hand: 12.8 N to hover, of 10): none is safe then."""
     values = {("rotor.thrust_gain", "gain"): 0.5, ("airframe.mass", "mass"): 0.15}
