@@ -30,6 +30,7 @@ RECORDED = {
     "other_66989": "hidden_effects.py --rigs other --report benchmarks/results/other_66989.json",
     "other_65663": "hidden_effects.py --rigs other --report benchmarks/results/other_65663.json",
     "other_55136": "hidden_effects.py --rigs other --report benchmarks/results/other_55136.json",
+    "other_60504": "hidden_effects.py --rigs other --report benchmarks/results/other_60504.json",
     "other_36129": "hidden_effects.py --rigs other --report benchmarks/results/other_36129.json",
     "other_94065": "hidden_effects.py --rigs other --report benchmarks/results/other_94065.json",
     "other_13989": "hidden_effects.py --rigs other --report benchmarks/results/other_13989.json",
