@@ -228,6 +228,7 @@ def test_what_warp_does_not_do_is_refused(overrides: tuple[str, ...], said: str)
         tiny_config(*FLOWN, *overrides)
 
 
+@pytest.mark.slow
 def test_training_at_the_wall(tmp_path: Path) -> None:
     """A few hundred steps by mujoco_warp; the policy flies in numba's twin."""
     brief = ("task=wall-backtrack", "engine=warp", "num_envs=16", "rollout=8", "minibatch=64", "exam_every=0",
