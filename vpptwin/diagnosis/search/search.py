@@ -272,12 +272,14 @@ class Search(Fitter):
             for out in combinations(sorted(fit.effects), number):
                 left = fit.effects - set(out)
                 for chosen in self._pair_up(fit, left, frozenset(out)):
-                    if len(chosen - fit.effects) + number > 2 or (number == 2 and len(chosen) < len(fit.effects)):
+                    far = len(chosen - fit.effects) + number > 2 or (number == 2 and len(chosen) < len(fit.effects))
+                    if far and chosen not in starts:
                         solution = solve_hypothesis(fit.about, self.unknowns, chosen)
                         values = advance(fit.about, self.unknowns, chosen, solution)
                         price = price_of_freedom(solution, self.unknowns, chosen)
                         starts[chosen] = Start(",".join(sorted(chosen)), values, -solution.cost - price)
-        best = sorted(starts, key=lambda chosen: -starts[chosen].drop)[: self._width]
+        most = self.criteria.more_neighbours if self.bench.guessed else self.criteria.neighbours
+        best = sorted(starts, key=lambda chosen: -starts[chosen].drop)[:most]
         return [self.judge_alone(self.fit(chosen, starts[chosen].values, fit.about)) for chosen in best]
 
     def _pair_up(self, fit: Fit, left: frozenset[str], out: frozenset[str]) -> list[frozenset[str]]:
@@ -287,11 +289,6 @@ class Search(Fitter):
         for name in names[:most]:
             pairs += [left | {name, other} for other in self._rank_beside(fit, left | {name}, out)[: 2 * most]]
         return [left | {name} for name in names[:most]] + pairs
-
-    @property
-    def _width(self) -> int:
-        """How many neighbours are refitted, and how many second suspects are looked at."""
-        return self.criteria.more_neighbours if self.bench.guessed else self.criteria.neighbours
 
     def _rank_beside(self, fit: Fit, effects: frozenset[str], out: frozenset[str]) -> list[str]:
         """Suspects as linearisation likes them beside some effects, the best first."""
