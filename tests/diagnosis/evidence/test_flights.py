@@ -52,6 +52,20 @@ def test_of_one_flight_every_third_block_is_held_out() -> None:
     np.testing.assert_array_equal(everything, list_starts([fly(30.0)], 0.7)[0])
 
 
+@pytest.mark.parametrize(
+    ("blocks", "judging"),
+    [((), 2), ((1,), 2), ((2, 3), 2), ((2,), 1), ((5, 8), 1), ((2, 4), 2), ((0, 1, 2), 2)],
+)
+def test_inputs_of_judges_are_those_of_the_fit(blocks: tuple[int, ...], judging: int) -> None:
+    """Of ten blocks of 3 s some have inputs twice as large: where only the last third has, the one before it judges."""
+    flight = fly(31.0)
+    size = np.where(np.isin((flight.command.time - SETTLE) // 3.0, blocks), 2.0, 1.0)
+    command = (size * np.sin(9.0 * flight.command.time))[:, None]
+    split = split_flights([replace(flight, command=replace(flight.command, value=command))], 1.0)
+    np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, judging)
+    assert len(split.fitted[0]) + len(split.held_out[0]) == len(list_starts([flight], 1.0)[0])
+
+
 def test_the_shortest_flight_of_the_drone_has_windows_that_judge() -> None:
     """5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge."""
     split = split_flights([fly(5.0)], 0.3)

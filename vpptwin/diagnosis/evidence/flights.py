@@ -15,6 +15,7 @@ from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.series import Series
 from vpptwin.estimation.strikes import mark_strikes
 from vpptwin.estimation.windows import cut_windows, join_windows
 from vpptwin.twin.spec import TwinSpec
@@ -32,6 +33,8 @@ SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
 """A single flight is split into blocks of at most this length [s], every third of them held out."""
+REACH = 0.25
+"""Part of the fitted span by which inputs may go further where they judge, see `hold_out_third`."""
 MIN_JUDGES = 3
 """Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
 MIN_RATE = 20.0
@@ -103,7 +106,9 @@ def find_steady(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
 def count_judges(measurements: Sequence[Measurements], window: float, short: bool) -> int:
     """How many windows of a length [s] judge: those held out of a lone flight, else all of the poorest flight."""
     starts = [cut_flight(flight, window) for flight in measurements]
-    return min(len(s) for s in starts) if len(starts) > 1 else int(is_held_out(starts[0], window, short).sum())
+    if len(starts) > 1:
+        return min(len(s) for s in starts)
+    return int(hold_out_third(measurements[0], starts[0], window, short).sum())
 
 
 def cut_flight(flight: Measurements, window: float) -> np.ndarray:
@@ -149,7 +154,8 @@ def split_flights(
         empty = np.empty(0)
         fitted = [empty if i in judges else s for i, s in enumerate(starts)]
         return Split(fitted, [s if i in judges else empty for i, s in enumerate(starts)], True)
-    judging, flight = is_held_out(starts[0], window, short), measurements[0]
+    flight = measurements[0]
+    judging = hold_out_third(flight, starts[0], window, short)
     if judging.sum() < MIN_JUDGES:
         raise InputError(
             f"{flight.name}: {flight.duration:.1f} s, of which {judging.sum()} windows can be held out",
@@ -159,14 +165,39 @@ def split_flights(
     return Split([starts[0][~judging]], [starts[0][judging]], False)
 
 
-def is_held_out(starts: np.ndarray, window: float, short: bool) -> np.ndarray:
+def hold_out_third(flight: Measurements, starts: np.ndarray, window: float, short: bool) -> np.ndarray:
     """Which windows of a lone flight, from `starts` (K,) [s] on, judge: every third block, (K,) bool.
 
     Of a short flight every third window: a block at its end would show little of what decays, or else only that.
+    It is the last of three, unless inputs go further there than where they are fitted, by more than `REACH` of their
+    span there: what only judges have seen, a limit say, no fit can name. Then it is the one where they do so least.
     """
     since = starts - starts[:1]
     length = window if short else min(BLOCK, (since[-1:].sum() + window) / 3.0)
-    return np.asarray((since / length + 1e-9).astype(int) % 3 == 2)
+    third = (since / length + 1e-9).astype(int) % 3
+    beyond = {
+        i: reach_beyond(flight.command, starts, window, third == i)
+        for i in (2, 1, 0)
+        if np.count_nonzero(third == i) >= MIN_JUDGES
+    }
+    return np.asarray(third == (2 if beyond.get(2, 0.0) <= REACH else min(beyond, key=lambda i: beyond[i])))
+
+
+def reach_beyond(inputs: Series, starts: np.ndarray, window: float, judging: np.ndarray) -> float:
+    """How much further inputs go in windows that are `judging` (K,) than in the others, largest part of the span there.
+
+    From the first to the last percentile of their samples: a rare peak tells nothing.
+    """
+    within = np.searchsorted(starts, inputs.time, side="right") - 1
+    inside = (within >= 0) & (inputs.time < starts[within] + window)
+    judged = judging[within[inside]]
+    if not inputs.value.size or judged.all() or not judged.any():
+        return 0.0
+    value, percentiles = inputs.value[inside], [0.01, 0.99]
+    low, high = np.quantile(value[~judged], percentiles, axis=0)
+    lowest, highest = np.quantile(value[judged], percentiles, axis=0)
+    further = np.maximum(np.maximum(highest - high, low - lowest), 0.0)
+    return float(np.max(further / np.maximum(high - low, np.finfo(float).tiny)))
 
 
 def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
