@@ -112,6 +112,7 @@ def test_a_contact_is_named_with_its_size(tmp_path: Path, hidden: tuple[float, f
         assert abs(found.value - value) < 2.5 * found.std < 1.5 * value, name
 
 
+@pytest.mark.slow
 def test_of_a_right_contact_nothing_is_named(tmp_path: Path) -> None:
     """Steps of a millisecond leave errors of several times the noise, which are no cause."""
     found = judge(tmp_path, (1.0, 1.0, 0.0))

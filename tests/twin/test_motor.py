@@ -75,6 +75,7 @@ def spin_reality(effects: Effects, commands: tuple[np.ndarray, np.ndarray], step
     return np.array(speeds).transpose(2, 0, 1)
 
 
+@pytest.mark.slow  # a step of another length compiles anew
 @pytest.mark.parametrize("case", CASES)
 def test_motors_agree_with_an_independent_model(spec: TwinSpec, case: str) -> None:
     """Speeds are equal at their finer steps, but for what halving both steps changes; drag 1 % off would show."""

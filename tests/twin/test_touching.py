@@ -28,6 +28,7 @@ def load(folder: Path, solref: str = "", contact: str = "", other: int = 1) -> T
     return load_twin(folder / "balls.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solref", ["0.01 0.3", "-120000 -200"])
 def test_compliance_is_that_of_spring_and_damper(solref: str, tmp_path: Path) -> None:
     """A quarter of the stiffness swings for twice as long; times damping 2 leaves less; in both of MuJoCo's formats."""
