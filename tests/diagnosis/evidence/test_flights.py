@@ -57,9 +57,9 @@ def test_of_one_flight_every_third_block_is_held_out() -> None:
     [((), 2), ((1,), 2), ((2, 3), 2), ((2,), 1), ((5, 8), 1), ((2, 4), 2), ((0, 1, 2), 2)],
 )
 def test_inputs_of_judges_are_those_of_the_fit(blocks: tuple[int, ...], judging: int) -> None:
-    """Of ten blocks of 3 s some have inputs twice as large: where only the last third has, the one before it judges."""
+    """Of ten blocks of 3 s some have threefold inputs: where only the last third has, the one before it judges."""
     flight = fly(31.0)
-    size = np.where(np.isin((flight.command.time - SETTLE) // 3.0, blocks), 2.0, 1.0)
+    size = np.where(np.isin((flight.command.time - SETTLE) // 3.0, blocks), 3.0, 1.0)
     command = (size * np.sin(9.0 * flight.command.time))[:, None]
     split = split_flights([replace(flight, command=replace(flight.command, value=command))], 1.0)
     np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, judging)

@@ -33,7 +33,7 @@ SETTLE = 0.2
 """Start of a log left to the estimate of the first state [s]."""
 BLOCK = 3.0
 """A single flight is split into blocks of at most this length [s], every third of them held out."""
-REACH = 0.25
+REACH = 0.5
 """Part of the fitted span by which inputs may go further where they judge, see `hold_out_third`."""
 MIN_JUDGES = 3
 """Fewest held-out windows: with fewer a gain has no standard error, and anything may be named."""
