@@ -66,6 +66,15 @@ def test_inputs_of_judges_are_those_of_the_fit(blocks: tuple[int, ...], judging:
     assert len(split.fitted[0]) + len(split.held_out[0]) == len(list_starts([flight], 1.0)[0])
 
 
+@pytest.mark.filterwarnings("error")
+def test_inputs_that_only_judges_have_are_fitted() -> None:
+    """Where nothing is asked for but in the last third, another judges, and numpy has nothing to warn of."""
+    flight = fly(31.0)
+    command = np.where((flight.command.time - SETTLE) // 3.0 % 3 == 2, 100.0, 0.0)[:, None]
+    split = split_flights([replace(flight, command=replace(flight.command, value=command))], 1.0)
+    np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, 1)
+
+
 def test_the_shortest_flight_of_the_drone_has_windows_that_judge() -> None:
     """5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge."""
     split = split_flights([fly(5.0)], 0.3)

@@ -197,7 +197,7 @@ def reach_beyond(inputs: Series, starts: np.ndarray, window: float, judging: np.
     low, high = np.quantile(value[~judged], percentiles, axis=0)
     lowest, highest = np.quantile(value[judged], percentiles, axis=0)
     further = np.maximum(np.maximum(highest - high, low - lowest), 0.0)
-    return float(np.max(further / np.maximum(high - low, np.finfo(float).tiny)))
+    return float(np.max(further / np.maximum(high - low, np.finfo(float).eps)))
 
 
 def thin_out(spec: TwinSpec, starts: list[np.ndarray], judging: bool = False) -> list[np.ndarray]:
