@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects.rigs import CART_EFFECTS
-from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, find_effect
+from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect, generic_place
 from vpptwin.effects.table import print_catalogue
 
 # Rows of SPEC 5: names of the parameters with their units.
@@ -267,3 +267,12 @@ def test_printed_tables_have_a_row_for_every_parameter(capsys: pytest.CaptureFix
     assert [cell.strip() for cell in lag[2:5]] == ["s", "0.02", "0.001 to 0.2"]
     sources = [row[header.index(" source ")].strip() for row in rows]
     assert sources == [p.source for effect in CATALOGUE for p in effect.parameters]
+
+
+def test_ids_are_apart_whatever_joints_and_actuators_are_called() -> None:
+    """One may be called as all together are; then these have the names of all."""
+    names = ("joints", "knee", "actuators")
+    places = [generic_place(name, True, 1.0, driven=True) for name in names]
+    ids = [e.id for e in effects_for_rig(places, dict.fromkeys(names, 1.0), whole=names, drives=[names])]
+    assert len(ids) == len(set(ids))
+    assert {"joints+knee+actuators.coulomb", "joints+knee+actuators.gain"} < set(ids)

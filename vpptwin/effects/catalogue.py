@@ -183,8 +183,9 @@ def effects_for_rig(
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     called = ["+".join(group) for group in groups] or (list(actuators) if len(actuators) == 1 else [])
     if len(whole) > 1 and whole not in groups:
-        effects += [tolerate_nothing(actuator.attach(e, actuator.WHOLE, members=whole)) for e in GENERIC_WHOLE]
-        called.append(actuator.WHOLE)
+        together = "+".join(whole) if actuator.WHOLE in actuators else actuator.WHOLE
+        effects += [tolerate_nothing(actuator.attach(e, together, members=whole)) for e in GENERIC_WHOLE]
+        called.append(together)
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
         if any(name in group for group in groups):  # whose battery is one
@@ -212,7 +213,7 @@ def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
     if len(places) < 3:
         return []
     names = tuple(place.joint for place in places)
-    called = JOINTS if len(names) == count else "+".join(names)
+    called = JOINTS if len(names) == count and JOINTS not in names else "+".join(names)
     where = "on all joints" if called == JOINTS else f"on joints {', '.join(names)} alike"
     largest = replace(max(places, key=lambda place: place.scale), joint=called, where=where)
     made = [make(largest, tuple(f"{called}.{kind}" for kind in alike)) for make, alike in GENERIC_DRIVES]
