@@ -43,7 +43,7 @@ LONG = (
     "test_cli.py", "twin/test_own_effects.py", "effects/test_catalogue.py", "train/test_training.py",
     "test_own_effects.py", "train/test_ray.py", "test_free_body.py", "test_antx.py", "test_reality_log.py",
     "train/test_resume.py", "test_simple_pendulum.py", "engine/test_cache.py", "twin/test_independent.py",
-    "test_mechanism_sessions.py", "test_other_rigs.py", "test_free_decay.py", "test_five_minutes.py",
+    "test_mechanism_sessions.py", "test_other_rigs.py", "test_free_decay.py",
     "test_tutorials.py", "test_notebooks.py", "viz/test_serve.py", "viz/test_browser.py", "viz/test_live.py",
     "viz/test_frames.py", "test_mechanisms.py", "identification/test_identify.py", "identification/test_free_flight.py",
     "diagnosis/judgement/test_experiment.py", "benchmarks/test_throughput.py", "benchmarks/test_peers.py",

@@ -358,6 +358,7 @@ def test_play_writes_a_page_of_a_twin_from_a_diagnosis(diagnosed: Run, tmp_path:
     assert "twin.yaml" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_demo_shows_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The shipped policy reaches the vertical while that is asked for, and the page is there."""
     demo.show_wall(tmp_path)

@@ -112,6 +112,7 @@ def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return inertia
 
 
+@pytest.mark.slow
 def test_the_page_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,7 @@ def find_strengths(verdict: Verdict) -> dict[str, float]:
     return {cause.effect: next(iter(cause.parameters.values())).value for cause in verdict.causes}
 
 
+@pytest.mark.slow
 def test_a_slight_force_on_a_heavy_carriage_is_named(tmp_path: Path) -> None:
     """3 N on 50 kg are 0.6 % of its weight and 2.4 % of its drive's force: neither tolerance nor cleared."""
     verdict = look_into(slider(Plant(50.0, bias=3.0, drive=125.0), HEAVY), tmp_path).verdict

@@ -119,6 +119,7 @@ def test_train_takes_the_extended_twin(extended: Path, given: str) -> None:
     assert (forces > 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_example_names_the_users_effect(diagnosed: Path) -> None:
     """Cogging is the first cause, sure, within 15 % of the 0.40 N that the flights hide; nothing else is as large."""
     verdict = json.loads((diagnosed / "verdict.json").read_text())
@@ -130,6 +131,7 @@ def test_the_example_names_the_users_effect(diagnosed: Path) -> None:
     assert verdict["after"]["position_rmse_m"][2] < 0.5 * verdict["before"]["position_rmse_m"][2]
 
 
+@pytest.mark.slow
 def test_the_diagnosis_writes_a_twin_that_cogs(diagnosed: Path) -> None:
     """Its twin.yaml names the file, and takes it if the user names it again."""
     assert load_twin(diagnosed / "twin.yaml", [COGGING]).effects["rail_x.cogging"]["force"] == pytest.approx(

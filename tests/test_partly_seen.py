@@ -109,6 +109,7 @@ def load(folder: Path, model: str, signals: str) -> TwinSpec:
     return load_twin(folder / "rig.yaml")
 
 
+@pytest.mark.slow
 def test_a_wheel_is_where_its_velocity_leads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its position is the integral, gaps left out, worth what a bias would make of it; it is told, and drawn."""
     monkeypatch.chdir(tmp_path)

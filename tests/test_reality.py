@@ -112,6 +112,7 @@ def test_inverted_hover_holds() -> None:
     assert np.cos(truth["position"][-1, 2]) > 0.97
 
 
+@pytest.mark.slow
 def test_every_hidden_effect_can_be_flown() -> None:
     """With each effect at the ends of its range the craft keeps off the end stops, the floor and the wall."""
     plans = [

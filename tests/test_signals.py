@@ -128,6 +128,7 @@ def test_effects_that_raise_or_make_no_number_in_flight_end_it(failing: Path, fo
     assert not (failing / "flight.mcap").exists()
 
 
+@pytest.mark.slow
 def test_compiled_code_that_does_not_end_is_not_waited_for(failing: Path) -> None:
     """An effect with a loop that ends everywhere but in flight: Ctrl-C works nevertheless."""
     child = start_flight(failing, 0.73)

@@ -71,7 +71,8 @@ def test_the_search_works_from_disk(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_is_cut_off(site: Path, tmp_path: Path, width: int) -> None:
     """No page is wider than the screen; a table that is wider scrolls by itself."""
     with Browser(tmp_path / "profile", size=(width, 900), dark=True) as browser:

@@ -83,6 +83,7 @@ def test_the_twin_flies_the_flights_of_the_rig(tmp_path: Path) -> None:
     assert np.median(np.abs(there / here - 1.0)) < 0.34
 
 
+@pytest.mark.slow
 def test_flights_become_logs(tmp_path: Path) -> None:
     """A policy's flight and a manoeuvre of the library, flown by the rig, are logs that can be read."""
     policy, task = load_flyer("flip")

@@ -101,6 +101,7 @@ def test_a_changed_model_is_refused(model: Path, tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_exported_controllers_fly_as_the_checkpoint(library: Path, model: Path, tmp_path: Path) -> None:
     """The same flip by checkpoint, C and ONNX: float32 apart, and the flip takes place."""
     logs = {}

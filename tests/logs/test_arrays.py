@@ -130,6 +130,7 @@ def test_version_7_3_is_refused_with_what_to_do(tmp_path: Path) -> None:
         read(tmp_path / "log.mat", "log", "swing")
 
 
+@pytest.mark.slow
 def test_what_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
     """A megabyte that is 1.3 GB of zeros, and not said to be damaged."""
     head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM"

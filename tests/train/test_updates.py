@@ -232,6 +232,7 @@ def test_a_learning_rate_that_explodes_ends_a_run(
     assert not (tmp_path / FILE_NAME).exists()
 
 
+@pytest.mark.slow
 def test_exploration_may_be_learned(tmp_path: Path) -> None:
     """With the paper's preset its width is a weight for each output, from where the schedule starts."""
     out = run_train([*EXAMINED, "preset=paper", f"out={tmp_path}", "total_steps=512", "exam_every=0", "lipschitz=null"])
