@@ -48,8 +48,8 @@ others; `python benchmarks/criteria.py --page > docs/criteria.md` generates this
 diagnosis was designed on (`DIAGNOSIS.md`, not shipped); *calibrated*, with the sessions; *by hand*, with the commits
 that set the values. Most are by hand: they were changed while sessions with hidden effects were looked at, and which
 ones was not written down (those of seed 8001 among them). None is derived from theory; where a textbook value exists
-it stands beside. Seed 8001 is development: its [rates](benchmarks.md#results-on-development-sessions) are no test of
-them; `python benchmarks/hidden_effects.py --nightly` is, on sessions that nobody has looked at.
+it stands beside. Seed 8001 is development, no test of them; [a fresh seed](benchmarks.md#a-fresh-seed) is one, and
+`python benchmarks/hidden_effects.py --nightly`, on sessions that nobody has looked at.
 
 **What halving and doubling does**: how many verdicts change (a cause, its rivals, what is claimed with more than 0.9,
 or whether something is left unexplained), and the measures that move with them: *detected*, all hidden effects named;
