@@ -26,7 +26,7 @@ from vpptwin.effects import (
     generic_place,
     sensing,
 )
-from vpptwin.effects.actuator import WHOLE, list_loop_effects
+from vpptwin.effects.actuator import list_loop_effects
 from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.joint import JOINT_SHOWS
@@ -332,7 +332,10 @@ class Robot:
         # A joint that is late beside others is not what drives them.
         late = [e.id for e in effects if "pose.delay" in e.writes and e.target not in self.signals.joints]
         whole = ["+".join(group) for group in group_rotors(self.model)] or [*self.signals.actuators]
-        whole += [WHOLE] if f"{WHOLE}.gain" in ids else []
+        every = set(self.signals.actuators)
+        whole += [
+            e.id.removesuffix(".gain") for e in effects if e.id.endswith(".gain") and set(e.members) == every != set()
+        ]
         tied = tie_alike(effects, late, [f"{name}.{kind}" for name in whole for kind in ("delay", "lag")
                                          if f"{name}.{kind}" in ids and late])  # fmt: skip
         for body in self.signals.bodies:
