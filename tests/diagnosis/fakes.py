@@ -9,7 +9,7 @@ import numpy as np
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench, Key
 from vpptwin.diagnosis.search.fits import Fit
-from vpptwin.diagnosis.search.frame import Frame, Linearisation
+from vpptwin.diagnosis.search.frame import Frame, Linearisation, Rows
 
 
 class Starts(SimpleNamespace):
@@ -34,7 +34,7 @@ def linear(
     frame = Frame(np.ones(len(residual)), scale, np.zeros(len(residual)))
     likelihood = SimpleNamespace(whiten=lambda raw: raw)
     return Linearisation(
-        frame, likelihood, at, columns[:, None], residual[None], None, tried[:, None], columns, residual,
+        frame, likelihood, at, Rows(columns[:, None]), residual[None], None, tried[:, None], Rows(columns), residual,
         columns @ columns.T,
     )  # type: ignore[arg-type]  # fmt: skip
 

@@ -606,17 +606,22 @@ def test_a_suspect_that_does_not_last_is_taken_in_once() -> None:
     assert found.left_out == frozenset()
 
 
-def test_a_cause_that_fades_beside_a_later_one_goes() -> None:
-    """Clear of nothing when it was taken in, a standard error of it in the end."""
+@pytest.mark.parametrize(("search", "size", "doubt"), [(OTHER_RIG, 1.0, 0.9), (SEARCH, 1e-6, 0.1)])
+def test_a_cause_that_fades_beside_a_later_one_goes(search: SimpleNamespace, size: float, doubt: float) -> None:
+    """Clear of nothing when it was taken in; a standard error of it, or within its tolerance, in the end."""
 
     class Fading(Script):
+        def __init__(self, drops: dict[str, float]) -> None:
+            super().__init__(drops, set(drops))
+            self.bench = search.bench
+
         def of(self, effects: frozenset[str]) -> Fit:
             found = super().of(effects)
-            doubt = {key: 0.9 if key[0] == "a.bias" and len(effects) > 1 else 0.1 for key in found.values}
-            return replace(found, std=doubt)
+            fades = [key for key in found.values if key[0] == "a.bias" and len(effects) > 1]
+            values, std = dict(found.values), dict.fromkeys(found.values, 0.1)
+            return replace(found, values=values | dict.fromkeys(fades, size), std=std | dict.fromkeys(fades, doubt))
 
-    drops = {"a.bias": 900.0, "b.coulomb": 500.0}
-    assert select_from(Fading(drops, set(drops)), StrictJudges()).fit.effects == {"b.coulomb"}
+    assert select_from(Fading({"a.bias": 900.0, "b.coulomb": 500.0}), StrictJudges()).fit.effects == {"b.coulomb"}
 
 
 @pytest.mark.parametrize(("doubt", "named"), [(0.1, "a.bias"), (0.9, "a.coulomb")])

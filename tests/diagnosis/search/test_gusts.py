@@ -268,10 +268,10 @@ def test_gusts_stay_within_what_can_be() -> None:
     np.testing.assert_allclose(tune_gust(bench, response, storm), most, rtol=1e-6)
 
 
-def test_a_twin_that_runs_away_has_a_factor() -> None:
+def test_a_twin_that_runs_away_is_whitened() -> None:
     """Starting states that move it by 1e9 times the noise, all alike: their covariance is none to rounding."""
     state = 1e9 * np.random.default_rng(0).standard_normal((3, 20, 1)) * np.ones(2)
     wild = Response(state, np.ones(2), np.ones((3, 20, 1)), np.ones((3, 20)), 57, np.ones(1))
-    assert np.isfinite(wild.sensor_factor).all()
+    assert np.isfinite(wild.sensors.apply(np.ones((3, 20)))).all()
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(np.einsum("kmi,kni->kmn", state, state) + np.eye(20))

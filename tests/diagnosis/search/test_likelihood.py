@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +18,10 @@ from vpptwin.diagnosis.search import motion
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
+    Whitening,
     couple_gusts,
     gust_std,
     measure_response,
-    whiten_with,
 )
 from vpptwin.diagnosis.search.motion import choose_track, follow_motion, shift_track
 from vpptwin.estimation.measurements import Measurements, Series
@@ -64,11 +65,11 @@ def likelihood(bench: Bench, response: Response) -> Likelihood:
     return couple_gusts(bench, response, np.ones(1))
 
 
-def covariance_of(likelihood: Likelihood) -> np.ndarray:
-    """S of every window, (K, M, M): what whitening undoes."""
-    size = likelihood.response.basis.shape[1]
+def covariance_of(whiten: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The covariance of every window, (K, M, M), that whitening undoes."""
+    size = 2 * BINS
     whole = np.broadcast_to(np.eye(size)[:, None], (size, COUNT, size))
-    root = np.linalg.inv(np.moveaxis(likelihood.whiten(whole.copy()), 0, -1))
+    root = np.linalg.inv(np.moveaxis(whiten(whole.copy()), 0, -1))
     return root @ np.swapaxes(root, 1, 2)
 
 
@@ -99,7 +100,7 @@ def test_covariance_is_that_of_a_free_cart(bench: Bench, response: Response, gus
     """Every window's S is what Newton says, to what the twin's steps of 2 ms leave: parts in a thousand."""
     expected = write_covariance(gust)
     scale = np.sqrt(np.diag(expected))
-    found = covariance_of(couple_gusts(bench, response, np.array([gust])))
+    found = covariance_of(couple_gusts(bench, response, np.array([gust])).whiten)
     assert found.shape == (COUNT, 2 * BINS, 2 * BINS)
     np.testing.assert_allclose(found / np.outer(scale, scale), [expected / np.outer(scale, scale)] * COUNT, atol=2e-3)
 
@@ -112,15 +113,16 @@ def test_response_holds_the_terms_of_the_covariance(bench: Bench, response: Resp
     state = response.state * response.state_std
     written = np.stack([np.diag(std**2) for std in bench.std])
     written += state @ np.swapaxes(state, 1, 2)
-    np.testing.assert_allclose(response.sensor_factor @ np.swapaxes(response.sensor_factor, 1, 2), written, atol=1e-12)
+    np.testing.assert_allclose(covariance_of(response.sensors.apply), written, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(response.sensors.logdet, np.linalg.slogdet(written)[1], rtol=1e-9)
     written += response.push @ ALIKE @ np.swapaxes(response.push, 1, 2)
-    np.testing.assert_allclose(covariance_of(likelihood), written, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(covariance_of(likelihood.whiten), written, rtol=1e-7, atol=1e-12)
 
 
 def test_determinant_is_that_of_the_covariance(bench: Bench, response: Response) -> None:
     """Without what couples windows each has the log determinant of its own S."""
     found = couple_gusts(bench, response, np.array([3.0]))
-    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(covariance_of(found))[1], rtol=1e-9)
+    np.testing.assert_allclose(found.logdet, np.linalg.slogdet(covariance_of(found.whiten))[1], rtol=1e-9)
     np.testing.assert_allclose(found.logdet, np.linalg.slogdet(write_covariance(3.0))[1], atol=0.05)
 
 
@@ -186,12 +188,12 @@ def test_coulomb_friction_slows_the_cart_as_newton_says(bench: Bench) -> None:
     np.testing.assert_allclose(velocity[0, :, -1, 0], SPEED - 0.1, atol=1e-3)
 
 
-def test_whitening_solves_each_window() -> None:
-    """By hand: [[2, 0], [1, 1]] y = (4, 5) gives y = (2, 3); the other window is scaled by 10."""
-    factor = np.array([[[2.0, 0.0], [1.0, 1.0]], [[10.0, 0.0], [0.0, 10.0]]])
-    white = whiten_with(factor, np.array([[4.0, 5.0], [4.0, 5.0]]))
-    np.testing.assert_allclose(white, [[2.0, 3.0], [0.4, 0.5]])
-    np.testing.assert_allclose(whiten_with(factor, np.ones((3, 2, 2))), [[[0.5, 0.5], [0.1, 0.1]]] * 3)
+def test_whitening_by_hand() -> None:
+    """R = 4 I and A = (0, 2 √3)ᵀ: variances of 4 and 16; in the other window A = 0."""
+    whitening = Whitening.of(np.full((2, 2), 2.0), np.array([[[0.0], [2.0 * 3.0**0.5]], [[0.0], [0.0]]]))
+    np.testing.assert_allclose(whitening.apply(np.array([[4.0, 6.0], [4.0, 6.0]])), [[2.0, 1.5], [2.0, 3.0]])
+    np.testing.assert_allclose(whitening.apply(np.ones((3, 2, 2))), [[[0.5, 0.25], [0.5, 0.5]]] * 3)
+    np.testing.assert_allclose(np.exp(whitening.logdet), [64.0, 16.0])
 
 
 def test_the_model_beside_the_twin_is_found(tmp_path: Path) -> None:

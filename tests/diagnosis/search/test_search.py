@@ -14,7 +14,7 @@ from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
-from vpptwin.diagnosis.search.frame import weigh_windows
+from vpptwin.diagnosis.search.frame import Rows, weigh_windows
 from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.diagnosis.search.shortlist import Start, rank_trials
 from vpptwin.diagnosis.search.solution import solve_bounded, solve_hypothesis
@@ -274,3 +274,18 @@ def test_bounded_minima_do_without_divide_and_conquer(monkeypatch: pytest.Monkey
     found = solve_bounded(matrix.T @ matrix, target, bounds)
     np.testing.assert_allclose(found, usual, atol=1e-5)
     assert np.all((found >= bounds[0]) & (found <= bounds[1]))
+
+
+def test_rows_in_common_count_as_a_whole_matrix() -> None:
+    """Rows of which two are its own, by every operation, against the matrix written out; the others are not copied."""
+    rng = np.random.default_rng(3)
+    common, new, vectors, weights = (rng.standard_normal(shape) for shape in [(5, 4), (2, 4), (4, 3), (5,)])
+    rows, whole = Rows(common).change([3, 1], new), common.copy()
+    whole[[3, 1]] = new
+    np.testing.assert_allclose(rows.weigh(weights), weights @ whole)
+    np.testing.assert_allclose(rows @ vectors, whole @ vectors)
+    np.testing.assert_allclose(rows.multiply(), whole @ whole.T)
+    np.testing.assert_array_equal(rows.take([0, 1]), whole[:2])
+    doubled = rows.map(lambda part: 2.0 * part)
+    np.testing.assert_array_equal(doubled.each(np.negative), -2.0 * whole)
+    assert rows.common is common

@@ -69,7 +69,7 @@ def search_minimum(fit: Linearisation, freed: set[str], scale: float, frozen: bo
             bounds[-1] = (at, at)
 
     def cost(value: np.ndarray) -> float:
-        left = fit.residual - (value - fit.at) @ fit.columns
+        left = fit.residual - (value - fit.at) @ fit.columns.common
         return left @ left / scale + (((value - NOMINAL) / tolerance)[~free] ** 2).sum()
 
     def held(value: np.ndarray) -> float:
@@ -138,7 +138,7 @@ def test_frozen_parameters_stay_and_know_nothing() -> None:
     solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb"}), frozen=True)
     assert solution.deviation[0] == 0.0
     np.testing.assert_array_equal(solution.covariance[0], 0.0)
-    known = linear(fit.at[1:], fit.columns[1:], fit.residual)
+    known = linear(fit.at[1:], fit.columns.common[1:], fit.residual)
     beside = solve_hypothesis(known, UNKNOWNS[1:], frozenset())
     np.testing.assert_allclose(solution.deviation[1:], beside.deviation, atol=1e-12)
     np.testing.assert_allclose(solution.covariance[1:, 1:], beside.covariance, atol=1e-12)
@@ -152,7 +152,7 @@ def test_covariance_is_that_of_repeated_experiments() -> None:
     rng = np.random.default_rng(10)
     values = []
     for _ in range(400):
-        noisy = linear(clean.at, clean.columns, clean.residual + rng.standard_normal(MEASURED))
+        noisy = linear(clean.at, clean.columns.common, clean.residual + rng.standard_normal(MEASURED))
         solution = solve_hypothesis(noisy, UNKNOWNS, frozenset({"a.coulomb"}))
         values.append(noisy.at[0] + solution.deviation[0])
     # The held parameters sit at their nominal value in truth, so the fit scatters a little less than they allow for.
@@ -183,11 +183,11 @@ def test_evidence_is_the_integral_over_the_range() -> None:
     With R the range: ∫ exp(-cost(x)/2) N(x; fit, R²) dx for one freed parameter, all others known.
     """
     fit = draw_problem([0.8, 0.5, 0.0, 0.0, 0.3], seed=6)
-    one = linear(fit.at[:1], fit.columns[:1], fit.residual)
+    one = linear(fit.at[:1], fit.columns.common[:1], fit.residual)
     solution = solve_hypothesis(one, UNKNOWNS[:1], frozenset({"a.coulomb"}))
     best = one.at[0] + solution.deviation[0]
     value = best + np.linspace(-0.9, 0.9, 20001)
-    cost = ((one.residual - (value - one.at[0])[:, None] * one.columns[0]) ** 2).sum(axis=1)
+    cost = ((one.residual - (value - one.at[0])[:, None] * one.columns.common[0]) ** 2).sum(axis=1)
     likelihood = np.exp(-0.5 * (cost - solution.cost)) / (0.9 * np.sqrt(2.0 * np.pi))
     integral = np.trapezoid(likelihood * np.exp(-0.5 * ((value - best) / 0.9) ** 2), value)
     found = price_of_freedom(solution, UNKNOWNS[:1], frozenset({"a.coulomb"}))

@@ -202,17 +202,25 @@ class Bench:
         for seen in moving:
             shift = [None if a is None else a.tobytes() for a in (seen.pose, seen.velocity)]
             place.append((where, frozenset(seen.values.items()), *shift, seen.push))
+        alike: dict[Hashable, list[int]] = {}
+        for i, key in enumerate(place):
+            alike.setdefault(key, []).append(i)
+        found = np.empty((len(variations), *self.measured.shape))
         # A fit looks at a point before it asks for derivatives there.
-        motions = {key: self._motions[key][1] for key in place if key in self._motions}
-        new = {key: seen for key, seen in zip(place, moving) if key not in motions}
-        if new:
-            found = self.simulate(list(new.values()), sensors_of, active)
-            motions |= {key: pick(found, i) for i, key in enumerate(new)}
+        for key in alike.keys() & self._motions.keys():
+            for i in alike[key]:
+                found[i] = self._observe(variations[i], self._motions[key][1])
+        new, most = [key for key in alike if key not in self._motions], max(ROWS // len(self.windows), 1)
+        for some in (new[begin : begin + most] for begin in range(0, len(new), most)):
+            motions = self.simulate([moving[alike[key][0]] for key in some], sensors_of, active)
+            for run, key in enumerate(some):
+                for i in alike[key]:
+                    found[i] = self._observe(variations[i], pick(motions, run))
         if len(variations) == 1 and new:
-            self._motions[place[0]] = self.track, motions[place[0]]
+            self._motions[new[0]] = self.track, pick(motions, 0)
             if len(self._motions) > MOTIONS:
                 del self._motions[next(iter(self._motions))]
-        return np.stack([self._observe(v, motions[key]) for v, key in zip(variations, place)])
+        return found
 
     def without_sensors(self, variation: Variation) -> Variation:
         """The variation without what changes sensors only, which moves nothing."""

@@ -22,7 +22,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.bench import Bench, Key, MakeTwin
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Rival, Unseen, Verdict
-from vpptwin.diagnosis.search.likelihood import apply, invert_factors, measure_response
+from vpptwin.diagnosis.search.likelihood import measure_response
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.measurements import Measurements
@@ -219,11 +219,11 @@ class Judge:
 
     def look(self, values: Mapping[Key, float]) -> Look:
         """What tells how far off blows are, starting states doing what they do with `values`."""
-        whitening = invert_factors(measure_response(self.bench, values).factor(self._pose))
+        whitening = measure_response(self.bench, values).whiten_some(self._pose)
 
         def look(values: Mapping[Key, float]) -> np.ndarray:
             missed = self.bench.residual(values)[:, self._pose]
-            return np.asarray(np.log1p((apply(whitening, missed) ** 2).sum(axis=1) / self._freedom))
+            return np.asarray(np.log1p((whitening.apply(missed) ** 2).sum(axis=1) / self._freedom))
 
         return look
 

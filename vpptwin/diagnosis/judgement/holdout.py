@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
@@ -14,17 +15,15 @@ from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart, to_deviations
 from vpptwin.diagnosis.search.fits import Fit, check_frames
-from vpptwin.diagnosis.search.likelihood import (
-    Likelihood,
-    Response,
-    couple_gusts,
-    measure_response,
-    whiten_with,
-)
+from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, measure_response
 from vpptwin.diagnosis.search.motion import follow_motion, shift_track
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
+Values = frozenset[tuple[Key, float]]
+Found = TypeVar("Found")
+RESPONSES = 8
+"""Responses that are kept, those asked for last: each has tens of megabytes."""
 LEAST = 0.01
 """Least excess chi² of which there are shares."""
 
@@ -60,11 +59,12 @@ class HeldOut:
 
     def __init__(self, short: Bench, long: Bench) -> None:
         self.short, self.long, self.criteria = short, long, short.criteria
-        self._responses: dict[frozenset[tuple[Key, float]], Response] = {}
-        self._missed: dict[frozenset[tuple[Key, float]], tuple[np.ndarray, Track | None]] = {}
-        self._errors: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+        self._responses: dict[Values, Response] = {}
+        self._misfits: dict[Values, tuple[np.ndarray, np.ndarray]] = {}
+        self._missed: dict[Values, tuple[np.ndarray, Track | None]] = {}
+        self._errors: dict[Values, dict[str, np.ndarray]] = {}
         self._plain = short.about(None)
-        self._tracks: dict[frozenset[tuple[Key, float]], tuple[Response, np.ndarray, Track]] = {}
+        self._tracks: dict[Values, tuple[Response, np.ndarray, Track]] = {}
 
     @property
     def count(self) -> int:
@@ -74,9 +74,8 @@ class HeldOut:
     def response(self, values: Mapping[Key, float]) -> Response:
         """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
         key = frozenset(values.items())
-        if key not in self._responses:
-            self._responses[key] = measure_response(self.short, values)
-        return self._responses[key]
+        found = self._responses.pop(key, None) or measure_response(self.short, values)
+        return keep(self._responses, key, found)
 
     def likelihood(self, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
         """How improbable residuals of a twin with `values` are, gusts `gust` times as strong as assumed, (nv,)."""
@@ -106,11 +105,12 @@ class HeldOut:
     def follow(self, fit: Fit) -> tuple[Response, np.ndarray, Track]:
         """Response and residual of a fit's twin about the motion that is likeliest with it, and that."""
         key = frozenset(fit.likeliest.items())
-        if key not in self._tracks:
+        found = self._tracks.pop(key, None)
+        if found is None:
             track = follow_motion(self.short, fit.likeliest, fit.likelihood.gust)
             bench = self.short.about(track)
-            self._tracks[key] = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest), track
-        return self._tracks[key]
+            found = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest), track
+        return keep(self._tracks, key, found)
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise from one fit to another and its standard error.
@@ -249,14 +249,19 @@ class HeldOut:
 
     def chi2_by_window(self, values: Mapping[Key, float]) -> tuple[np.ndarray, np.ndarray]:
         """Squared pose residual over sensor variance and its degrees of freedom in every short window, (K,) each."""
-        pose, free = self.short.of_poses, self.short.windows.free_dofs
-        valid = self.short.valid[:, pose]
-        residual, found = self._plain.residual(values)[:, pose], []
-        # What sticks leaves a wrong starting state no way out; a real slider yields.
-        for response in (self.response(self.short.loosen(values)), self.response(values)):
-            found.append((whiten_with(response.factor(pose), residual) ** 2).sum(axis=1))
-        squares = min(found, key=lambda square: float(square.sum()))
-        return squares, valid.sum(axis=1) - 2 * free
+        key = frozenset(values.items())
+        if key not in self._misfits:
+            pose, residual = self.short.of_poses, self._plain.residual(values)
+            # What sticks leaves a wrong starting state no way out; a real slider yields.
+            twins = {frozenset(twin.items()): twin for twin in (self.short.loosen(values), values)}
+            starts = [
+                self._responses.get(name) or measure_response(self.short, twin, pushed=False)
+                for name, twin in twins.items()
+            ]
+            found = [(start.whiten_some(pose).apply(residual[:, pose]) ** 2).sum(axis=1) for start in starts]
+            free = self.short.valid[:, pose].sum(axis=1) - 2 * self.short.windows.free_dofs
+            self._misfits[key] = min(found, key=lambda square: float(square.sum())), free
+        return self._misfits[key]
 
     def score(self, values: Mapping[Key, float]) -> Score:
         """Errors over the horizon from causally estimated states, and chi2."""
@@ -337,6 +342,14 @@ class HeldOut:
         share = (drawn[:, 0] - drawn[:, 1]) / excess
         low, high = np.quantile(share[1:], [0.05, 0.95])
         return float(share[0]), (float(low), float(high))
+
+
+def keep(known: dict[Values, Found], name: Values, found: Found) -> Found:
+    """What was found, put behind all that is known of its kind, of which `RESPONSES` stay."""
+    known[name] = found
+    if len(known) > RESPONSES:
+        del known[next(iter(known))]
+    return found
 
 
 def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:

@@ -62,13 +62,12 @@ def weigh_limit(search: Search, fit: Fit, limit: Unknown) -> Cleared | Unseen:
     base = solve_hypothesis(about, search.unknowns, fit.effects)
     scale = about.frame.scale
     best = 0.0
-    for trial, column in zip(search.trials, about.tried):
-        if trial.effect != limit.effect.id:
-            continue
+    own = [i for i, trial in enumerate(search.trials) if trial.effect == limit.effect.id]
+    for i, column in zip(own, about.whiten_trials(own)):
         cross = about.columns @ column
         square = float(column @ column) / scale - float(cross @ base.covariance @ cross) / scale**2
         if square > search.criteria.seen**2:
-            best = max(best, trial.values[limit.key])
+            best = max(best, search.trials[i].values[limit.key])
     if best == 0.0:
         return Unseen(limit.effect.id, "nothing these flights did comes near a limit")
     return Cleared(limit.effect.id, parameter.name, best, parameter.high, parameter.unit)

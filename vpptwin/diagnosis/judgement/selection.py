@@ -162,8 +162,8 @@ class Choosing:
         return True
 
     def drop_faint(self) -> bool:
-        """Leave out causes that came near nothing beside the others, where errors have the last word."""
-        faint = {e for e in self.fit.effects if trusts_errors(self.search) and is_faint(self.search, self.fit, e)}
+        """Leave out causes that came near nothing beside the others."""
+        faint = {e for e in self.fit.effects if is_faint(self.search, self.fit, e)}
         for effect in self.fit.effects - faint:
             self.near[effect] |= faint
         for effect in sorted(faint):

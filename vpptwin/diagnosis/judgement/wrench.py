@@ -9,7 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
-from vpptwin.diagnosis.search.likelihood import Response, apply, gust_std
+from vpptwin.diagnosis.search.likelihood import Response, gust_std
 from vpptwin.effects import Effect
 from vpptwin.twin.manifold import FREE, chart
 
@@ -35,8 +35,8 @@ class WrenchPlot:
 
 def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np.ndarray:
     """Force pulses that explain the residuals (K, M) of a twin that responds so, (K, segments, nv) N, N m."""
-    white = apply(response.sensor_inverse, residual)
-    columns = apply(response.sensor_inverse, np.moveaxis(response.push, 2, 0))
+    white = response.sensors.apply(residual)
+    columns = response.sensors.apply(np.moveaxis(response.push, 2, 0))
     gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / bench.criteria.missing_force**2
     share = np.linalg.solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
     return share.reshape(len(residual), bench.segments, -1) * gust_std(bench)

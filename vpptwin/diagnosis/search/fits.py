@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
-from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, weigh_windows, whiten
+from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, Rows, weigh_windows, whiten
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, find_storms, tune_gust
 from vpptwin.diagnosis.search.motion import choose_track
 from vpptwin.diagnosis.search.responses import Regime, Responses
@@ -207,7 +207,7 @@ class Fitter:
         response = self.responses.find(sticking, floored.floor, values)
         likelihood = self._tune(about, effects, response)
         about = about.under(likelihood, floored)
-        residual = about.residual - self._tolerate(about, effects).deviation @ about.columns
+        residual = about.residual - about.columns.weigh(self._tolerate(about, effects).deviation)
         residuals = residual.reshape(len(self.bench.windows), -1)
         weight = weigh_windows(residuals, self.bench.valid, self.criteria.usual_misfit)
         scale = max(1.0, float(((residual * weight) ** 2).sum()) / response.freedom)
@@ -226,7 +226,7 @@ class Fitter:
     def _tune(self, about: Linearisation, effects: frozenset[str], response: Response) -> Likelihood:
         """The likelihood of a response under gusts as strong as the residual of a linearisation tells."""
         deviation = self._tolerate(about, effects).deviation
-        left = response.restore(about.missed, about.track) - np.einsum("p,pkm->km", deviation, about.slopes)
+        left = response.restore(about.missed, about.track) - about.slopes.weigh(deviation)
         gust = tune_gust(self.bench, response, left, about.frame.scale)
         storm = find_storms(self.bench, response, left, gust, about.frame.scale) if self.bench.guessed else None
         return couple_gusts(self.bench, response, gust, storm)
@@ -237,7 +237,7 @@ class Fitter:
 
     def cost_by_window(self, fit: Fit) -> np.ndarray:
         """What every window costs of a fit, (K,), what tolerances and freedom cost left out."""
-        residual = fit.about.residual - self._tolerate(fit.about, fit.effects).deviation @ fit.about.columns
+        residual = fit.about.residual - fit.about.columns.weigh(self._tolerate(fit.about, fit.effects).deviation)
         square = (residual.reshape(len(self.bench.windows), -1) ** 2).sum(axis=1)
         return np.asarray(square / fit.frame.scale + fit.likelihood.logdet)
 
@@ -277,13 +277,13 @@ class Fitter:
         if effects == known.turned and np.array_equal(known.at, self._place(values)):
             return known
         at, slopes, missed, track, _ = self._differentiate(values, wanted, (), self._retrack(values, known))
-        return replace(known.move(at, wanted, slopes, missed, track), turned=effects)
+        return replace(known.move(at, wanted, slopes.common, missed, track), turned=effects)
 
     def _look(self, values: Mapping[Key, float], known: Linearisation) -> Linearisation:
         """About a twin with `values`, all derivatives as in `known`."""
         track = self._retrack(values, known)
         missed = self.bench.about(track).residual(values)
-        return replace(known.move(self._place(values), [], known.slopes[:0], missed, track), turned=None)
+        return replace(known.move(self._place(values), [], known.slopes.common[:0], missed, track), turned=None)
 
     def _retrack(self, values: Mapping[Key, float], known: Linearisation) -> Track | None:
         """The track that is likeliest with a twin with `values`, to first order, if tracks are followed.
@@ -322,4 +322,4 @@ class Fitter:
         variations += [Variation({**values, **({} if t.effect in on else t.values)}) for t in trials]
         predicted = self.bench.about(track).predict(variations, values)
         missed, changed = self.bench.miss(predicted[0]), self.bench.bound(predicted[1:] - predicted[0])
-        return at, changed[: len(wanted)] / steps[:, None, None], missed, track, changed[len(wanted) :]
+        return at, Rows(changed[: len(wanted)] / steps[:, None, None]), missed, track, changed[len(wanted) :]

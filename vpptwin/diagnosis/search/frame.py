@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +40,50 @@ class Frame:
         return self.whiten(likelihood.response.restore(raw, track), likelihood)
 
 
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A row for every unknown, (P, ...): those `own`, and for the others what many have in `common`, (P, ...)."""
+
+    common: np.ndarray
+    own: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+    def change(self, wanted: Sequence[int], rows: np.ndarray) -> Rows:
+        """The same with other rows (n, ...) in `wanted` places."""
+        return Rows(self.common, {**self.own, **dict(zip(wanted, rows))})
+
+    def take(self, wanted: Sequence[int]) -> np.ndarray:
+        """Some of them, (n, ...)."""
+        return np.stack([self.own.get(i, self.common[i]) for i in wanted])
+
+    def map(self, function: Callable[[np.ndarray], np.ndarray]) -> Rows:
+        """What a function makes of rows (n, ...), row by row."""
+        return Rows(function(self.common), {i: function(row[None])[0] for i, row in self.own.items()})
+
+    def each(self, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """The same in one array, (P, ...)."""
+        found = self.map(function)
+        for i, row in found.own.items():
+            found.common[i] = row
+        return found.common
+
+    def __matmul__(self, other: np.ndarray) -> np.ndarray:
+        """Their products with a vector (n,) or a matrix (n, m), where they are vectors, (P,) or (P, m)."""
+        return self.each(lambda part: part @ other)
+
+    def weigh(self, weights: np.ndarray) -> np.ndarray:
+        """Their sum, each times its weight, (P,)."""
+        shared = weights.copy()
+        shared[list(self.own)] = 0.0
+        return sum((weights[i] * row for i, row in self.own.items()), start=np.tensordot(shared, self.common, 1))
+
+    def multiply(self) -> np.ndarray:
+        """Inner products of rows that are vectors, (P, P)."""
+        found = self.common @ self.common.T
+        for i, row in self.own.items():
+            found[i] = found[:, i] = self @ row
+        return found
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """Residual and its derivative by every unknown, about a twin with the parameters `at`, whitened in a frame.
@@ -60,19 +105,18 @@ class Linearisation:
     frame: Frame
     likelihood: Likelihood
     at: np.ndarray
-    slopes: np.ndarray
+    slopes: Rows
     missed: np.ndarray
     track: Track | None
     trials: np.ndarray
-    columns: np.ndarray
+    columns: Rows
     residual: np.ndarray
     gram: np.ndarray
     turned: frozenset[str] | None = None
 
-    @cached_property
-    def tried(self) -> np.ndarray:
-        """Whitened change of the prediction by every trial, (T, K M): few linearisations are asked for it."""
-        return self.frame.whiten(self.trials, self.likelihood)
+    def whiten_trials(self, wanted: slice | Sequence[int] = slice(None)) -> np.ndarray:
+        """Whitened change of the prediction by trials, all or some, (T, K M); not kept, as it is large."""
+        return self.frame.whiten(self.trials[wanted], self.likelihood)
 
     @cached_property
     def slope(self) -> np.ndarray:
@@ -92,27 +136,27 @@ class Linearisation:
         there = replace(self, at=at, missed=missed, track=track, residual=residual)
         if not wanted:
             return there
-        moved, columns, gram = self.slopes.copy(), self.columns.copy(), self.gram.copy()
-        moved[wanted], columns[wanted] = slopes, self.frame.whiten(slopes, self.likelihood)
-        gram[wanted] = columns[wanted] @ columns.T
-        gram[:, wanted] = gram[wanted].T
-        return replace(there, slopes=moved, columns=columns, gram=gram)
+        white, gram = self.frame.whiten(slopes, self.likelihood), self.gram.copy()
+        columns = self.columns.change(wanted, white)
+        gram[:, wanted] = columns @ white.T
+        gram[wanted] = gram[:, wanted].T
+        return replace(there, slopes=self.slopes.change(wanted, slopes), columns=columns, gram=gram)
 
     def foretell(self, at: np.ndarray) -> np.ndarray:
         """What a twin with the parameters `at` and no track would miss by this linearisation, (K, M)."""
-        return self.likelihood.response.restore(self.missed, self.track) - np.tensordot(at - self.at, self.slopes, 1)
+        return self.likelihood.response.restore(self.missed, self.track) - self.slopes.weigh(at - self.at)
 
 
-Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray, Track | None, np.ndarray]
+Derivatives = tuple[np.ndarray, Rows, np.ndarray, Track | None, np.ndarray]
 """`at`, `slopes`, `missed`, `track` and `trials` of a linearisation: what no frame changes."""
 
 
 def whiten(derivatives: Derivatives, likelihood: Likelihood, frame: Frame) -> Linearisation:
     """A linearisation from its derivatives."""
     at, slopes, missed, track, trials = derivatives
-    columns = frame.whiten(slopes, likelihood)
+    columns = slopes.map(lambda part: frame.whiten(part, likelihood))
     residual = frame.whiten_missed(missed[None], track, likelihood)[0]
-    return Linearisation(frame, likelihood, at, slopes, missed, track, trials, columns, residual, columns @ columns.T)
+    return Linearisation(frame, likelihood, at, slopes, missed, track, trials, columns, residual, columns.multiply())
 
 
 def weigh_windows(residual: np.ndarray, valid: np.ndarray, times: float) -> np.ndarray:

@@ -24,10 +24,40 @@ MOST_COUPLED = 432
 """Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STORMS = np.geomspace(1.0, 1e4, 81)
 """By which gusts' variance may be larger in a window."""
-ROUNDING = 1e-12
-"""Share of the largest variance that is added to all where a covariance is not positive definite to rounding."""
 STEP_POSE = {False: 0.002, True: 0.005}
 STEP_VELOCITY = {False: 0.01, True: 0.05}
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """What makes K windows' noise of covariance R + A Aᵀ, R diagonal, independent with variance 1.
+
+    In units of R's standard deviation that is I + U s² Uᵀ, whose inverse root is I + U (1 / √(1 + s²) - 1) Uᵀ: with as
+    few columns as A has, it takes no matrix (M, M).
+
+    Attributes:
+        std: root of R, (K, M).
+        ways: U, orthonormal columns, (K, M, n).
+        shrink: 1 / √(1 + s²) - 1, (K, n).
+        logdet: logarithm of the determinant of the covariance, (K,).
+    """
+
+    std: np.ndarray
+    ways: np.ndarray
+    shrink: np.ndarray
+    logdet: np.ndarray
+
+    @classmethod
+    def of(cls, std: np.ndarray, spread: np.ndarray) -> Whitening:
+        """For R of standard deviation `std`, (K, M), and A `spread`, (K, M, n)."""
+        ways, size, _ = np.linalg.svd(spread / std[..., None], full_matrices=False)
+        logdet = np.log1p(size**2).sum(axis=1) + 2.0 * np.log(std).sum(axis=1)
+        return cls(std, ways, 1.0 / np.hypot(1.0, size) - 1.0, logdet)
+
+    def apply(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors (..., K, M) whitened."""
+        white = vectors / self.std
+        return white + apply(self.ways, self.shrink * apply(np.swapaxes(self.ways, 1, 2), white))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,30 +83,17 @@ class Response:
     sticking: frozenset[str] = frozenset()
 
     @cached_property
-    def sensor_factor(self) -> np.ndarray:
-        """Lower Cholesky factors of R + J_x P J_xᵀ, (K, M, M)."""
-        return self.factor(slice(None))
+    def sensors(self) -> Whitening:
+        """What whitens sensors' noise and starting states, R + J_x P J_xᵀ."""
+        return self.whiten_some(slice(None))
 
-    def factor(self, columns: np.ndarray | slice) -> np.ndarray:
-        """The same of some of what is measured, (M,) bool or a slice of it."""
-        scaled = self.state[:, columns] * self.state_std
-        sensor = np.einsum("kmi,kni->kmn", scaled, scaled)
-        diagonal = np.arange(sensor.shape[1])
-        sensor[:, diagonal, diagonal] += self.std[:, columns] ** 2
-        try:
-            return np.linalg.cholesky(sensor)
-        except np.linalg.LinAlgError:  # a twin that runs away leaves nothing of the noise beside its own rounding
-            sensor[:, diagonal, diagonal] += ROUNDING * sensor[:, diagonal, diagonal].max(axis=1, keepdims=True)
-            return np.linalg.cholesky(sensor)
-
-    @cached_property
-    def sensor_inverse(self) -> np.ndarray:
-        """Inverses of these factors, which whiten, (K, M, M)."""
-        return invert_factors(self.sensor_factor)
+    def whiten_some(self, columns: np.ndarray | slice) -> Whitening:
+        """The same for some of what is measured, (M,) bool or a slice of it."""
+        return Whitening.of(self.std[:, columns], self.state[:, columns] * self.state_std)
 
     @cached_property
     def _pushed(self) -> tuple[np.ndarray, np.ndarray]:
-        white = apply(self.sensor_inverse, np.moveaxis(self.push, -1, 0))
+        white = self.sensors.apply(np.moveaxis(self.push, -1, 0))
         basis, triangles = np.linalg.qr(np.moveaxis(white, 0, -1))
         return basis, triangles
 
@@ -100,7 +117,7 @@ class Response:
 
     def along(self, residual: np.ndarray) -> np.ndarray:
         """What pulses could have done to residuals (..., K, M), (..., K, G)."""
-        return apply(np.swapaxes(self.basis, 1, 2), apply(self.sensor_inverse, residual))
+        return apply(np.swapaxes(self.basis, 1, 2), self.sensors.apply(residual))
 
 
 @dataclass(frozen=True)
@@ -125,7 +142,7 @@ class Likelihood:
 
     def whiten(self, residual: np.ndarray) -> np.ndarray:
         """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
-        white = apply(self.response.sensor_inverse, residual)
+        white = self.response.sensors.apply(residual)
         along = apply(np.swapaxes(self.response.basis, 1, 2), white)
         return white + apply(self.response.basis, self.innovate(along) - along)
 
@@ -149,11 +166,6 @@ class Likelihood:
             alike[len(windows)].append((windows, factor))
         pairs = [tuple(map(np.stack, zip(*each))) for each in alike.values()]
         return [(windows, invert_factors(factors)) for windows, factors in pairs]
-
-
-def whiten_with(factor: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Solve factor y = residual window by window; residual (V, K, M) or (K, M)."""
-    return apply(invert_factors(factor), residual)
 
 
 def invert_factors(factors: np.ndarray) -> np.ndarray:
@@ -212,7 +224,7 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
     """
     size = response.triangles.shape[1]
     time, stretches = middles_of_segments(bench), []
-    logdet = 2.0 * np.log(np.diagonal(response.sensor_factor, axis1=1, axis2=2)).sum(axis=1)
+    logdet = response.sensors.logdet.copy()
     if storm is not None:
         logdet += price_of_storm(storm, size, bench.criteria.tails)
     for part in list_stretches(bench):
@@ -303,8 +315,10 @@ def price_of_storm(storm: np.ndarray, size: int, tails: float) -> np.ndarray:
     return tails * size * (np.log(storm) + 1.0 / storm - 1.0)
 
 
-def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Response:
-    """Linearise the windows of a twin with the parameters `values` by starting states and force pulses.
+def measure_response(
+    bench: Bench, values: Mapping[Key, float], gust: np.ndarray | None = None, pushed: bool = True
+) -> Response:
+    """Linearise the windows of a twin with the parameters `values` by starting states and, if `pushed`, force pulses.
 
     Pulses are `gust` times as strong as assumed, (nv,): what sticks may yield to a stronger one.
     """
@@ -322,7 +336,7 @@ def measure_response(bench: Bench, values: Mapping[Key, float], gust: np.ndarray
         step = STEP_VELOCITY[bool(rotary[dof])]
         variations.append(still if dof in led else Variation(values, velocity=step * np.eye(nv)[dof]))
         sizes.append(step)
-    for segment in range(bench.segments):
+    for segment in range(bench.segments if pushed else 0):
         for dof in range(nv):
             times = 1.0 if gust is None else float(max(gust[dof], 1.0))
             push = segment, dof, times * float(assumed[dof])

@@ -9,7 +9,6 @@ import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Track
 from vpptwin.diagnosis.search.likelihood import (
-    ROUNDING,
     Likelihood,
     Response,
     likeness_of_gusts,
@@ -22,6 +21,8 @@ FOLLOWED, SETTLED = 5, 0.1
 """Times at most that windows are followed, and drop in a window's cost below which they have been."""
 SHIFTED = 3
 """Times at most that a track is shifted to another twin's."""
+ROUNDING = 1e-12
+"""Share of the largest entry that is added to a matrix that is not regular to rounding."""
 
 
 def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ class Responses:
     """Responses of twins on one bench; effects of dry friction, and large ones, change them: those are the key.
 
     Measured once for every set of such effects, with the parameters it is first asked for, and never again. With the
-    floor of a frame added they take a second of algebra and 100 MB each: those of the last floor asked for are kept.
+    floor of a frame added each has factors of its own: those of the last floor asked for are kept.
     """
 
     def __init__(self, bench: Bench) -> None:

@@ -60,14 +60,14 @@ def rank_trials(
     barred: frozenset[str],
 ) -> list[Start]:  # fmt: skip
     """The same for trials: the drop in cost along each, everything else at its best beside it."""
-    if not len(about.tried):
+    if not len(about.trials):
         return []
-    scale = about.frame.scale
-    left = about.residual - base.deviation @ about.columns
-    cross = about.tried @ about.columns.T
-    across = (about.tried**2).sum(axis=1) / scale
+    tried, scale = about.whiten_trials(), about.frame.scale
+    left = about.residual - about.columns.weigh(base.deviation)
+    cross = (about.columns @ tried.T).T
+    across = np.einsum("tn,tn->t", tried, tried) / scale
     across -= np.einsum("ti,ij,tj->t", cross, base.covariance, cross) / scale**2
-    along = about.tried @ left / scale
+    along = tried @ left / scale
     starts = []
     for trial, curvature, gradient in zip(trials, across, along):
         if trial.effect in barred or curvature <= 1e-6:
@@ -98,14 +98,14 @@ def start_from_look_alikes(
     """
     effect = next(u.effect for u in unknowns if u.effect.id == cause)
     moved = np.array([at.get(u.key, u.nominal) - u.nominal if u.effect.id == cause else 0.0 for u in unknowns])
-    wanted = moved @ about.columns
+    wanted = about.columns.weigh(moved)
     starts = []
     for other in {u.effect.id: u.effect for u in unknowns}.values():
         if other.id not in effect.look_alikes and cause not in other.look_alikes:
             continue
         rows = [i for i, u in enumerate(unknowns) if u.effect.id == other.id]
         units = np.array([unknowns[i].scale_at(unknowns[i].nominal) for i in rows])
-        columns = about.columns[rows] * units[:, None]
+        columns = about.columns.take(rows) * units[:, None]
         if not np.any(columns) or any(unknowns[i].is_limit for i in rows):
             continue
         times = np.linalg.lstsq(columns.T, wanted, rcond=1e-6)[0]

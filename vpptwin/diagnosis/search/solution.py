@@ -122,10 +122,14 @@ def scatter_by_stretch(about: Linearisation, solution: Solution, bench: Bench) -
     The sandwich estimate with stretches of a few windows as clusters: unlike the curvature alone it notices residuals
     that are larger, or more alike from window to window, than the noise model says.
     """
-    residual = about.residual - solution.deviation @ about.columns
+    residual = about.residual - about.columns.weigh(solution.deviation)
     number = len(bench.windows)
-    columns, residual = about.columns.reshape(-1, number, len(residual) // number), residual.reshape(number, -1)
-    scores = np.einsum("pkm,km->pk", columns, residual) / about.frame.scale
+    windows = residual.reshape(number, -1)
+
+    def score(columns: np.ndarray) -> np.ndarray:
+        return np.einsum("pkm,km->pk", columns.reshape(-1, *windows.shape), windows) / about.frame.scale
+
+    scores = about.columns.each(score)
     stretch = np.floor(bench.windows.start / about.frame.criteria.stretch).astype(int) + 10**6 * bench.windows.flight
     _, index = np.unique(stretch, return_inverse=True)
     sums = np.zeros((index.max() + 1, len(scores)))
