@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -35,6 +36,8 @@ FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 Key = tuple[str, str]
 """Effect id and parameter name."""
+Name = TypeVar("Name")
+Found = TypeVar("Found")
 MakeTwin = Callable[[TwinSpec, int, Iterable[str]], Twin]
 """Makes the simulations that a bench drives, of a twin, their number, and the effects that are switched on."""
 
@@ -91,6 +94,14 @@ def resist_turning(twin: Twin) -> np.ndarray:
         axis = model.jnt_axis[joint] if hinged else np.eye(3)[(dof - model.jnt_dofadr[joint]) % 3]
         share = turn_to_world(conjugate(model.body_iquat[body]), axis) ** 2
         found[:, dof] = moments[:, body] @ share / (model.body_inertia[body] @ share)
+    return found
+
+
+def keep_last(known: dict[Name, Found], name: Name, found: Found, most: int) -> Found:
+    """What was found, put behind what is known under other names, of which the last `most` stay."""
+    known[name] = found
+    if len(known) > most:
+        del known[next(iter(known))]
     return found
 
 
@@ -217,9 +228,7 @@ class Bench:
                 for i in alike[key]:
                     found[i] = self._observe(variations[i], pick(motions, run))
         if len(variations) == 1 and new:
-            self._motions[new[0]] = self.track, pick(motions, 0)
-            if len(self._motions) > MOTIONS:
-                del self._motions[next(iter(self._motions))]
+            keep_last(self._motions, new[0], (self.track, pick(motions, 0)), MOTIONS)
         return found
 
     def without_sensors(self, variation: Variation) -> Variation:
@@ -385,10 +394,7 @@ class Bench:
     def _twin(self, rows: int, active: frozenset[str]) -> Twin:
         key = (rows, active)
         twin = self._twins.pop(key) if key in self._twins else self.make_twin(self.spec, rows, active)
-        self._twins[key] = twin  # behind those that were used before it
-        if len(self._twins) > TWINS:
-            del self._twins[next(iter(self._twins))]
-        return twin
+        return keep_last(self._twins, key, twin, TWINS)
 
     def _simulate_rows(
         self, variations: Sequence[Variation], windows: Windows, which: np.ndarray, window: np.ndarray,

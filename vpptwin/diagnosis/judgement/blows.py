@@ -219,7 +219,7 @@ class Judge:
 
     def look(self, values: Mapping[Key, float]) -> Look:
         """What tells how far off blows are, starting states doing what they do with `values`."""
-        whitening = measure_response(self.bench, values).whiten_some(self._pose)
+        whitening = measure_response(self.bench, values, pushed=False).whiten_some(self._pose)
 
         def look(values: Mapping[Key, float]) -> np.ndarray:
             missed = self.bench.residual(values)[:, self._pose]

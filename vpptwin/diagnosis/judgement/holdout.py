@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, pick
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, keep_last, pick
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart, to_deviations
@@ -21,7 +20,6 @@ from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
 Values = frozenset[tuple[Key, float]]
-Found = TypeVar("Found")
 RESPONSES = 8
 """Responses that are kept, those asked for last: each has tens of megabytes."""
 LEAST = 0.01
@@ -75,7 +73,7 @@ class HeldOut:
         """What starting states and unmodelled forces do to a twin with `values` on the short windows."""
         key = frozenset(values.items())
         found = self._responses.pop(key, None) or measure_response(self.short, values)
-        return keep(self._responses, key, found)
+        return keep_last(self._responses, key, found, RESPONSES)
 
     def likelihood(self, values: Mapping[Key, float], gust: np.ndarray | None = None) -> Likelihood:
         """How improbable residuals of a twin with `values` are, gusts `gust` times as strong as assumed, (nv,)."""
@@ -110,7 +108,7 @@ class HeldOut:
             track = follow_motion(self.short, fit.likeliest, fit.likelihood.gust)
             bench = self.short.about(track)
             found = measure_response(bench, fit.likeliest), bench.residual(fit.likeliest), track
-        return keep(self._tracks, key, found)
+        return keep_last(self._tracks, key, found, RESPONSES)
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise from one fit to another and its standard error.
@@ -342,14 +340,6 @@ class HeldOut:
         share = (drawn[:, 0] - drawn[:, 1]) / excess
         low, high = np.quantile(share[1:], [0.05, 0.95])
         return float(share[0]), (float(low), float(high))
-
-
-def keep(known: dict[Values, Found], name: Values, found: Found) -> Found:
-    """What was found, put behind all that is known of its kind, of which `RESPONSES` stay."""
-    known[name] = found
-    if len(known) > RESPONSES:
-        del known[next(iter(known))]
-    return found
 
 
 def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:

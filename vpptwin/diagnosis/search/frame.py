@@ -60,7 +60,7 @@ class Rows:
         return Rows(function(self.common), {i: function(row[None])[0] for i, row in self.own.items()})
 
     def each(self, function: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """The same in one array, (P, ...)."""
+        """The same in one array, (P, ...), of a function that makes new ones."""
         found = self.map(function)
         for i, row in found.own.items():
             found.common[i] = row
