@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.evidence.bench import Key, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, to_deviations
 from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
 from vpptwin.diagnosis.search.frame import Frame
@@ -252,6 +254,21 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
     usually = np.flatnonzero(square <= usual)
     np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])
+
+
+def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is not a number is as far off as can be told, not without an error."""
+    predict = rubbing.long.predict
+
+    def diverge(variations: Sequence[Variation], sensors_of: Mapping[Key, float]) -> np.ndarray:
+        return np.full_like(predict(variations, sensors_of), np.nan)
+
+    judges = HeldOut(rubbing.short, rubbing.long)
+    assert judges.prefer({}, TRUTH) > 2.0
+    monkeypatch.setattr(judges.long, "predict", diverge)
+    assert judges.prefer(TRUTH, DOUBLE) < -2.0
+    assert judges.worsens({}, DOUBLE)
+    assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors(DOUBLE).values())
 
 
 def test_truth_predicts_better(rubbing: HeldOut) -> None:

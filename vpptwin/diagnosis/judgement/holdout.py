@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, keep_last, pick
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, keep_last
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart, to_deviations
@@ -300,16 +300,12 @@ class HeldOut:
         return worst[1:]
 
     def _measure_errors(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
-        motion = self.long.simulate([self.long.without_sensors(Variation(dict(values)))], values)
-        sensors = self.long.sensors(values)
-        errors = {}
-        for channel in self.long.channels:
-            if channel.kind in ("position", "velocity"):
-                predicted = self.long.observe_channel(channel, pick(motion, 0), sensors)
-                measured = channel.weight.sum(axis=2) > 0
-                square = np.where(measured, (predicted - channel.value) ** 2, np.nan)
-                errors[channel.name] = np.stack([last_bins(square, h) for h in HORIZONS_S], axis=1)
-        return errors
+        square = np.where(self.long.valid, self.long.residual(values), np.nan) ** 2
+        return {
+            channel.name: np.stack([last_bins(square[:, columns], h) for h in HORIZONS_S], axis=1)
+            for channel, columns in zip(self.long.channels, self.long.columns)
+            if channel.kind in ("position", "velocity")
+        }
 
     def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
         """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""

@@ -24,6 +24,8 @@ ROUNDS, CALM = 4, 0.25
 """Times at most that gusts and parameters are fitted in turn; change of the log of the gusts under which that ends."""
 SETTLED = 0.3
 """Drop in cost under which Gauss-Newton stops."""
+NEAR = 0.25
+"""Share of what a secant spans within which a derivative holds."""
 SMALL = 0.1
 """Share of its typical size by which a parameter is moved for a derivative about a motion that is followed."""
 
@@ -146,6 +148,9 @@ class Fitter:
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
             cost_there = self._tolerate(there, effects).cost
             if not cost_there <= cost:
+                if about.taken is not None and not np.array_equal(about.at, about.taken):
+                    best = (self._linearise(point, turned, about, 0.0), point, cost)
+                    continue
                 stride *= 0.4
                 if stride < 0.1:
                     break
@@ -271,19 +276,27 @@ class Fitter:
             self._derivatives[regime] = found if first is None else (*found[:4], first[4])
         return whiten(self._derivatives[regime], likelihood, frame)
 
-    def _linearise(self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation) -> Linearisation:
-        """About a twin with `values`: derivatives by `effects` anew, unless `known` has them; all else as there."""
+    def _linearise(
+        self, values: Mapping[Key, float], effects: frozenset[str], known: Linearisation, near: float = NEAR
+    ) -> Linearisation:
+        """About a twin with `values`: derivatives by `effects` anew, unless `known` has them; all else as there.
+
+        Within a share `near` of what secants span, derivatives stay as they are.
+        """
         wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
-        if effects == known.turned and np.array_equal(known.at, self._place(values)):
-            return known
+        place = self._place(values)
+        if effects == known.turned and known.taken is not None:
+            spans = np.array([self._share_of_step(u) * u.step_from(at) for u, at in zip(self.unknowns, known.taken)])
+            if np.all(np.abs(place - known.taken) <= near * np.abs(spans)):
+                return known if np.array_equal(known.at, place) else self._look(values, known)
         at, slopes, missed, track, _ = self._differentiate(values, wanted, (), self._retrack(values, known))
-        return replace(known.move(at, wanted, slopes.common, missed, track), turned=effects)
+        return replace(known.move(at, wanted, slopes.common, missed, track), turned=effects, taken=at)
 
     def _look(self, values: Mapping[Key, float], known: Linearisation) -> Linearisation:
         """About a twin with `values`, all derivatives as in `known`."""
         track = self._retrack(values, known)
         missed = self.bench.about(track).residual(values)
-        return replace(known.move(self._place(values), [], known.slopes.common[:0], missed, track), turned=None)
+        return known.move(self._place(values), [], known.slopes.common[:0], missed, track)
 
     def _retrack(self, values: Mapping[Key, float], known: Linearisation) -> Track | None:
         """The track that is likeliest with a twin with `values`, to first order, if tracks are followed.

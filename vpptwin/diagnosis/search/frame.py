@@ -99,7 +99,8 @@ class Linearisation:
         columns: whitened derivative, (P, K M).
         residual: whitened residual, (K M,).
         gram: inner products of the columns, (P, P).
-        turned: effects by whose parameters derivatives were taken at just this point; None if at another.
+        turned: effects by whose parameters derivatives were taken where `taken` tells, not before; None if none were.
+        taken: the parameters there, (P,).
     """
 
     frame: Frame
@@ -113,6 +114,7 @@ class Linearisation:
     residual: np.ndarray
     gram: np.ndarray
     turned: frozenset[str] | None = None
+    taken: np.ndarray | None = None
 
     def whiten_trials(self, wanted: slice | Sequence[int] = slice(None)) -> np.ndarray:
         """Whitened change of the prediction by trials, all or some, (T, K M); not kept, as it is large."""
@@ -126,7 +128,7 @@ class Linearisation:
     def under(self, likelihood: Likelihood, frame: Frame) -> Linearisation:
         """The same derivatives whitened by another likelihood, in another frame."""
         found = whiten((self.at, self.slopes, self.missed, self.track, self.trials), likelihood, frame)
-        return replace(found, turned=self.turned)
+        return replace(found, turned=self.turned, taken=self.taken)
 
     def move(
         self, at: np.ndarray, wanted: list[int], slopes: np.ndarray, missed: np.ndarray, track: Track | None

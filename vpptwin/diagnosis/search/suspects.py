@@ -17,7 +17,7 @@ from vpptwin.twin.spec import TwinSpec
 SIZES = (1.0, 5.0, 25.0)
 """Strengths at which an effect is tried, in typical sizes."""
 MANY = 40
-"""Suspects beyond which each is tried at one of them only."""
+"""Suspects beyond which none is tried at the first of them, which derivatives tell."""
 LIMIT_STEP = 0.15
 """Secant step of a limit, as a share of its value."""
 CUT = tuple(0.5**halved for halved in range(7, 0, -1))
@@ -91,7 +91,7 @@ def list_trials(unknowns: tuple[Unknown, ...], bench: Bench) -> tuple[Trial, ...
     for unknown in unknowns:
         effects.setdefault(unknown.effect.id, []).append(unknown)
     guessed = bench.guessed
-    sized = SIZES if len(effects) <= MANY else SIZES[1:2]
+    sized = SIZES if len(effects) <= MANY else SIZES[1:]
     trials = []
     placed = [u.effect for u, *_ in effects.values() if u.effect.placed and u.nominal == u.parameter.off and guessed]
     places = find_places(bench, placed)
