@@ -70,6 +70,11 @@ class Case:
     commit: str = ""  # of the code that flew and diagnosed it, `+changes` where that was changed; "" where not recorded
 
     @property
+    def version(self) -> str:
+        """The first seven digits of the commit."""
+        return self.commit[:7]
+
+    @property
     def neither(self) -> frozenset[str]:
         """Effects that need not be named and are not wrong if they are; plans of other rigs may know of none."""
         return getattr(self.plan, "neither", frozenset())

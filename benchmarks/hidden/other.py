@@ -17,10 +17,10 @@ from itertools import count as count_up
 from pathlib import Path
 
 from hidden.campaign import open_pool
-from hidden.case import CONFIDENT, Case
+from hidden.case import Case
 from hidden.crafts import GROUNDS, CraftSession
 from hidden.mechanisms import MechanismPlan
-from hidden.rates import Figure, Rate, count, measure_parameters, measure_time
+from hidden.rates import Figure, Rate, count, is_flagged, measure_parameters, measure_time
 from hidden.session import read_verdict
 from tests.mechanisms import Session, draw_session
 from vpptwin.diagnosis.judgement.diagnose import diagnose
@@ -121,13 +121,6 @@ def read_memory() -> float:
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return next(float(line.split()[1]) / 1024.0 for line in status.splitlines() if line.startswith("VmHWM"))
-
-
-def is_flagged(case: Case) -> bool:
-    """Whether a verdict has a gap and says that something is unexplained, or is sure of no cause."""
-    if case.found is None or not case.found.gap:
-        return False
-    return case.found.unexplained or all(cause.confidence <= CONFIDENT for cause in case.found.causes)
 
 
 def is_silent(case: Case) -> bool:

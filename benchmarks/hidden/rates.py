@@ -129,6 +129,14 @@ def leaves_something(case: Case) -> bool:
     return case.found is not None and case.found.unexplained
 
 
+def is_flagged(case: Case) -> bool:
+    """Whether a verdict says that something is left; of other rigs, that there is a gap too, or is sure of no cause."""
+    if case.found is None or not case.plan.family:
+        return leaves_something(case)
+    unsure = all(cause.confidence <= CONFIDENT for cause in case.found.causes)
+    return case.found.gap and (case.found.unexplained or unsure)
+
+
 def list_estimates(case: Case) -> list[tuple[float, float, float, float]]:
     """Truth, value, std and nominal of the fitted strengths of the hidden effects that were named."""
     found = []

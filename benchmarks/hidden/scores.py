@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from hidden.case import Case
-from hidden.rates import Figure, Rate, confidence_bins, count, leaves_something, list_claims
+from hidden.rates import Figure, Rate, confidence_bins, count, is_flagged, leaves_something, list_claims
 
 
 def is_detected(case: Case) -> bool:
@@ -87,18 +87,18 @@ def group_by(cases: Iterable[Case], attribute: str) -> dict[str, list[Case]]:
 
 def rate_group(cases: Sequence[Case]) -> list[str]:
     """What became of a group's sessions: a text for every column of `format_groups` but the first."""
-    of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in ("form", "two", "alien", "none")}
-    single = [c for c in cases if c.plan.kind == "single" and c.separable is not False]
+    of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in ("form", "alien", "none")}
+    single, two = ([c for c in cases if c.plan.kind == kind and c.separable is not False] for kind in ("single", "two"))
     inside = [c for c in cases if c.plan.kind != "alien"]
     isolations = list_isolations(cases)
     rates = [
         count("named first", (c.all_named for c in single)),
         count("in the group", (c.all_suspected for c in single)),
         count("other law, in the group", (c.all_suspected for c in of_kind["form"])),
-        count("both", (c.all_named for c in of_kind["two"])),
+        count("both", (c.all_named for c in two)),
         count("false alarm", map(is_false_alarm, of_kind["none"])),
         count("confidently wrong", (bool(c.wrong) for c in inside)),
-        count("outside flagged", map(leaves_something, of_kind["alien"])),
+        count("outside flagged", map(is_flagged, of_kind["alien"])),
         count("outside misnamed", (bool(c.wrong) for c in of_kind["alien"])),
     ]
     texts = [f"{rate.hits} of {rate.of}" if rate.of else "-" for rate in rates]
@@ -109,8 +109,9 @@ COLUMNS = (
     "sessions", "one: named first", "one: in the group", "other law: in the group", "two: both named", "false alarm",
     "confidently wrong", "outside: flagged", "outside: misnamed", "isolation",
 )  # fmt: skip
-"""Of `rate_group`; single effects only where a separating flight exists, if that was asked."""
+"""Of `rate_group`; one and two effects only where logs tell them, or a separating flight exists, if that was asked."""
 ATTRIBUTES = {
+    "version": "code",
     "family": "rig",
     "gusts": "gusts",
     "gust_strength": "strength of gusts (rms)",
@@ -123,9 +124,12 @@ ATTRIBUTES = {
 
 
 def format_groups(cases: Sequence[Case], attribute: str, heading: str = "") -> str:
-    """Rates group by group, Markdown; "" where no case has the attribute. Columns without a case are left out."""
+    """Rates group by group, Markdown; "" where no case has the attribute, or all are of one version.
+
+    Columns without a case are left out.
+    """
     rows = [(name, rate_group(group)) for name, group in group_by(cases, attribute).items()]
-    if not rows:
+    if not rows or (attribute == "version" and len(rows) < 2):
         return ""
     used = [i for i in range(len(COLUMNS)) if any(row[i] != "-" for _, row in rows)]
     lines = [

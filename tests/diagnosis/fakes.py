@@ -45,4 +45,5 @@ FRAME = Frame(np.ones(1), 1.0, np.zeros(1))
 def guess(values: dict[Key, float], cost: float = 0.0, frame: Frame = FRAME) -> Fit:
     """A fit of which values, cost and frame count, under gusts as assumed."""
     about = SimpleNamespace(frame=frame, likelihood=SimpleNamespace(gust=np.ones(1)))
-    return Fit(frozenset(effect for effect, _ in values), values, dict.fromkeys(values, 0.0), cost, about, {})  # type: ignore[arg-type]
+    off, freed = dict.fromkeys(values, 0.0), frozenset(effect for effect, _ in values)
+    return Fit(freed, values, off, np.zeros((len(off), len(off))), cost, about, {})  # type: ignore[arg-type]

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.evidence.bench import Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, to_deviations
 from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
 from vpptwin.diagnosis.search.frame import Frame
@@ -254,6 +256,29 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
     usually = np.flatnonzero(square <= usual)
     np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])
+
+
+def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The density of a fit is that of all parameters within its covariance together, as quadrature has it.
+
+    Of a gain two standard deviations off what the windows say, the point alone is far less likely.
+    """
+    monkeypatch.setattr(Bench, "guessed", True)
+    judges, gain, std = HeldOut(rubbing.short, rubbing.long), ("motor.gain", "gain"), 0.005
+
+    def surprise(value: float, variance: float) -> float:
+        fit = guess({**TRUTH, gain: value})
+        covariance = np.diag([0.0, variance / CRITERIA.temper])
+        return float(judges.surprise(replace(fit, covariance=covariance), False).sum())
+
+    around = 1.0 + 2.0 * std + std * np.linspace(-4.0, 4.0, 161)
+    points = np.array([surprise(value, 0.0) for value in around])
+    density = norm.pdf(around, 1.0 + 2.0 * std, std) * np.exp(-0.5 * (points - points.min()))
+    together = points.min() - 2.0 * np.log(np.trapezoid(density, around))
+    found = surprise(1.0 + 2.0 * std, std**2)
+    print(found, together, surprise(1.0 + 2.0 * std, 0.0), points.min())
+    assert found == pytest.approx(together, abs=1.0)
+    assert surprise(1.0 + 2.0 * std, 0.0) > found + 20.0
 
 
 def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,19 +9,22 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, keep_last
+from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation, keep_last
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, tell_apart, to_deviations
 from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, measure_response
 from vpptwin.diagnosis.search.motion import follow_motion, shift_track
+from vpptwin.effects import find_effect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses
 
 Values = frozenset[tuple[Key, float]]
 RESPONSES = 8
 """Responses that are kept, those asked for last: each has tens of megabytes."""
+REWEIGHTED = 5
+"""Times that parameters are found anew with windows that go astray counting less."""
 LEAST = 0.01
 """Least excess chi² of which there are shares."""
 
@@ -61,6 +64,7 @@ class HeldOut:
         self._misfits: dict[Values, tuple[np.ndarray, np.ndarray]] = {}
         self._missed: dict[Values, tuple[np.ndarray, Track | None]] = {}
         self._errors: dict[Values, dict[str, np.ndarray]] = {}
+        self._spreads: dict[tuple[Values, bytes], tuple[np.ndarray, np.ndarray]] = {}
         self._plain = short.about(None)
         self._tracks: dict[Values, tuple[Response, np.ndarray, Track]] = {}
 
@@ -93,12 +97,61 @@ class HeldOut:
         loose = self.response(self.short.loosen(fit.values)), *self.miss(fit.likeliest)
         for response, missed, track in (loose, self.follow(fit)) if sticks else (loose,):
             likelihood = couple_gusts(self.short, response, gust)
-            square = (likelihood.whiten(response.restore(missed, track)) ** 2).sum(axis=1) / fit.frame.scale
-            usual = fit.frame.criteria.usual_misfit * float(np.median(square))
-            # As in the fit, a window that goes astray must not outvote the others.
-            square = np.where(square > usual, usual * (1.0 + np.log(np.maximum(square, usual) / usual)), square)
-            found.append(square + likelihood.logdet)
+            left, price = likelihood.whiten(response.restore(missed, track)) / np.sqrt(fit.frame.scale), 0.0
+            if self.short.guessed and fit.effects and response is loose[0]:
+                left, price = self._adapt(fit, likelihood, left)
+            found.append(self._temper(left)[0] + likelihood.logdet + price / self.count)
         return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+
+    def _temper(self, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Squares of whitened residuals, and by how much of theirs they grow with them, (K,) each.
+
+        As in the fit, a window that goes astray must not outvote the others.
+        """
+        square = (left**2).sum(axis=1)
+        usual = self.criteria.usual_misfit * float(np.median(square))
+        share = usual / np.maximum(square, max(usual, 1e-300))
+        return np.where(share < 1.0, usual * (1.0 - np.log(share)), square), share
+
+    def _adapt(self, fit: Fit, likelihood: Likelihood, left: np.ndarray) -> tuple[np.ndarray, float]:
+        """Whitened residual (K, M) with the likeliest of the parameters that the fit leaves open, and what that costs.
+
+        Where what was fitted tells less of them than the held-out windows do, as where these are longer and a rig falls
+        over, chance decides else between two causes that do the same (Laplace: squares there, with their price, are
+        twice the negative log of the density that all parameters together predict).
+        """
+        axes, changed = self._spread(fit)
+        unit = np.sqrt(fit.frame.scale)
+        moved, step, hessian = likelihood.whiten(changed) / unit, np.zeros(len(axes)), np.eye(len(axes))
+        for _ in range(REWEIGHTED):
+            weighed = moved * self._temper(left - np.tensordot(step, moved, 1))[1][:, None]
+            hessian = np.eye(len(axes)) + np.einsum("ikm,jkm->ij", weighed, moved)
+            step = np.linalg.solve(hessian, np.einsum("ikm,km->i", weighed, left))
+        price, away = float(np.linalg.slogdet(hessian)[1]), float(step @ step)
+        found = shift_track(self.short, self._move(fit, axes @ step), likelihood.response)
+        there = likelihood.whiten(likelihood.response.restore(*found)) / unit
+        better = self._temper(there)[0].sum() + away < self._temper(left)[0].sum()
+        return (there, price + away) if better else (left, price)
+
+    def _spread(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+        """Axes of what a fit leaves open, in columns a standard deviation long, and changes along them, (n, K, M)."""
+        key = frozenset(fit.likeliest.items()), fit.covariance.tobytes()
+        if key not in self._spreads:
+            variance, axes = np.linalg.eigh(self.criteria.temper * fit.covariance)
+            axes = axes * np.sqrt(np.maximum(variance, 0.0))
+            variations = [Variation(values) for values in (fit.likeliest, *(self._move(fit, axis) for axis in axes.T))]
+            predicted = self._plain.predict(variations, fit.likeliest)
+            changed = self.short.bound(predicted[1:] - predicted[0])
+            keep_last(self._spreads, key, (axes, changed), RESPONSES)
+        return self._spreads[key]
+
+    def _move(self, fit: Fit, step: np.ndarray) -> dict[Key, float]:
+        """The likeliest parameters of a fit with those of its effects so far away, within bounds."""
+        values = fit.likeliest
+        for key, by in zip(fit.std, step):
+            parameter = find_effect(self.short.spec.catalogue, key[0]).parameter(key[1])
+            values[key] = float(parameter.clip(np.array(fit.values[key] + by)))
+        return values
 
     def follow(self, fit: Fit) -> tuple[Response, np.ndarray, Track]:
         """Response and residual of a fit's twin about the motion that is likeliest with it, and that."""

@@ -38,6 +38,7 @@ class Fit:
         effects: ids that were freed.
         values: their parameters.
         std: standard deviation of each, the other effects uncertain within their tolerance.
+        covariance: of them, in that order, (n, n).
         cost: twice the negative log of the evidence on the fitted windows, up to a constant of the frame.
         about: linearisation near `values`.
         tolerated: what the effects that were not freed moved within their tolerance, parameter → value.
@@ -46,6 +47,7 @@ class Fit:
     effects: frozenset[str]
     values: dict[Key, float]
     std: dict[Key, float]
+    covariance: np.ndarray
     cost: float
     about: Linearisation
     tolerated: dict[Key, float]
@@ -255,8 +257,11 @@ class Fitter:
                 std[unknown.key] = float(max(np.sqrt(solution.covariance[i, i]), scatter[i]))
             elif not unknown.is_limit:  # a limit has no tolerance about its nominal, which is far away
                 tolerated[unknown.key] = float(unknown.parameter.clip(about.at[i] + solution.deviation[i]))
+        freed = [i for i, unknown in enumerate(self.unknowns) if unknown.key in std]
+        spread = np.array(list(std.values())) / np.sqrt(np.diag(solution.covariance)[freed])
+        covariance = solution.covariance[np.ix_(freed, freed)] * spread * spread[:, None]
         cost += float(about.likelihood.logdet.sum()) + price_of_freedom(solution, self.unknowns, effects)
-        return Fit(effects, point, std, cost, about, tolerated)
+        return Fit(effects, point, std, covariance, cost, about, tolerated)
 
     def _derive(
         self, effects: frozenset[str], values: Mapping[Key, float], likelihood: Likelihood, frame: Frame,

@@ -21,7 +21,7 @@ from vpptwin.effects import Stage
 
 LOWER = 4.0
 """How far below the limits that the commands suggest a scan looks."""
-SCANNED, SPREAD, AROUND, REFINED = 40, 4.0, 1.5, 2
+SCANNED, SPREAD, AROUND, REFINED = 40, 10.0, 1.5, 2
 """Places that a scan simulates, the factors up and down by which shapes, and all around a fit, differ there, and how
 often a fit is refined."""
 FOLLOWED = 2
