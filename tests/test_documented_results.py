@@ -29,6 +29,7 @@ RECORDED = {
     "other_94414": "hidden_effects.py --rigs other --report benchmarks/results/other_94414.json",
     "other_*": "hidden_effects.py --rigs other --mixed --report benchmarks/results/other_*.json",
     "paper_table": "paper_table.py --report benchmarks/results/paper_table.json --pictures OUT",
+    "switches": "paper_table.py --report benchmarks/results/switches.json",
     "paper_method": "paper_table.py --report benchmarks/results/paper_table_paper.json",
 }
 """What prints a record's tables and draws its pictures."""
@@ -127,6 +128,7 @@ def test_rates_are_those_of_the_record(name: str, least: int, folder: Path) -> N
         ("today", "loop.md", "close_the_loop_3e11904.json", 10),
         ("stuck", "loop.md", "close_the_loop_stuck.json", 3),
         ("paper_table", "train.md", "paper_table.json", 10),
+        ("switches", "train.md", "switches.json", 13),
         ("paper_method", "train.md", "paper_table_paper.json", 3),
     ],
 )
