@@ -136,7 +136,7 @@ def test_tables_are_those_of_the_record(name: str, page: str, file: str, least: 
     """Every row of the first table behind the record's name has the numbers of one that its command prints."""
     printed = [set(NUMBER.findall(" ".join(row[1:]))) for row in read_rows(replay_record(name, folder))]
     section = read_section(page, f"results/{file}")
-    table = re.search(r"^\|.*?\n\n", section[section.index(file) :], flags=re.DOTALL | re.MULTILINE)
+    table = re.search(r"^\|.*?\n\n", section[section.index(f"results/{file}") :], flags=re.DOTALL | re.MULTILINE)
     assert table is not None
     documented = [set(NUMBER.findall(" ".join(row[1:]))) for row in read_rows(table[0])]
     assert len(documented) >= least
