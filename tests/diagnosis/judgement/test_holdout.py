@@ -276,7 +276,6 @@ def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypat
     density = norm.pdf(around, 1.0 + 2.0 * std, std) * np.exp(-0.5 * (points - points.min()))
     together = points.min() - 2.0 * np.log(np.trapezoid(density, around))
     found = surprise(1.0 + 2.0 * std, std**2)
-    print(found, together, surprise(1.0 + 2.0 * std, 0.0), points.min())
     assert found == pytest.approx(together, abs=1.0)
     assert surprise(1.0 + 2.0 * std, 0.0) > found + 20.0
 

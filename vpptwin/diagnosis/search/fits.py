@@ -150,7 +150,7 @@ class Fitter:
             # The cost at a point, not at the minimum predicted from it, decides whether the step helped.
             cost_there = self._tolerate(there, effects).cost
             if not cost_there <= cost:
-                if about.taken is not None and not np.array_equal(about.at, about.taken):
+                if about.taken is not None and not np.array_equal(about.at, about.taken):  # a derivative misled it
                     best = (self._linearise(point, turned, about, 0.0), point, cost)
                     continue
                 stride *= 0.4
@@ -291,7 +291,7 @@ class Fitter:
         wanted = [i for i, unknown in enumerate(self.unknowns) if unknown.effect.id in effects]
         place = self._place(values)
         if effects == known.turned and known.taken is not None:
-            spans = np.array([self._share_of_step(u) * u.step_from(at) for u, at in zip(self.unknowns, known.taken)])
+            spans = np.array([self._span(u, at) for u, at in zip(self.unknowns, known.taken)])
             if np.all(np.abs(place - known.taken) <= near * np.abs(spans)):
                 return known if np.array_equal(known.at, place) else self._look(values, known)
         at, slopes, missed, track, _ = self._differentiate(values, wanted, (), self._retrack(values, known))
@@ -316,21 +316,21 @@ class Fitter:
         """All unknowns in a twin with `values`, (P,)."""
         return np.array([values.get(u.key, u.nominal) for u in self.unknowns])
 
-    def _share_of_step(self, unknown: Unknown) -> float:
-        """Share of a typical size that a secant spans: a small one of what acts smoothly where motion is followed.
+    def _span(self, unknown: Unknown, at: float) -> float:
+        """What a secant from a value spans: a small share of a step of what acts smoothly where motion is followed.
 
         Pulses of a track leave of a parameter what is alike in all windows: about the same motion, which a typical size
         would turn by a third of a radian.
         """
         rough = unknown.is_limit or unknown.effect.placed or unknown.effect.stage in (Stage.FRICTION, Stage.SLIP)
-        return 1.0 if self.bench.followed is None or rough else SMALL
+        return unknown.step_from(at) * (1.0 if self.bench.followed is None or rough else SMALL)
 
     def _differentiate(
         self, values: Mapping[Key, float], wanted: Sequence[int], trials: Sequence[Trial], track: Track | None
     ) -> Derivatives:
         """Of a twin with `values` about a track: see `Derivatives`; slopes are those by the unknowns `wanted`."""
         at = self._place(values)
-        steps = np.array([self._share_of_step(self.unknowns[i]) * self.unknowns[i].step_from(at[i]) for i in wanted])
+        steps = np.array([self._span(self.unknowns[i], at[i]) for i in wanted])
         variations = [Variation(dict(values))]
         for i, step in zip(wanted, steps):
             moved = self.unknowns[i].parameter.clip(at[i] + step)  # rounding may lead past a bound
