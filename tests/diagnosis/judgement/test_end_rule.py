@@ -14,6 +14,7 @@ from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
+from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause
@@ -128,22 +129,24 @@ def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[fl
     Squares of errors are in multiples of the noise's, in ten blocks alike.
     """
 
-    class Judges(HeldOut):
-        """Errors and chi² that are given: off, on."""
+    class Given(PredictionErrors):
+        """Errors that are given: off, on."""
 
-        criteria = CRITERIA
-
-        def __init__(self) -> None:
-            self._noise = {"m": np.ones(len(HORIZONS_S))}
-            self.long = cast(Any, SimpleNamespace(windows=lay_starts([3.0 * i for i in range(10)]).windows))
-
-        def chi2(self, values: Mapping[Any, float]) -> float:
-            """Held out."""
-            return chi2[len(values)]
+        _noise = {"m": np.ones(len(HORIZONS_S))}  # noqa: RUF012 (a property there)
 
         def squares(self, values: Mapping[Any, float]) -> dict[str, np.ndarray]:
             """Of positions."""
             return {"m": np.full((10, len(HORIZONS_S)), errors[len(values)])}
+
+    class Judges(HeldOut):
+        """The same, and chi²."""
+
+        def __init__(self) -> None:
+            self.criteria, self.errors = CRITERIA, Given(lay_starts([3.0 * i for i in range(10)]))
+
+        def chi2(self, values: Mapping[Any, float]) -> float:
+            """Held out."""
+            return chi2[len(values)]
 
     assert doubt_gain(Judges(), {}, {KEY: 0.3}) == doubt
 

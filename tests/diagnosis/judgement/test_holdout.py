@@ -15,8 +15,10 @@ from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, to_deviations
-from vpptwin.diagnosis.judgement.holdout import HORIZONS_S, HeldOut, last_bins, mean_over
+from vpptwin.diagnosis.judgement.errors import PredictionErrors, last_bins, mean_over
+from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.diagnosis.search.likelihood import couple_gusts
 from vpptwin.twin.robot import GUST_TIME
@@ -103,17 +105,24 @@ def test_means_are_over_windows_that_were_measured() -> None:
     np.testing.assert_allclose(mean_over(squares), [np.sqrt(12.5), np.nan])
 
 
-class Scored(HeldOut):
-    """Judges whose errors are given: parameter value → squares of (K,) windows."""
+class Given(PredictionErrors):
+    """Errors that are given: parameter value → squares of (K,) windows."""
 
-    def __init__(self, start: np.ndarray, squares: dict[float, np.ndarray]) -> None:
-        self.short = self.long = lay_starts(list(start))
-        self.criteria = CRITERIA
+    def __init__(self, bench: Bench, squares: dict[float, np.ndarray]) -> None:
+        super().__init__(bench)
         self._given = squares
 
     def squares(self, values: dict) -> dict[str, np.ndarray]:
         """The same squares at every horizon, of positions."""
         return {"m": np.repeat(self._given[values["size"]][:, None], len(HORIZONS_S), axis=1)}
+
+
+class Scored(HeldOut):
+    """Judges whose squares are given in the same way."""
+
+    def __init__(self, start: np.ndarray, squares: dict[float, np.ndarray]) -> None:
+        self.short, self.criteria = lay_starts(list(start)), CRITERIA
+        self._given = squares
 
     def chi2_by_window(self, values: dict) -> tuple[np.ndarray, np.ndarray]:
         """Ten values in every window."""
@@ -153,7 +162,8 @@ def test_intervals_of_the_change_bracket_it() -> None:
     for seed in range(60):
         rng = np.random.default_rng(seed)
         errors = [np.repeat(rng.standard_normal(40), 3) + 0.5 * rng.standard_normal(120) for _ in range(2)]
-        change = Scored(start, {0.0: errors[0] ** 2, 1.0: (0.5 * errors[1]) ** 2}).change({"size": 0.0}, {"size": 1.0})
+        squares = {0.0: errors[0] ** 2, 1.0: (0.5 * errors[1]) ** 2}
+        change = Given(lay_starts(list(start)), squares).change({"size": 0.0}, {"size": 1.0})
         assert list(change) == ["position_rmse_m"]
         assert len(change["position_rmse_m"]) == len(HORIZONS_S)
         low, high = change["position_rmse_m"][2]
@@ -227,11 +237,11 @@ def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> Non
 def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
     """The true friction makes no error worse and is favoured over none and twice as much; those are not over it."""
     for other in ({}, DOUBLE):
-        assert rubbing.prefer(other, TRUTH) > 2.0
-        assert rubbing.prefer(TRUTH, other) == pytest.approx(-rubbing.prefer(other, TRUTH))
-        assert rubbing.worsens(TRUTH, other)
-        assert not rubbing.worsens(other, TRUTH)
-    assert not rubbing.worsens(TRUTH, TRUTH)
+        assert rubbing.errors.prefer(other, TRUTH) > 2.0
+        assert rubbing.errors.prefer(TRUTH, other) == pytest.approx(-rubbing.errors.prefer(other, TRUTH))
+        assert rubbing.errors.worsens(TRUTH, other)
+        assert not rubbing.errors.worsens(other, TRUTH)
+    assert not rubbing.errors.worsens(TRUTH, TRUTH)
 
 
 def test_the_truth_settles_what_was_missed(rubbing: HeldOut) -> None:
@@ -250,7 +260,7 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     square = (likelihood.whiten(residual) ** 2).sum(axis=1)
     usual = 3.0 * np.median(square)
     assert square[4] > 5.0 * usual
-    astray = HeldOut(rubbing.short, rubbing.long)
+    astray = HeldOut(rubbing.short, rubbing.errors.bench)
     astray.miss = lambda values: (residual, None)  # type: ignore[method-assign]
     found = astray.surprise(guess({}), False)
     assert found[4] == pytest.approx(usual * (1.0 + np.log(square[4] / usual)) + likelihood.logdet[4])
@@ -264,7 +274,7 @@ def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypat
     Of a gain two standard deviations off what the windows say, the point alone is far less likely.
     """
     monkeypatch.setattr(Bench, "guessed", True)
-    judges, gain, std = HeldOut(rubbing.short, rubbing.long), ("motor.gain", "gain"), 0.005
+    judges, gain, std = HeldOut(rubbing.short, rubbing.errors.bench), ("motor.gain", "gain"), 0.005
 
     def surprise(value: float, variance: float) -> float:
         fit = guess({**TRUTH, gain: value})
@@ -282,17 +292,17 @@ def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypat
 
 def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever is not a number is as far off as can be told, not without an error."""
-    predict = rubbing.long.predict
+    predict = rubbing.errors.bench.predict
 
     def diverge(variations: Sequence[Variation], sensors_of: Mapping[Key, float]) -> np.ndarray:
         return np.full_like(predict(variations, sensors_of), np.nan)
 
-    judges = HeldOut(rubbing.short, rubbing.long)
-    assert judges.prefer({}, TRUTH) > 2.0
-    monkeypatch.setattr(judges.long, "predict", diverge)
-    assert judges.prefer(TRUTH, DOUBLE) < -2.0
-    assert judges.worsens({}, DOUBLE)
-    assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors(DOUBLE).values())
+    judges = HeldOut(rubbing.short, rubbing.errors.bench)
+    assert judges.errors.prefer({}, TRUTH) > 2.0
+    monkeypatch.setattr(judges.errors.bench, "predict", diverge)
+    assert judges.errors.prefer(TRUTH, DOUBLE) < -2.0
+    assert judges.errors.worsens({}, DOUBLE)
+    assert all(np.isfinite(errors[:, :2]).all() for errors in judges.errors.by_channel(DOUBLE).values())
 
 
 def test_truth_predicts_better(rubbing: HeldOut) -> None:
@@ -304,7 +314,7 @@ def test_truth_predicts_better(rubbing: HeldOut) -> None:
     assert truth.angle_rmse_rad is None
     for before, after in zip(nothing.position_rmse_m[1:], truth.position_rmse_m[1:]):
         assert after < before
-    for low, high in rubbing.change({}, TRUTH)["position_rmse_m"][2:]:
+    for low, high in rubbing.errors.change({}, TRUTH)["position_rmse_m"][2:]:
         assert low < high < 0.0
 
 

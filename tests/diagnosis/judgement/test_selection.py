@@ -92,6 +92,7 @@ class Judges:
         self.drop = scatter + gain / np.sqrt(WINDOWS)
         self.power, self.worse, self.favour = power, worse, favour
         self.left: dict[int, float] = {}
+        self.errors = self  # the same say of both
 
     def weigh(self, before: tuple[Fit, bool], after: tuple[Fit, bool]) -> tuple[float, float]:
         """Drop in surprise and its standard error."""

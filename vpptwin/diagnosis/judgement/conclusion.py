@@ -67,7 +67,7 @@ def conclude(
         denied = {s.effect: s.tell(criteria) for s in seen if s.contradicts(criteria)}
     left = max(unexplained.share, (after.chi2 - 1.0) / max(before.chi2 - 1.0, 1e-9)) if unexplained.significant else 0.0
     sober = 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
-    if fit.effects and held_out.worsens({}, fit.values):
+    if fit.effects and held_out.errors.worsens({}, fit.values):
         sober = criteria.sober
     most = criteria.suggested if is_doubtful(search, held_out, fit, unexplained, after.chi2) else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
@@ -106,7 +106,7 @@ def conclude(
         unexplained=unexplained,
         cleared=cleared,
         unseen=unseen,
-        improvement=held_out.change({}, fit.values) if causes else {},
+        improvement=held_out.errors.change({}, fit.values) if causes else {},
         misfit=find_misfit(search, held_out, fit, after.chi2) if missed else None,
         warnings=warnings,
     )
@@ -169,12 +169,12 @@ def doubt_gain(held_out: HeldOut, without: Mapping[Key, float], values: Mapping[
         return HARMING
     if after - 1.0 > drop:
         return OUTWEIGHED
-    return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.feels(without, values)) else UNFELT
+    return "" if drop >= held_out.criteria.felt or (drop > 0.0 and held_out.errors.feels(without, values)) else UNFELT
 
 
 def find_misfit(search: Search, held_out: HeldOut, fit: Fit, chi2: float) -> Misfit:
     """How far the extended twin is off, which is far above what the sensors make."""
-    found = Misfit(float(np.sqrt(chi2)), *held_out.locate_miss(fit.values))
+    found = Misfit(float(np.sqrt(chi2)), *held_out.errors.locate_miss(fit.values))
     explained = float(min((chi2 - held_out.chi2(fit.likeliest)) / (chi2 - 1.0), 1.0))
     if explained < 0.5:
         return found

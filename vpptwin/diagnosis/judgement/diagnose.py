@@ -115,7 +115,7 @@ def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
     """A diagnosis with what blows told, errors before as they are without that."""
     values, held_out, verdict = found.values | blows.values, found.held_out, found.verdict
     if blows.causes:
-        after, change = held_out.score(values), held_out.change(blows.nominal, values)
+        after, change = held_out.score(values), held_out.errors.change(blows.nominal, values)
         verdict = replace(verdict, before=held_out.score(blows.nominal), after=after, improvement=change)
     return replace(found, verdict=blows.add_to(verdict), values=values)
 

@@ -48,12 +48,12 @@ def evidence_against_rival(search: Search, held_out: HeldOut, fit: Fit, rival: F
     evidence = fit.evidence_against(rival) + float(np.sign(gain) * max(abs(gain) - error, 0.0))
     if not trusts_errors(search):
         return evidence
-    sigmas = held_out.prefer(rival.values, fit.values)
+    sigmas = held_out.errors.prefer(rival.values, fit.values)
     better, worse = (fit, rival) if sigmas > 0.0 else (rival, fit)
     contradicted = held_out.is_farther(worse.values, better.values, False)
     if abs(sigmas) > search.criteria.sigmas_held_out and not contradicted:
         evidence = float(np.sign(sigmas)) * max(float(np.sign(sigmas)) * evidence, sigmas**2)
-    return max(evidence, 0.0) if held_out.worsens(fit.values, rival.values) else evidence
+    return max(evidence, 0.0) if held_out.errors.worsens(fit.values, rival.values) else evidence
 
 
 def tell_nothing(

@@ -313,7 +313,7 @@ def exchange_causes(
         if won > best[0] and not other.effects & barred and len(other.effects) <= search.criteria.most_causes:
             gain, error = compare(search, held_out, fit, other)
             agreed = gain > -search.criteria.sigmas_against * error and confirms(search, held_out, fit, other)
-            if agreed and not held_out.worsens(fit.values, other.values):
+            if agreed and not held_out.errors.worsens(fit.values, other.values):
                 best = won, other
     return best[1]
 
@@ -369,7 +369,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     gain, error = compare(search, held_out, step.before, tried)
     favour, together = 0.0, drop
     if trusts_errors(search):
-        favour = held_out.prefer(step.before.values, tried.values)
+        favour = held_out.errors.prefer(step.before.values, tried.values)
         gain = max(gain, 0.0) if favour > criteria.sigmas_held_out else gain
         together = drop + float(np.clip(gain, 0.0, drop))
     strong = together > criteria.bars_strong * criteria.bar
@@ -382,7 +382,7 @@ def is_cause(search: Search, held_out: HeldOut, step: Step, effect: str, earlier
     few = trusts_errors(search) and held_out.count < criteria.judges
     if not agreed and not (undecided and (few or is_powerless(held_out, step.before, tried))):
         return False
-    if held_out.worsens(step.before.values, tried.values):
+    if held_out.errors.worsens(step.before.values, tried.values):
         return False
     even = criteria.sigmas_held_out if strong else criteria.sigmas_against
     return not agreed or favour > -even
@@ -420,7 +420,7 @@ def confirms(search: Search, held_out: HeldOut, before: Fit, after: Fit) -> bool
     if gain <= search.criteria.sigmas_held_out * error:
         return False
     few = not trusts_errors(search) or held_out.count < search.criteria.judges
-    return few or held_out.prefer(before.values, after.values) > 0.0
+    return few or held_out.errors.prefer(before.values, after.values) > 0.0
 
 
 def find_near(search: Search, step: Step, effect: str) -> frozenset[str]:

@@ -1,0 +1,166 @@
+"""How far a twin's predictions are off on flights that no fit has seen, ahead of states known without looking ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+
+from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.evidence.channels import BIN
+from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.judgement.blocks import blocks_of, resample, sum_blocks, tell_apart, to_deviations
+from vpptwin.estimation.initial import estimate_states
+from vpptwin.twin.manifold import difference_poses
+
+
+class PredictionErrors:
+    """Errors of twins over the horizon.
+
+    Args:
+        bench: windows as long as the last horizon, started from states estimated without looking ahead.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.criteria = bench, bench.criteria
+        self._found: dict[frozenset[tuple[Key, float]], dict[str, np.ndarray]] = {}
+
+    def worsens(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether an error of the pose up to `watched` ahead grows by more than `worse` and a standard error."""
+        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
+        ratios = self.ratios(before, after)
+        few = len(self.bench.windows) < self.criteria.judges and self.bench.guessed
+        if few:  # a scatter of two or three tells nothing, and chi² has the word
+            return False
+        grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
+        return any(bool(np.any(mean - error > np.log1p(self.criteria.worse))) for mean, error in grown)
+
+    def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
+        """By how many standard errors the errors over all horizons favour `after`, fewer where few blocks tell them."""
+        ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.ratios(before, after).values()])
+        growth = np.nanmean(ratios, axis=0)
+        mean, error = tell_apart(growth[:, None])
+        times, number = float(-mean[0] / max(error[0], 1e-12)), int(np.isfinite(growth).sum())
+        return to_deviations(times, number) if number < self.criteria.judges else times
+
+    def feels(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether errors of the pose up to `watched` ahead fall by as much as noise makes, and not by chance.
+
+        In short windows, whose starting states are fitted, those take up much of what such errors show.
+        """
+        (first, second), noise = map(self.squares, (before, after)), self._noise
+        near = sum(horizon <= self.criteria.watched for horizon in HORIZONS_S)
+        drops = [(np.nanmean(first[n] - second[n], axis=0) / noise[n])[:near] for n in set(first) & {"m", "rad"}]
+        return bool(np.max(drops) > self.criteria.felt) and self.prefer(before, after) > self.criteria.sigmas_held_out
+
+    def ratios(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Log of error after over error before in every block of flight and per horizon, (B, H); as `squares` names.
+
+        Root mean squares of blocks are compared, noise of the sensors added to both: no single slip decides.
+        """
+        first, second, noise = self.squares(before), self.squares(after), self._noise
+        blocks = blocks_of(self.bench.windows, self.criteria.block)
+        found = {}
+        for name in first:
+            measured = sum_blocks(np.isfinite(first[name]).astype(float), blocks)
+            sums = [sum_blocks(np.nan_to_num(part[name]), blocks) + noise[name] * measured for part in (first, second)]
+            with np.errstate(invalid="ignore"):  # a block without measurements is NaN
+                found[name] = 0.5 * np.log(sums[1] / sums[0])
+        return found
+
+    @cached_property
+    def _noise(self) -> dict[str, np.ndarray]:
+        """Variance that sensors, and estimates of starting states, put into errors near every horizon, (H,) each.
+
+        Where nobody told how good sensors are, so do the estimates: by how far one that looks ahead too is from one
+        that doesn't.
+        """
+        rotary, windows, horizons = self.bench.spec.robot.rotary, self.bench.windows, np.array(HORIZONS_S)
+        off = np.zeros((2, len(rotary)))
+        if self.bench.guessed and self.bench.flights:
+            model = self.bench.spec.model
+            for i in np.unique(windows.flight):
+                rows = windows.flight == i
+                seen = estimate_states(self.bench.flights[i], windows.start[rows], model, False)
+                moved = difference_poses(model, seen[0], windows.pose[rows])
+                off += ((moved**2).sum(axis=0), ((seen[1] - windows.velocity[rows]) ** 2).sum(axis=0))
+            off /= len(windows)
+        found: dict[str, np.ndarray] = {}
+        for channel in self.bench.channels:
+            if channel.kind in ("position", "velocity"):
+                unit, (place, speed) = "rad" if rotary[channel.axis] else "m", off[:, channel.axis]
+                name, start = (
+                    (unit, place + speed * horizons**2) if channel.kind == "position" else (channel.name, speed)
+                )
+                found[name] = found.get(name, 0.0) + channel.sensor_std**2 + start + 0.0 * horizons
+        return found
+
+    def squares(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """Squared errors of every long window near every horizon, (K, H): of slides "m", hinges "rad", and rates."""
+        errors, rotary = self.by_channel(values), self.bench.spec.robot.rotary
+        squares: dict[str, np.ndarray] = {}
+        for channel in self.bench.channels:
+            if channel.name in errors:
+                unit = "rad" if rotary[channel.axis] else "m"
+                name, near = unit if channel.kind == "position" else channel.name, errors[channel.name]
+                squares[name] = squares[name] + near if name in squares else near
+        return squares
+
+    def by_channel(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        """The same of every channel of a position or a velocity, by its name."""
+        key = frozenset(values.items())
+        if key not in self._found:
+            self._found[key] = self._measure_errors(values)
+        return self._found[key]
+
+    def locate_miss(self, values: Mapping[Key, float]) -> tuple[str, float | None, float, str]:
+        """Where a twin is off most of what its sensors make: joint, from which horizon [s] on, error at the last, unit.
+
+        An error stands out at twice the sensors' noise, or at none: then the horizon is None.
+        """
+        worst: tuple[float, str, float | None, float, str] = (-1.0, "", None, 0.0, "")
+        for channel in self.bench.channels:
+            if channel.kind == "position":
+                rmse, noise = mean_over(self.by_channel(values)[channel.name]), channel.sensor_std
+                out = next((h for h, error in zip(HORIZONS_S, rmse) if error > 2.0 * noise), None)
+                found = rmse[-1] / noise, channel.name, out, rmse[-1], channel.unit
+                worst = max(worst, found, key=lambda each: each[0])
+        return worst[1:]
+
+    def _measure_errors(self, values: Mapping[Key, float]) -> dict[str, np.ndarray]:
+        square = np.where(self.bench.valid, self.bench.residual(values), np.nan) ** 2
+        return {
+            channel.name: np.stack([last_bins(square[:, columns], h) for h in HORIZONS_S], axis=1)
+            for channel, columns in zip(self.bench.channels, self.bench.columns)
+            if channel.kind in ("position", "velocity")
+        }
+
+    def change(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> dict[str, list[tuple[float, float]]]:
+        """90 % intervals of the change in error per horizon, as a share of the error before, by resampling blocks."""
+        first, second = self.squares(before), self.squares(after)
+        blocks = blocks_of(self.bench.windows, self.criteria.block)
+        named = {"m": "position_rmse_m", "rad": "angle_rmse_rad"}
+        result = {}
+        for name, old in first.items():
+            sums = np.stack([sum_blocks(np.nan_to_num(part), blocks) for part in (old, second[name])])
+            drawn = resample(sums)  # both are divided by the same number of windows
+            share = np.sqrt(drawn[:, 1] / np.maximum(drawn[:, 0], 1e-30)) - 1.0
+            low, high = np.quantile(share, [0.05, 0.95], axis=0)
+            result[named.get(name, name)] = [(float(a), float(b)) for a, b in zip(low, high)]
+        return result
+
+
+def last_bins(square: np.ndarray, horizon: float) -> np.ndarray:
+    """Mean of the last two bins up to a horizon [s] in every window, (K,); NaN where nothing was measured."""
+    end = round(horizon / BIN)
+    part = square[:, max(end - 2, 0) : end]
+    number = np.isfinite(part).sum(axis=1)
+    return np.where(number > 0, np.nansum(part, axis=1) / np.maximum(number, 1), np.nan)
+
+
+def mean_over(squares: np.ndarray) -> list[float]:
+    """Root of the mean over windows that were measured, per horizon."""
+    number = np.isfinite(squares).sum(axis=0)
+    mean = np.where(number > 0, np.nansum(squares, axis=0) / np.maximum(number, 1), np.nan)
+    return [float(v) for v in np.sqrt(mean)]
