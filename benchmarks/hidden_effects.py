@@ -4,7 +4,6 @@
     python benchmarks/hidden_effects.py --cases 200 --seed 1 --shard 1/2 --json first.json    (on one machine)
     python benchmarks/hidden_effects.py --report first.json second.json                       (of both)
     python benchmarks/hidden_effects.py --seed 1 --numbers 17,31 --keep logs                  (these again)
-    python benchmarks/hidden_effects.py --seed 1 --time                                       (where time goes)
     python benchmarks/hidden_effects.py --nightly --json night.json                           (exit 1 if rates are bad)
     python benchmarks/hidden_effects.py --rigs other --cases 200 --seed 1 --json other.json   (rigs that are not ours)
     python benchmarks/hidden_effects.py --effects contact.compliance,contact.friction --kinds single none (at the wall)
@@ -40,12 +39,10 @@ from hidden import other  # noqa: E402
 from hidden.campaign import read_results, run_campaign, write_results  # noqa: E402
 from hidden.case import Case  # noqa: E402
 from hidden.commits import find_mixture, read_commit  # noqa: E402
-from hidden.costs import format_costs, profile_diagnosis  # noqa: E402
 from hidden.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
 from hidden.pictures import draw_pictures  # noqa: E402
 from hidden.rates import compare_baselines, find_broken, format_table, list_failures, summarise  # noqa: E402
 from hidden.scores import ATTRIBUTES, format_groups, format_reliability, score  # noqa: E402
-from hidden.session import fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
@@ -79,12 +76,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--report", type=Path, nargs="+", metavar="FILE", help="run nothing, report these results")
     parser.add_argument("--mixed", action="store_true", help="go on from or report results of several commits")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="draw pictures into this folder")
-    parser.add_argument("--time", action="store_true", help="profile the diagnosis of the first session instead")
     options = parser.parse_args(argv)
-    if options.rigs != "drone" and any(
-        (options.nightly, options.time, options.effects, options.baselines, options.pictures)
-    ):
-        parser.error(f"--rigs {options.rigs} knows no --nightly, --time, --effects, --baselines or --pictures")
+    if options.rigs != "drone" and any((options.nightly, options.effects, options.baselines, options.pictures)):
+        parser.error(f"--rigs {options.rigs} knows no --nightly, --effects, --baselines or --pictures")
     if options.nightly:
         options.seed, options.oracle = NIGHTLY, False
     return options
@@ -184,12 +178,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         plans = choose_plans(options)
     except ValueError as error:
         sys.exit(str(error))
-    if options.time:
-        with tempfile.TemporaryDirectory() as folder:
-            logs = fly_sessions(plans[:1], Path(folder))[0]
-            profile_diagnosis(logs[:1])  # compiles
-            print(f"{plans[0].hidden}\n\n{format_costs(profile_diagnosis(logs))}")
-        return 0
     cases = run(options, plans)
     if not options.nightly:
         report(cases, options.pictures)

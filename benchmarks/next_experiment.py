@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.experiment import Candidate, fly_library, observe_candidates
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import separate

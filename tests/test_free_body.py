@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.crafts import write_log
 from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
-from vpptwin.diagnosis.evidence.bench import Track
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.evidence.runs import Track
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.report.prediction import predict_flight
 from vpptwin.diagnosis.report.twin_file import name_twin

@@ -11,8 +11,8 @@ from typing import Any
 
 import vpptwin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.logs.read import read_flight
-from vpptwin.twin import load_twin
+from vpptwin.logs.flight import Flight
+from vpptwin.twin import TwinSpec
 
 PACKAGE = Path(vpptwin.__file__).parent
 ENGINE, SENSORS = "engine: the twin through the windows", "what the sensors would have seen"
@@ -71,11 +71,11 @@ def share_out(stats: dict[Function, tuple[int, int, float, float, dict]]) -> dic
     return dict(seconds)
 
 
-def profile_diagnosis(logs: Sequence[Path]) -> dict[str, float]:
+def profile_diagnosis(spec: TwinSpec, flights: Sequence[Flight]) -> dict[str, float]:
     """Seconds by stage of one diagnosis, compiled code warm; profiling itself makes Python's part dearer."""
     profile = cProfile.Profile()
     profile.enable()
-    diagnose(load_twin(), [read_flight(log) for log in logs])
+    diagnose(spec, flights)
     profile.disable()
     stats: Any = pstats.Stats(profile)
     return share_out(stats.stats)

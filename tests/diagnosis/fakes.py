@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.frame import Frame, Linearisation, Rows
 

@@ -11,8 +11,9 @@ from tests.effects.rigs import Rig, load_rigs
 from tests.twin.hover import share_kernel
 from tests.twin.test_warp_step import list_devices, own_effect, wait
 from vpptwin.cli import main
-from vpptwin.diagnosis.evidence.bench import Bench, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.evidence.runs import Variation
 from vpptwin.diagnosis.report.result import diagnose
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements

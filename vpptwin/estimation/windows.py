@@ -14,6 +14,7 @@ from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.manifold import integrate_pose
 from vpptwin.twin.recall import Past
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.state import TwinState
 from vpptwin.twin.twin import Driven, Twin
 
 SPIN_SPAN = 0.01
@@ -72,6 +73,15 @@ class Windows:
         """The arrays with a row a window, by name, but those that are not known and the tracks of driven joints."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in arrays.items() if isinstance(value, np.ndarray) and name != "warm"}
+
+    def part(self, first: int, count: int, pose: np.ndarray, velocity: np.ndarray) -> Windows:
+        """So many steps from the first on, of windows without driven joints, and the states before them."""
+        steps = slice(first, first + count)
+        lasting = {"command": self.command, "rotor_speed": self.rotor_speed, "throttle": self.throttle}
+        cut: dict[str, Any] = {name: rows if rows is None else rows[:, steps] for name, rows in lasting.items()}
+        return replace(
+            self, start=self.start + first * self.dt, steps=count, pose=pose, velocity=velocity, spin=None, **cut
+        )
 
     def shift(self, model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray) -> Windows:
         """The same windows with their starting states moved along tangent vectors, (K, nv) each."""
@@ -163,6 +173,12 @@ class Motion(NamedTuple):
     velocity: np.ndarray
     rotor_speed: np.ndarray | None
 
+    def put(self, rows: tuple[Any, ...], part: Motion) -> None:
+        """Write another motion into some of the rows of this very one, which has more axes in front."""
+        for own, given in zip(self, part):
+            if own is not None:
+                own[rows] = given
+
 
 def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows, causal: bool) -> Past:
     """How flights moved up to the start of their windows, at every step.
@@ -212,6 +228,11 @@ def fly_windows(
         disturbance: generalized force added, (K, segments, nv) N, N m; None for none.
         past: what it left in the effects: how far their states are from rest at the start, (K, S); None for none.
     """
+    return fly_on(twin, enter_windows(twin, windows, past), windows, disturbance)[1]
+
+
+def enter_windows(twin: Twin, windows: Windows, past: np.ndarray | None = None) -> TwinState:
+    """The state of a twin at the start of the windows; as `fly_windows`."""
     qpos = twin.pose_for_engine(windows.pose, windows.velocity)
     start = twin.initial_state(qpos=qpos, qvel=windows.velocity, time=windows.start)
     layer = start.actuators
@@ -220,13 +241,18 @@ def fly_windows(
     if windows.spin is not None:
         layer["rotor_speed"] = windows.spin
     start = replace(start, actuators=twin.warm_up(layer, windows.warm, windows.past))
-    if past is not None:
-        start = replace(start, effects=start.effects + past)
-    _, qpos, qvel, rotor_speed = twin.replay_commands(
+    return start if past is None else replace(start, effects=start.effects + past)
+
+
+def fly_on(
+    twin: Twin, start: TwinState, windows: Windows, disturbance: np.ndarray | None = None
+) -> tuple[TwinState, Motion]:
+    """Drive a twin through the windows from a state; the state after them, and what `fly_windows` returns."""
+    after, qpos, qvel, rotor_speed = twin.replay_commands(
         start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
     )
     velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
     pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
     if rotor_speed is not None:
         rotor_speed = np.concatenate([start.rotor_speed[:, None], rotor_speed], axis=1)
-    return Motion(pose, velocity, rotor_speed)
+    return after, Motion(pose, velocity, rotor_speed)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.conclusion import estimate
 from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.judgement.holdout import Score

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.report.output import check_target, give_json, stage_results
 from vpptwin.diagnosis.report.provenance import trace_origin
 from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin

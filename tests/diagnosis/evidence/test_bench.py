@@ -11,6 +11,7 @@ from tests.diagnosis.carts import FITTED, cut, load_cart, measure_cart
 from tests.diagnosis.rigs import drive_cart
 from vpptwin.diagnosis.evidence.bench import ASTRAY, FAR, FARTHEST, Bench
 from vpptwin.diagnosis.evidence.channels import BIN, choose_bin, observe_windows
+from vpptwin.diagnosis.evidence.runs import Runs, Track, Variation
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import cut_windows
@@ -101,3 +102,30 @@ def test_coarser_bins_average_more(tmp_path: Path) -> None:
     assert coarse.value.shape == (10, 20)
     np.testing.assert_allclose(coarse.value, fine.value.reshape(10, 20, 5).mean(axis=2))
     np.testing.assert_allclose(coarse.std, fine.std[:, :20] / np.sqrt(5.0))
+
+
+@pytest.mark.parametrize("values", [{}, {("slide.coulomb", "force"): 1.1, ("motor.delay", "delay"): 0.012}])
+@pytest.mark.parametrize("tracked", [False, True])
+def test_a_pulse_is_flown_from_where_it_begins(
+    bench: Bench, values: dict, tracked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last digit what flying each whole window makes of it, delays and bristles included."""
+    number, segments, nv = len(bench.windows), bench.segments, bench.spec.model.nv
+    push = np.random.default_rng(3).normal(0.0, 0.5, (number, segments, nv))
+    start = np.full((number, nv), 0.01)
+    told = bench.about(Track(start, -start, push) if tracked else None)
+    variations = [Variation(values), Variation(values, pose=np.full(nv, 0.02))]
+    variations += [Variation(values, push=(segment, 0, 0.3)) for segment in (*range(segments), 0)]
+    found = told.simulate(variations)
+    steps: list[int] = []
+    monkeypatch.setattr(Runs, "_list_pulses", lambda *_: {})
+    monkeypatch.setattr(told, "_progress", steps.append)
+    whole = told.simulate(variations)
+    assert sum(steps) == len(variations) * number * bench.windows.steps
+    np.testing.assert_array_equal(found.pose, whole.pose)
+    np.testing.assert_array_equal(found.velocity, whole.velocity)
+    last = found.pose[-2] - found.pose[0]
+    first = bench.windows.steps * (segments - 1) // segments
+    assert not last[:, : first + 1].any()
+    assert np.all(last[:, -1] >= 0.0)
+    assert last[:, -1].sum() > 0.004  # the cart sticks in some

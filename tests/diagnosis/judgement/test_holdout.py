@@ -14,8 +14,9 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_judges
 from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks, to_deviations
 from vpptwin.diagnosis.judgement.errors import PredictionErrors, last_bins, mean_over
 from vpptwin.diagnosis.judgement.holdout import HeldOut

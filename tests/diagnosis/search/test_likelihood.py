@@ -12,8 +12,9 @@ import pytest
 
 from tests.diagnosis.rigs import CARTS, MASS, write_rig
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.evidence.bench import Bench, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.evidence.runs import Variation
 from vpptwin.diagnosis.search import motion
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,

@@ -12,7 +12,7 @@ from tests.diagnosis.carts import load_cart, measure_cart, open_search
 from tests.diagnosis.fakes import linear
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import Rows, weigh_windows
 from vpptwin.diagnosis.search.search import Search, Step

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Bench, MakeTwin
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_channels, observe_windows
 from vpptwin.diagnosis.evidence.forces import measure_growth, measure_turning
 from vpptwin.diagnosis.evidence.motor import observe_motor
+from vpptwin.diagnosis.evidence.runs import MakeTwin
 from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements

@@ -19,8 +19,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Bench, Key, MakeTwin
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.verdict import Cause, Cleared, Estimate, Rival, Unseen, Verdict
 from vpptwin.diagnosis.search.likelihood import measure_response
 from vpptwin.diagnosis.search.suspects import Unknown

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
-from vpptwin.diagnosis.evidence.bench import Key
 from vpptwin.diagnosis.evidence.probe import Shares, share_forces
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.effects import Stage, find_effect
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec

@@ -11,7 +11,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Key, MakeTwin
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
     build_bench,
@@ -22,6 +21,7 @@ from vpptwin.diagnosis.evidence.flights import (
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
+from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
 from vpptwin.diagnosis.judgement.conclusion import conclude
 from vpptwin.diagnosis.judgement.experiment import propose_experiment

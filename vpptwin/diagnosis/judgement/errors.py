@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.channels import BIN
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.blocks import blocks_of, resample, sum_blocks, tell_apart, to_deviations
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.twin.manifold import difference_poses

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.likelihood import Response, gust_std
 from vpptwin.effects import Effect

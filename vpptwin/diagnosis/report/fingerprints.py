@@ -9,7 +9,8 @@ import html
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.effects import Effect
 from vpptwin.viz.figure import thin
 

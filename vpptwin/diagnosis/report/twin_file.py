@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.provenance import Provenance
 from vpptwin.effects import find_effect

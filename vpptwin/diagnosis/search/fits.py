@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 from vpptwin.diagnosis.search.frame import Derivatives, Frame, Linearisation, Rows, weigh_windows, whiten
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, find_storms, tune_gust
 from vpptwin.diagnosis.search.motion import choose_track

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.bench import Track
+from vpptwin.diagnosis.evidence.runs import Track
 from vpptwin.diagnosis.search.likelihood import Likelihood
 
 

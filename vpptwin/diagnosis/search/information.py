@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
-from vpptwin.diagnosis.evidence.bench import MakeTwin, Variation
 from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
+from vpptwin.diagnosis.evidence.runs import MakeTwin, Variation
 from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Track
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Track
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,
@@ -19,6 +20,9 @@ from vpptwin.diagnosis.search.likelihood import (
 
 FOLLOWED, SETTLED = 5, 0.1
 """Times at most that windows are followed, and drop in a window's cost below which they have been."""
+BRIEFLY, STRIDES, ENOUGH = 3, 3, 0.01
+"""Where disturbances are assumed: times that responses are measured, steps that one serves for, and share of the cost
+whose drop is enough to go on."""
 SHIFTED = 3
 """Times at most that a track is shifted to another twin's."""
 ROUNDING = 1e-12
@@ -137,15 +141,21 @@ def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | 
     path = Path(bench, response, spread_gusts(bench, gust))
     at = path.measure(track)
     best, damping = path.cost(missed, at), np.zeros(count)
-    for turn in range(FOLLOWED):
+    turns, strides = (BRIEFLY, STRIDES) if bench.guessed else (FOLLOWED, 1)
+    for turn in range(turns):
         if turn:
-            path, missed = replace(path, response=measure_response(bench, values)), bench.residual(values)
-        found = path.step(path.response.restore(missed, track), at, damping)
-        cost = path.cost(bench.about(path.place(found)).residual(values), found)
-        better, gained = cost < best, float(np.maximum(best - cost, 0.0).sum())
-        damping = np.where(better, damping / 10.0, np.maximum(4.0 * damping, 1.0))
-        best, at = np.where(better, cost, best), np.where(better[:, None], found, at)
-        bench.track = track = path.place(at)
-        if gained < count * SETTLED:
+            path = replace(path, response=measure_response(bench, values))
+        for stride in range(strides):
+            missed = bench.residual(values) if turn or stride else missed
+            found = path.step(path.response.restore(missed, track), at, damping)
+            cost = path.cost(bench.about(path.place(found)).residual(values), found)
+            better, gained = cost < best, float(np.maximum(best - cost, 0.0).sum())
+            damping = np.where(better, damping / 10.0, np.maximum(4.0 * damping, 1.0))
+            best, at = np.where(better, cost, best), np.where(better[:, None], found, at)
+            bench.track = track = path.place(at)
+            settled = gained < max(count * SETTLED, ENOUGH * float(best.sum()) * bench.guessed)
+            if settled:
+                break
+        if settled and stride == 0:
             break
     return track

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.search.likelihood import Response, measure_response
 
 Regime = tuple[frozenset[str], frozenset[tuple[str, int]]]

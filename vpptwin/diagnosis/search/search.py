@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats.qmc import LatinHypercube
 
-from vpptwin.diagnosis.evidence.bench import Key, Variation
+from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.search.fits import ITERATIONS, Fit, Fitter, find_cheapest
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.responses import Responses

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Key
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.solution import Solution, solve_hypothesis
 from vpptwin.diagnosis.search.suspects import Trial, Unknown

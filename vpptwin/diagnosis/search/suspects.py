@@ -9,7 +9,8 @@ from itertools import product
 import mujoco
 import numpy as np
 
-from vpptwin.diagnosis.evidence.bench import Bench, Key, Variation
+from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.search.places import find_places
 from vpptwin.effects import Effect, Parameter
 from vpptwin.twin.spec import TwinSpec
