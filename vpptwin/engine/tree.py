@@ -60,6 +60,9 @@ class Pose(NamedTuple):
     twist: np.ndarray  # angular acceleration without that of the joints, (nbody, 3) rad/s²
     pull: np.ndarray  # likewise acceleration of the bodies' places, less gravity's, (nbody, 3) m/s²
     arm: np.ndarray  # how each joint moves a point, and how it turns, (nv, 3) and (nv, 3) in one, (2, nv, 3)
+    # of each body with all that hangs from it, about the body's place: mass, its first moment, its second (xx, yy, zz,
+    # xy, xz, yz), force and torque without joints' accelerations, (nbody, 16)
+    whole: np.ndarray
 
 
 Vector = tuple[float, float, float]
@@ -130,18 +133,23 @@ def place_bodies(tree: Tree, shape: Shape, qpos: np.ndarray, qvel: np.ndarray, g
         for j in range(tree.first[b], tree.last[b]):
             axis, anchor, moved, speed = at.axis[j], at.anchor[j], qpos[j] - shape.qpos0[j], qvel[j]
             axis[0], axis[1], axis[2] = rotate(turn, shape.jnt_axis[j, 0], shape.jnt_axis[j, 1], shape.jnt_axis[j, 2])
-            x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
+            away = shape.jnt_pos[j, 0] != 0.0 or shape.jnt_pos[j, 1] != 0.0 or shape.jnt_pos[j, 2] != 0.0
+            x, y, z = 0.0, 0.0, 0.0
+            if away:
+                x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
             anchor[0], anchor[1], anchor[2] = place[0] + x, place[1] + y, place[2] + z
             c_x, c_y, c_z = cross(spin[0], spin[1], spin[2], axis[0] * speed, axis[1] * speed, axis[2] * speed)
             if tree.hinge[j]:
-                shift_pull(spin, twist, pull, x, y, z)
+                if away:
+                    shift_pull(spin, twist, pull, x, y, z)
                 turn_about(turn, axis, np.sin(moved), np.cos(moved))
                 twist[0], twist[1], twist[2] = twist[0] + c_x, twist[1] + c_y, twist[2] + c_z
                 for i in range(3):
                     spin[i] += axis[i] * speed
-                x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
-                place[0], place[1], place[2] = anchor[0] - x, anchor[1] - y, anchor[2] - z
-                shift_pull(spin, twist, pull, -x, -y, -z)
+                if away:
+                    x, y, z = rotate(turn, shape.jnt_pos[j, 0], shape.jnt_pos[j, 1], shape.jnt_pos[j, 2])
+                    place[0], place[1], place[2] = anchor[0] - x, anchor[1] - y, anchor[2] - z
+                    shift_pull(spin, twist, pull, -x, -y, -z)
             else:
                 d_x, d_y, d_z = axis[0] * moved, axis[1] * moved, axis[2] * moved
                 shift_pull(spin, twist, pull, d_x, d_y, d_z)
@@ -166,56 +174,109 @@ def point_arms(tree: Tree, at: Pose, body: int, x: float, y: float, z: float) ->
 
 
 @compilable(forceinline=True, keep=True)
+def weigh_body(shape: Shape, at: Pose, b: int) -> None:
+    """Write mass, its first and second moment, force and torque of one body by itself into its row of `at.whole`."""
+    m, own, turn, local = shape.body_mass[b], shape.body_inertia[b], at.turn[b], shape.body_imat[b]
+    x, y, z = rotate(turn, shape.body_ipos[b, 0], shape.body_ipos[b, 1], shape.body_ipos[b, 2])
+    # Principal axes in the world, and with them the inertia's six numbers.
+    u_x, u_y, u_z = rotate(turn, local[0], local[3], local[6])
+    v_x, v_y, v_z = rotate(turn, local[1], local[4], local[7])
+    w_x, w_y, w_z = rotate(turn, local[2], local[5], local[8])
+    xx = own[0] * u_x * u_x + own[1] * v_x * v_x + own[2] * w_x * w_x
+    yy = own[0] * u_y * u_y + own[1] * v_y * v_y + own[2] * w_y * w_y
+    zz = own[0] * u_z * u_z + own[1] * v_z * v_z + own[2] * w_z * w_z
+    xy = own[0] * u_x * u_y + own[1] * v_x * v_y + own[2] * w_x * w_y
+    xz = own[0] * u_x * u_z + own[1] * v_x * v_z + own[2] * w_x * w_z
+    yz = own[0] * u_y * u_z + own[1] * v_y * v_z + own[2] * w_y * w_z
+    spin, twist, pull, whole = at.spin[b], at.twist[b], at.pull[b], at.whole[b]
+    t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], x, y, z)
+    s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], x, y, z)
+    s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
+    f_x, f_y, f_z = m * (pull[0] + t_x + s_x), m * (pull[1] + t_y + s_y), m * (pull[2] + t_z + s_z)
+    h_x = xx * spin[0] + xy * spin[1] + xz * spin[2]
+    h_y = xy * spin[0] + yy * spin[1] + yz * spin[2]
+    h_z = xz * spin[0] + yz * spin[1] + zz * spin[2]
+    n_x, n_y, n_z = cross(spin[0], spin[1], spin[2], h_x, h_y, h_z)
+    o_x, o_y, o_z = cross(x, y, z, f_x, f_y, f_z)
+    whole[0], whole[1], whole[2], whole[3] = m, m * x, m * y, m * z
+    whole[4], whole[5], whole[6] = xx + m * (y * y + z * z), yy + m * (x * x + z * z), zz + m * (x * x + y * y)
+    whole[7], whole[8], whole[9] = xy - m * x * y, xz - m * x * z, yz - m * y * z
+    whole[10], whole[11], whole[12] = f_x, f_y, f_z
+    whole[13] = o_x + n_x + xx * twist[0] + xy * twist[1] + xz * twist[2]
+    whole[14] = o_y + n_y + xy * twist[0] + yy * twist[1] + yz * twist[2]
+    whole[15] = o_z + n_z + xz * twist[0] + yz * twist[1] + zz * twist[2]
+
+
+@compilable(forceinline=True, keep=True)
+def carry_body(at: Pose, b: int, p: int) -> None:
+    """Add what `at.whole` has of a body, and of all that hangs from it, to the row of the one that carries it."""
+    own, whole = at.whole[b], at.whole[p]
+    x, y, z = at.place[b, 0] - at.place[p, 0], at.place[b, 1] - at.place[p, 1], at.place[b, 2] - at.place[p, 2]
+    m, h_x, h_y, h_z = own[0], own[1], own[2], own[3]
+    n_x, n_y, n_z = cross(x, y, z, own[10], own[11], own[12])
+    g_x, g_y, g_z = h_x + h_x + m * x, h_y + h_y + m * y, h_z + h_z + m * z
+    along_x, along_y, along_z = x * g_x, y * g_y, z * g_z
+    whole[0], whole[1], whole[2], whole[3] = (
+        whole[0] + m,
+        whole[1] + h_x + m * x,
+        whole[2] + h_y + m * y,
+        whole[3] + h_z + m * z,
+    )
+    whole[4], whole[5] = whole[4] + own[4] + along_y + along_z, whole[5] + own[5] + along_x + along_z
+    whole[6] = whole[6] + own[6] + along_x + along_y
+    whole[7] = whole[7] + own[7] - x * h_y - y * h_x - m * x * y
+    whole[8] = whole[8] + own[8] - x * h_z - z * h_x - m * x * z
+    whole[9] = whole[9] + own[9] - y * h_z - z * h_y - m * y * z
+    for k in range(10, 13):
+        whole[k] += own[k]
+    whole[13], whole[14], whole[15] = whole[13] + own[13] + n_x, whole[14] + own[14] + n_y, whole[15] + own[15] + n_z
+
+
+@compilable(forceinline=True, keep=True)
 def weigh_bodies(tree: Tree, shape: Shape, at: Pose, mass: np.ndarray, bias: np.ndarray) -> None:
-    """Write the joint-space inertia, (nv, nv), and the forces of gravity and velocities, (nv,), as MuJoCo has them."""
-    nv = len(bias)
+    """Write the joint-space inertia, (nv, nv), and the forces of gravity and velocities, (nv,), as MuJoCo has them.
+
+    Composite rigid bodies: what a joint accelerates is all that hangs from it, as one body (Featherstone, Rigid Body
+    Dynamics Algorithms, 2008, section 6.2).
+    """
+    nv, nbody = len(bias), len(tree.parent)
     for i in range(nv):
-        bias[i] = 0.0
         for j in range(nv):
             mass[i, j] = 0.0
-    for b in range(1, len(tree.parent)):
-        m, own, turn = shape.body_mass[b], shape.body_inertia[b], at.turn[b]
-        if tree.deepest[b] < 0 or (m == 0.0 and own[0] == 0.0 and own[1] == 0.0 and own[2] == 0.0):
-            continue
-        r_x, r_y, r_z = rotate(turn, shape.body_ipos[b, 0], shape.body_ipos[b, 1], shape.body_ipos[b, 2])
-        point_arms(tree, at, b, at.place[b, 0] + r_x, at.place[b, 1] + r_y, at.place[b, 2] + r_z)
-        local = shape.body_imat[b]
-        # Principal axes in the world, and with them the inertia's six numbers.
-        u_x, u_y, u_z = rotate(turn, local[0], local[3], local[6])
-        v_x, v_y, v_z = rotate(turn, local[1], local[4], local[7])
-        w_x, w_y, w_z = rotate(turn, local[2], local[5], local[8])
-        xx = own[0] * u_x * u_x + own[1] * v_x * v_x + own[2] * w_x * w_x
-        yy = own[0] * u_y * u_y + own[1] * v_y * v_y + own[2] * w_y * w_y
-        zz = own[0] * u_z * u_z + own[1] * v_z * v_z + own[2] * w_z * w_z
-        xy = own[0] * u_x * u_y + own[1] * v_x * v_y + own[2] * w_x * w_y
-        xz = own[0] * u_x * u_z + own[1] * v_x * v_z + own[2] * w_x * w_z
-        yz = own[0] * u_y * u_z + own[1] * v_y * v_z + own[2] * w_y * w_z
-        spin, twist, pull = at.spin[b], at.twist[b], at.pull[b]
-        t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], r_x, r_y, r_z)
-        s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], r_x, r_y, r_z)
-        s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
-        f_x, f_y, f_z = m * (pull[0] + t_x + s_x), m * (pull[1] + t_y + s_y), m * (pull[2] + t_z + s_z)
-        h_x = xx * spin[0] + xy * spin[1] + xz * spin[2]
-        h_y = xy * spin[0] + yy * spin[1] + yz * spin[2]
-        h_z = xz * spin[0] + yz * spin[1] + zz * spin[2]
-        n_x, n_y, n_z = cross(spin[0], spin[1], spin[2], h_x, h_y, h_z)
-        n_x += xx * twist[0] + xy * twist[1] + xz * twist[2]
-        n_y += xy * twist[0] + yy * twist[1] + yz * twist[2]
-        n_z += xz * twist[0] + yz * twist[1] + zz * twist[2]
-        i = tree.deepest[b]
-        while i >= 0:
-            a, g = at.arm[0, i], at.arm[1, i]
-            bias[i] += a[0] * f_x + a[1] * f_y + a[2] * f_z + g[0] * n_x + g[1] * n_y + g[2] * n_z
-            p_x, p_y, p_z = m * a[0], m * a[1], m * a[2]
-            l_x = xx * g[0] + xy * g[1] + xz * g[2]
-            l_y = xy * g[0] + yy * g[1] + yz * g[2]
-            l_z = xz * g[0] + yz * g[1] + zz * g[2]
+    for b in range(1, nbody):
+        if tree.deepest[b] >= 0:
+            weigh_body(shape, at, b)
+    for b in range(nbody - 1, 0, -1):
+        if tree.deepest[tree.parent[b]] >= 0:
+            carry_body(at, b, tree.parent[b])
+        whole, place = at.whole[b], at.place[b]
+        for i in range(tree.first[b], tree.last[b]):
+            axis, anchor = at.axis[i], at.anchor[i]
+            x, y, z = axis[0], axis[1], axis[2]
+            if tree.hinge[i]:
+                e_x, e_y, e_z = place[0] - anchor[0], place[1] - anchor[1], place[2] - anchor[2]
+                c_x, c_y, c_z = cross(x, y, z, e_x, e_y, e_z)
+                p_x, p_y, p_z = cross(x, y, z, whole[1], whole[2], whole[3])
+                p_x, p_y, p_z = p_x + whole[0] * c_x, p_y + whole[0] * c_y, p_z + whole[0] * c_z
+                l_x, l_y, l_z = cross(whole[1], whole[2], whole[3], c_x, c_y, c_z)
+                l_x += whole[4] * x + whole[7] * y + whole[8] * z
+                l_y += whole[7] * x + whole[5] * y + whole[9] * z
+                l_z += whole[8] * x + whole[9] * y + whole[6] * z
+                bias[i] = c_x * whole[10] + c_y * whole[11] + c_z * whole[12]
+                bias[i] += x * whole[13] + y * whole[14] + z * whole[15]
+            else:
+                p_x, p_y, p_z = whole[0] * x, whole[0] * y, whole[0] * z
+                l_x, l_y, l_z = cross(whole[1], whole[2], whole[3], x, y, z)
+                bias[i] = x * whole[10] + y * whole[11] + z * whole[12]
             j = i
             while j >= 0:
-                c, d = at.arm[0, j], at.arm[1, j]
-                mass[i, j] += p_x * c[0] + p_y * c[1] + p_z * c[2] + l_x * d[0] + l_y * d[1] + l_z * d[2]
+                a, o = at.axis[j], at.anchor[j]
+                if tree.hinge[j]:
+                    t_x, t_y, t_z = cross(place[0] - o[0], place[1] - o[1], place[2] - o[2], p_x, p_y, p_z)
+                    mass[i, j] = a[0] * (l_x + t_x) + a[1] * (l_y + t_y) + a[2] * (l_z + t_z)
+                else:
+                    mass[i, j] = a[0] * p_x + a[1] * p_y + a[2] * p_z
                 j = tree.before[j]
-            i = tree.before[i]
     for i in range(nv):
         mass[i, i] += shape.dof_armature[i]
         for j in range(i):
@@ -245,27 +306,47 @@ def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> No
 
 
 @compilable(forceinline=True, keep=True)
+def eliminate(dense: np.ndarray) -> None:
+    """Factors of a symmetric positive definite matrix in the place of its upper half, D Lᵀ, on the diagonal 1/D."""
+    n = len(dense)
+    for k in range(n):
+        pivot = 1.0 / dense[k, k]
+        dense[k, k] = pivot
+        for i in range(k + 1, n):
+            share = dense[k, i] * pivot
+            for j in range(i, n):
+                dense[i, j] -= share * dense[k, j]
+
+
+@compilable(forceinline=True, keep=True)
+def substitute(dense: np.ndarray, result: np.ndarray) -> None:
+    """Multiply a vector, (n,), in its place, by the inverse of the matrix of which `eliminate` left factors."""
+    # What is known is taken from all that follow at once: they do not wait for each other.
+    n = len(result)
+    for k in range(n):
+        share = result[k] * dense[k, k]
+        for i in range(k + 1, n):
+            result[i] -= share * dense[k, i]
+    for k in range(n - 1, -1, -1):
+        found = result[k] * dense[k, k]
+        result[k] = found
+        for i in range(k):
+            result[i] -= found * dense[i, k]
+
+
+@compilable(forceinline=True, keep=True)
 def solve_inertia(
     mass: np.ndarray, damping: np.ndarray, dt: float, dense: np.ndarray, force: np.ndarray, result: np.ndarray
 ) -> None:
-    """Write (M + dt D)⁻¹ force, (nv,), by Cholesky's factors, for which `dense`, (nv, nv), is room."""
+    """Write (M + dt D)⁻¹ force, (nv,); `dense`, (nv, nv), is room."""
     n = len(force)
     for i in range(n):
-        for j in range(i + 1):
-            rest = mass[i, j] + (dt * damping[i] if i == j else 0.0)
-            for k in range(j):
-                rest -= dense[i, k] * dense[j, k]
-            dense[i, j] = np.sqrt(rest) if i == j else rest / dense[j, j]
-    for i in range(n):
-        rest = force[i]
-        for k in range(i):
-            rest -= dense[i, k] * result[k]
-        result[i] = rest / dense[i, i]
-    for i in range(n - 1, -1, -1):
-        rest = result[i]
-        for k in range(i + 1, n):
-            rest -= dense[k, i] * result[k]
-        result[i] = rest / dense[i, i]
+        for j in range(i, n):
+            dense[i, j] = mass[i, j]
+        dense[i, i] += dt * damping[i]
+        result[i] = force[i]
+    eliminate(dense)
+    substitute(dense, result)
 
 
 class Reach(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vpptwin.engine.compile import compilable
+from vpptwin.engine.tree import eliminate, substitute
 
 SWEEPS = 100
 """Most sweeps of the relaxation over rubbing joints; one suffices where the inertia does not couple them."""
@@ -34,26 +35,6 @@ def expand_inertia(
 
 
 @compilable(keep=True)
-def invert_inertia(dense: np.ndarray, inverse: np.ndarray) -> None:
-    """Write the inverse of a symmetric positive definite matrix; `dense` is overwritten. Both (nv, nv)."""
-    n = len(dense)
-    inverse[:, :] = 0.0
-    for i in range(n):
-        inverse[i, i] = 1.0
-    for i in range(n):  # Gauss and Jordan; no pivoting is needed
-        pivot = 1.0 / dense[i, i]
-        for j in range(n):
-            dense[i, j] *= pivot
-            inverse[i, j] *= pivot
-        for k in range(n):
-            if k != i and dense[k, i] != 0.0:
-                factor = dense[k, i]
-                for j in range(n):
-                    dense[k, j] -= factor * dense[i, j]
-                    inverse[k, j] -= factor * inverse[i, j]
-
-
-@compilable(keep=True)
 def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, backward: float, dt: float) -> float:
     """Friction on one joint [N, N m]: what stops it at the end of the step, within what friction can muster.
 
@@ -70,7 +51,7 @@ def hold_or_slide(push: float, inertia: float, velocity: float, forward: float, 
     return np.minimum(np.maximum(-inertia * velocity / dt - push, -forward), backward)
 
 
-@compilable(keep=True)
+@compilable(forceinline=True)
 def rub(
     push: np.ndarray, velocity: np.ndarray, forward: np.ndarray, backward: np.ndarray, dense: np.ndarray,
     inverse: np.ndarray, coupled: bool, dt: float, friction: np.ndarray,
@@ -80,12 +61,12 @@ def rub(
     Joints that the inertia couples are relaxed one after the other (projected Gauss-Seidel) until none changes.
 
     Args:
-        push: all other generalized forces, (nv,).
+        push: all other generalized forces, (nv,); overwritten.
         velocity: at the start of the step, (nv,).
         forward: friction levels against motion forward, (nv,); 0 for a joint without friction.
         backward: likewise against motion backward.
         dense: M + dt D, (nv, nv); overwritten.
-        inverse: room for its inverse, (nv, nv).
+        inverse: room for the rows of its inverse that rubbing joints need, (nv, nv).
         coupled: whether it has entries off the diagonal.
         dt: step [s].
         friction: where the result goes.
@@ -98,21 +79,27 @@ def rub(
     # v⁺ = v + dt (M + dt D)⁻¹ (push + f): for each joint in turn the f that stops it, the others' held (Jourdan, Alart,
     # Jean, A Gauss-Seidel like algorithm to solve frictional contact problems, 1998). That is descent, coordinate by
     # coordinate, in a strictly convex quadratic within bounds: it converges, and to the one solution.
-    invert_inertia(dense, inverse)
+    eliminate(dense)
+    substitute(dense, push)
     largest = 0.0
     for i in range(n):
+        push[i] = velocity[i] + dt * push[i]  # as it would be without friction
         friction[i] = 0.0
         largest = max(largest, forward[i], backward[i])
+        if forward[i] > 0.0 or backward[i] > 0.0:
+            for j in range(n):
+                inverse[i, j] = 0.0
+            inverse[i, i] = dt
+            substitute(dense, inverse[i])
     for _ in range(SWEEPS):
         change = 0.0
         for i in range(n):
             if forward[i] == 0.0 and backward[i] == 0.0:
                 continue
-            after = velocity[i]
+            after = push[i]
             for j in range(n):
-                after += dt * inverse[i, j] * (push[j] + friction[j])
-            wanted = friction[i] - after / (dt * inverse[i, i])
-            held = min(max(wanted, -forward[i]), backward[i])
+                after += inverse[i, j] * friction[j]
+            held = min(max(friction[i] - after / inverse[i, i], -forward[i]), backward[i])
             change = max(change, abs(held - friction[i]))
             friction[i] = held
         if change <= SETTLED * largest:

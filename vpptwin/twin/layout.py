@@ -180,7 +180,7 @@ def make_pose(nbody: int, nv: int) -> Pose:
     bodies, joints = (nbody, 3), (nv, 3)
     return Pose(
         np.zeros(bodies), np.zeros((nbody, 9)), np.zeros(joints), np.zeros(joints), np.zeros(bodies), np.zeros(bodies),
-        np.zeros(bodies), np.zeros((2, *joints)),
+        np.zeros(bodies), np.zeros((2, *joints)), np.zeros((nbody, 16)),
     )  # fmt: skip
 
 
