@@ -26,6 +26,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import numpy as np  # noqa: E402
 from hidden.costs import format_costs, profile_diagnosis  # noqa: E402
 from hidden.crafts import GROUNDS  # noqa: E402
 from hidden.draw import draw_plans  # noqa: E402
@@ -90,7 +91,8 @@ def measure(folder: Path, twin: Path | None, profile: bool) -> dict[str, Any]:
     logs = sorted(folder.rglob("*.mcap"))
     spec = load_twin(twin) if twin else load_twin()
     flights = [read_flight(log) for log in logs]
-    Twin(spec, 2).initial_state()  # compiles
+    ready = Twin(spec, 2)
+    ready.replay_commands(ready.initial_state(), np.zeros((2, 1, spec.model.nu)))  # compiles
     counted, begun, worked = watch_steps(), time.perf_counter(), time.process_time()
     verdict = diagnose(spec, flights).verdict
     wall = time.perf_counter() - begun

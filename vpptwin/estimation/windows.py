@@ -248,11 +248,13 @@ def fly_on(
     twin: Twin, start: TwinState, windows: Windows, disturbance: np.ndarray | None = None
 ) -> tuple[TwinState, Motion]:
     """Drive a twin through the windows from a state; the state after them, and what `fly_windows` returns."""
-    after, qpos, qvel, rotor_speed = twin.replay_commands(
+    after, qpos, qvel, rotor_speed = twin.trace_commands(
         start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
     )
-    velocity = np.concatenate([windows.velocity[:, None], qvel], axis=1)
-    pose = np.concatenate([windows.pose[:, None], twin.pose_at_time(qpos, qvel)], axis=1)
+    velocity = np.concatenate([qvel, after.qvel[:, None]], axis=1)
+    qpos = np.concatenate([qpos, after.qpos[:, None]], axis=1)
+    velocity[:, 0], pose = windows.velocity, twin.pose_at_time(qpos, velocity)
+    pose[:, 0] = windows.pose  # joints that follow the log do so from there on
     if rotor_speed is not None:
         rotor_speed = np.concatenate([start.rotor_speed[:, None], rotor_speed], axis=1)
     return after, Motion(pose, velocity, rotor_speed)

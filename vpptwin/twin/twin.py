@@ -304,6 +304,16 @@ class Twin:
         Returns:
             The final state, and positions, velocities and simulated rotor speeds after every step.
         """
+        after, qpos, qvel, speed = self.trace_commands(state, commands, rotor_speed, throttle, disturbance, driven)
+        qpos = np.concatenate([qpos[:, 1:], after.qpos[:, None]], axis=1)
+        qvel = np.concatenate([qvel[:, 1:], after.qvel[:, None]], axis=1)
+        return Replay(after, qpos, qvel, speed)
+
+    def trace_commands(
+        self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,
+        throttle: np.ndarray | None = None, disturbance: np.ndarray | None = None, driven: Driven | None = None,
+    ) -> Replay:  # fmt: skip
+        """As `replay_commands`; positions and velocities *before* every step, as they are kept on the way."""
         result, steps, model = state.copy(), commands.shape[1], self.spec.model
         shape = self.num_sims, steps
         tape = {"command": commands, "qpos": np.empty((*shape, model.nq)), "qvel": np.empty((*shape, model.nv))}
@@ -316,9 +326,7 @@ class Twin:
         if driven is not None:
             tape["lead"] = self._lead_joints(result, driven, steps)
         self._run(result, steps, tape)
-        qpos = np.concatenate([tape["qpos"][:, 1:], result.qpos[:, None]], axis=1)
-        qvel = np.concatenate([tape["qvel"][:, 1:], result.qvel[:, None]], axis=1)
-        return Replay(result, qpos, qvel, tape.get("rotor_speed"))
+        return Replay(result, tape["qpos"], tape["qvel"], tape.get("rotor_speed"))
 
     def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
         """Put driven joints at the start of their tracks; the velocities that lead them along, (N, steps, nv)."""
