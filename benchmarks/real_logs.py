@@ -101,10 +101,11 @@ def list_logs() -> list[RealLog]:
         for run, known in simple.items()
     ]
     servo = "dry friction tenfold, damping threefold, stiffer"
-    found.append(
-        RealLog("so101", "prbs_excitation", "rotation.yaml", servo, ("coulomb", "viscous", "damping", "stiffness"),
+    found += [
+        RealLog("so101", "prbs_excitation", twin, servo, ("coulomb", "viscous", "damping", "stiffness"),
                 lambda source, out: convert_so101(source, out, last=24.0))
-    )  # fmt: skip
+        for twin in ("rotation.yaml", "so101.yaml")
+    ]  # fmt: skip
     flights = (
         "B2_circle_fast_rep1",
         "B3_figure8_fast_rep1",
