@@ -9,6 +9,7 @@ import pytest
 
 from tests.effects.rigs import CART_EFFECTS
 from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig, find_effect, generic_place
+from vpptwin.effects.actuator import list_loop_effects
 from vpptwin.effects.table import print_catalogue
 
 # Rows of SPEC 5: names of the parameters with their units.
@@ -273,6 +274,15 @@ def test_ids_are_apart_whatever_joints_and_actuators_are_called() -> None:
     """One may be called as all together are; then these have the names of all."""
     names = ("joints", "knee", "actuators")
     places = [generic_place(name, True, 1.0, driven=True) for name in names]
-    ids = [e.id for e in effects_for_rig(places, dict.fromkeys(names, 1.0), whole=names, drives=[names])]
+    ids = [
+        e.id
+        for e in effects_for_rig(
+            places,
+            dict.fromkeys(names, 1.0),
+            whole=names,
+            drives={names: names},
+            loops=dict.fromkeys(names, list_loop_effects(9.0, -9.0, -1.0)),
+        )
+    ]
     assert len(ids) == len(set(ids))
-    assert {"joints+knee+actuators.coulomb", "joints+knee+actuators.gain"} < set(ids)
+    assert {f"joints+knee+actuators.{kind}" for kind in ("coulomb", "gain", "stiffness")} < set(ids)

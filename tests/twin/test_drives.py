@@ -17,6 +17,7 @@ from vpptwin.viz.sketch import find_part
 
 NAMES = ("one", "two", "three")
 KINDS = ("coulomb", "viscous", "load")
+LOOP = ("strength", "stiffness", "damping", "force_limit")
 
 
 def write(folder: Path, drive: str = '<position name="{0}_servo" joint="{0}" kp="9" forcerange="-2 2"/>',
@@ -49,6 +50,9 @@ def test_what_drives_of_one_make_have_alike_is_suspected(tmp_path: Path) -> None
         assert known[f"joints.{kind}"].members == NAMES
         assert [p.tolerance for p in known[f"joints.{kind}"].parameters] == [0.0]
         assert list(known).index(f"joints.{kind}") < list(known).index(f"one.{kind}")
+    for kind in ("stiffness", "force_limit"):
+        assert known[f"actuators.{kind}"].members == tuple(f"{name}_servo" for name in NAMES)
+        assert [p.tolerance for p in known[f"actuators.{kind}"].parameters] == [0.0]
     assert known["joints.load"].summary == "losses of the gears on all joints that grow with what drives it"
 
 
@@ -60,7 +64,7 @@ def test_what_drives_of_one_make_have_alike_is_suspected(tmp_path: Path) -> None
 def test_of_whom_nothing_tells_that_they_are_alike(tmp_path: Path, drive: str, driven: str) -> None:
     """Motors without a limit, inertia or friction, and two servos, have but their own."""
     catalogue = load_twin(write(tmp_path, drive, driven)).catalogue
-    assert not [effect.id for effect in catalogue if effect.members and effect.id.split(".")[1] in KINDS]
+    assert not [effect.id for effect in catalogue if effect.members and effect.id.split(".")[1] in (*KINDS, *LOOP)]
 
 
 def test_drives_of_another_make_are_left_out() -> None:
@@ -68,11 +72,11 @@ def test_drives_of_another_make_are_left_out() -> None:
     body = '<body><joint name="{0}" armature="{1}"/><geom size="0.1"/></body>'
     rotors = {"a": 0.01, "b": 0.02, "c": 0.01, "d": 0.01}
     text = "".join(body.format(name, rotor) for name, rotor in rotors.items())
-    motors = "".join(f'<motor joint="{name}" gear="5"/>' for name in rotors)
+    motors = "".join(f'<motor name="{name}_motor" joint="{name}" gear="5"/>' for name in rotors)
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{text}</worldbody><actuator>{motors}</actuator></mujoco>"
     )
-    assert group_drives(model) == [("a", "c", "d")]
+    assert group_drives(model) == {("a", "c", "d"): ("a_motor", "c_motor", "d_motor")}
 
 
 @pytest.mark.parametrize(
@@ -100,3 +104,19 @@ def test_an_mjcf_holds_it_for_each(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.dof_frictionloss, [0.2, 0.3, 0.2])
     np.testing.assert_allclose(model.dof_damping[:, 0] if model.dof_damping.ndim > 1 else model.dof_damping, 0.3)
     assert find_part(spec.robot, find_effect(spec.catalogue, "joints.coulomb")).joints == {0, 1, 2}
+
+
+def test_servos_of_one_make_are_wrong_alike(tmp_path: Path) -> None:
+    """Twice the stiffness and half the limit of all are those of each, on servos that damp too."""
+    drive = '<position name="{0}_servo" joint="{0}" kp="9" kv="0.5" forcerange="-2 2"/>'
+    spec = load_twin(write(tmp_path, drive))
+    kinds = {"stiffness": 2.0, "damping": 3.0, "force_limit": 0.5}
+    whole = Twin(spec, 1, active=[f"actuators.{kind}" for kind in kinds])
+    each = Twin(spec, 1, active=[f"{name}_servo.{kind}" for name in NAMES for kind in kinds])
+    for twin in (whole, each):
+        for effect in twin.effects.values():
+            twin.set_parameter(effect.id, effect.parameters[0].name, kinds[effect.id.split(".")[1]])
+    for name in ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"):
+        np.testing.assert_array_equal(whole.constant(name), each.constant(name))
+    assert whole.constant("actuator_gainprm")[0, :, 0] == pytest.approx(18.0)
+    assert "actuators.strength" in {effect.id for effect in spec.catalogue}

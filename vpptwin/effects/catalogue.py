@@ -154,7 +154,7 @@ def effects_for_rig(
     joints: Iterable[Place], actuators: Mapping[str, float], room: float = INPUT_ROOM,
     loops: Mapping[str, tuple[Effect, ...]] | None = None, groups: Iterable[tuple[str, ...]] = (),
     links: Iterable[Link] = (), mounted: bool = False, contacts: Iterable[Effect] = (), whole: tuple[str, ...] = (),
-    drives: Iterable[tuple[str, ...]] = (),
+    drives: Mapping[tuple[str, ...], tuple[str, ...]] | None = None,
 ) -> tuple[Effect, ...]:  # fmt: skip
     """The generic effects of a rig that is not ours.
 
@@ -168,10 +168,10 @@ def effects_for_rig(
         mounted: whether gravity tells how their mount stands, apart from any zero of an encoder.
         contacts: what `contact.effects_for_contacts` makes of what may touch.
         whole: names of all actuators that are logged.
-        drives: names of joints whose drives are of one make.
+        drives: names of joints whose drives are of one make → of their actuators.
     """
     effects, groups, joints = [], list(groups), list(joints)
-    for group in drives:
+    for group in drives or {}:
         effects += effects_for_drives([place for place in joints if place.joint in group], len(joints))
     for place in joints:
         barred = (*(() if place.rotary else HINGES_ONLY), *(() if place.driven else DRIVEN_ONLY))
@@ -186,6 +186,11 @@ def effects_for_rig(
         together = "+".join(whole) if actuator.WHOLE in actuators else actuator.WHOLE
         effects += [tolerate_nothing(actuator.attach(e, together, members=whole)) for e in GENERIC_WHOLE]
         called.append(together)
+    simulated = {place.joint for place in joints}
+    for group, members in (drives or {}).items():
+        servos = tuple(name for joint, name in zip(group, members) if joint in simulated and name in actuators)
+        called_all = actuator.WHOLE if servos == whole and actuator.WHOLE not in actuators else "+".join(servos)
+        effects += effects_for_servos(servos, (loops or {}).get(servos[0], ()) if servos else (), called_all)
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
         if any(name in group for group in groups):  # whose battery is one
@@ -218,6 +223,14 @@ def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
     largest = replace(max(places, key=lambda place: place.scale), joint=called, where=where)
     made = [make(largest, tuple(f"{called}.{kind}" for kind in alike)) for make, alike in GENERIC_DRIVES]
     return [tolerate_nothing(replace(effect, target="", members=names)) for effect in made]
+
+
+def effects_for_servos(names: tuple[str, ...], loop: Iterable[Effect], called: str) -> list[Effect]:
+    """What servos of one make may have alike of their loop, nothing for fewer than three; see `effects_for_drives`."""
+    own = [effect for effect in loop if effect.id != actuator.SAG.id and len(names) > 2]
+    kinds = {effect.id for effect in own}
+    alike = [replace(e, look_alikes=tuple(kind for kind in e.look_alikes if kind in kinds)) for e in own]
+    return [tolerate_nothing(actuator.attach(effect, called, members=names)) for effect in alike]
 
 
 def tolerate_nothing(effect: Effect) -> Effect:

@@ -33,12 +33,12 @@ def find_carrier(model: mujoco.MjModel, rotor: str) -> int:
     return int(model.site_bodyid[model.actuator_trnid[model.actuator(rotor).id, 0]])
 
 
-def group_drives(model: mujoco.MjModel) -> list[tuple[str, ...]]:
-    """Joints whose drives are of one make, three or more: an actuator each, of one law, and gears that rub alike.
+def group_drives(model: mujoco.MjModel) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Joints whose drives are of one make, three or more → their actuators: one each, of one law, and gears alike.
 
     Of motors of which the MJCF says neither inertia, friction nor a limit nothing tells whether they are.
     """
-    groups: dict[tuple[float, ...], list[str]] = {}
+    groups: dict[tuple[float, ...], list[tuple[str, str]]] = {}
     for joint in map(int, np.flatnonzero((model.jnt_type == HINGE) | (model.jnt_type == SLIDE))):
         name, dof = model.joint(joint).name, int(model.jnt_dofadr[joint])
         drives = [i for i in range(model.nu) if acts_on(model, i, joint)]
@@ -52,8 +52,8 @@ def group_drives(model: mujoco.MjModel) -> list[tuple[str, ...]]:
             *(model.actuator_forcerange[i] if limited else ()),
         ]  # fmt: skip
         if limited or any(stated):
-            groups.setdefault((*map(float, law), *map(float, stated)), []).append(name)
-    return [tuple(group) for group in groups.values() if len(group) > 2]
+            groups.setdefault((*map(float, law), *map(float, stated)), []).append((name, model.actuator(i).name))
+    return {tuple(j for j, _ in group): tuple(a for _, a in group) for group in groups.values() if len(group) > 2}
 
 
 def acts_on(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
