@@ -142,7 +142,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     for row in found if options.profile else []:
         print(f"\n{row['rig']}, {row['seed']}\n\n{format_costs(row['stages'])}")
     if options.json:
-        write_json(options.json, {**describe_machine(), "results": found})
+        write_json({**describe_machine(), "results": found}, options.json)
 
 
 if __name__ == "__main__":
