@@ -183,14 +183,15 @@ def effects_for_rig(
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]
     called = ["+".join(group) for group in groups] or (list(actuators) if len(actuators) == 1 else [])
     if len(whole) > 1 and whole not in groups:
-        together = "+".join(whole) if actuator.WHOLE in actuators else actuator.WHOLE
+        together = name_together(whole, whole, actuators)
         effects += [tolerate_nothing(actuator.attach(e, together, members=whole)) for e in GENERIC_WHOLE]
         called.append(together)
     simulated = {place.joint for place in joints}
     for group, members in (drives or {}).items():
         servos = tuple(name for joint, name in zip(group, members) if joint in simulated and name in actuators)
-        called_all = actuator.WHOLE if servos == whole and actuator.WHOLE not in actuators else "+".join(servos)
-        effects += effects_for_servos(servos, (loops or {}).get(servos[0], ()) if servos else (), called_all)
+        if len(servos) > 2:
+            loop = (loops or {}).get(servos[0], ())
+            effects += effects_for_servos(servos, loop, name_together(servos, whole, actuators))
     for name, size in actuators.items():
         own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
         if any(name in group for group in groups):  # whose battery is one
@@ -210,6 +211,11 @@ def effects_for_rig(
     return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
 
 
+def name_together(names: tuple[str, ...], whole: tuple[str, ...], actuators: Iterable[str]) -> str:
+    """What some actuators are called together: as all are, where they are all that are logged and none is called so."""
+    return actuator.WHOLE if set(names) == set(whole) and actuator.WHOLE not in actuators else "+".join(names)
+
+
 def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
     """What the drives of joints may have alike, of a rig with `count` joints; nothing for fewer than three of them.
 
@@ -226,8 +232,8 @@ def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
 
 
 def effects_for_servos(names: tuple[str, ...], loop: Iterable[Effect], called: str) -> list[Effect]:
-    """What servos of one make may have alike of their loop, nothing for fewer than three; see `effects_for_drives`."""
-    own = [effect for effect in loop if effect.id != actuator.SAG.id and len(names) > 2]
+    """What servos of one make, called so together, may have alike of their loop; see `effects_for_drives`."""
+    own = [effect for effect in loop if effect.id != actuator.SAG.id]
     kinds = {effect.id for effect in own}
     alike = [replace(e, look_alikes=tuple(kind for kind in e.look_alikes if kind in kinds)) for e in own]
     return [tolerate_nothing(actuator.attach(effect, called, members=names)) for effect in alike]

@@ -109,7 +109,7 @@ def test_coarser_bins_average_more(tmp_path: Path) -> None:
 def test_a_pulse_is_flown_from_where_it_begins(
     bench: Bench, values: dict, tracked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To the last digit what flying each whole window makes of it, delays and bristles included."""
+    """To the last digit what flying each whole window makes of it, a delay and dry friction included."""
     number, segments, nv = len(bench.windows), bench.segments, bench.spec.model.nv
     push = np.random.default_rng(3).normal(0.0, 0.5, (number, segments, nv))
     start = np.full((number, nv), 0.01)

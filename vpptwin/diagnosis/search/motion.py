@@ -142,20 +142,28 @@ def follow_motion(bench: Bench, values: Mapping[Key, float], gust: np.ndarray | 
     at = path.measure(track)
     best, damping = path.cost(missed, at), np.zeros(count)
     turns, strides = (BRIEFLY, STRIDES) if bench.guessed else (FOLLOWED, 1)
+
+    def settled(before: float) -> bool:
+        """Whether the cost has hardly fallen since."""
+        now = float(best.sum())
+        return before - now < max(count * SETTLED, ENOUGH * now * bench.guessed)
+
     for turn in range(turns):
+        begun = float(best.sum())
         if turn:
             path = replace(path, response=measure_response(bench, values))
-        for stride in range(strides):
-            missed = bench.residual(values) if turn or stride else missed
+        for _ in range(strides):
+            before = float(best.sum())
             found = path.step(path.response.restore(missed, track), at, damping)
-            cost = path.cost(bench.about(path.place(found)).residual(values), found)
-            better, gained = cost < best, float(np.maximum(best - cost, 0.0).sum())
+            there = bench.about(path.place(found)).residual(values)
+            cost = path.cost(there, found)
+            better = cost < best
             damping = np.where(better, damping / 10.0, np.maximum(4.0 * damping, 1.0))
-            best, at = np.where(better, cost, best), np.where(better[:, None], found, at)
+            best, kept = np.where(better, cost, best), better[:, None]
+            missed, at = np.where(kept, there, missed), np.where(kept, found, at)
             bench.track = track = path.place(at)
-            settled = gained < max(count * SETTLED, ENOUGH * float(best.sum()) * bench.guessed)
-            if settled:
+            if settled(before):
                 break
-        if settled and stride == 0:
+        if settled(begun):
             break
     return track
