@@ -253,7 +253,9 @@ def fly_on(
     )
     velocity = np.concatenate([qvel, after.qvel[:, None]], axis=1)
     qpos = np.concatenate([qpos, after.qpos[:, None]], axis=1)
-    velocity[:, 0], pose = windows.velocity, twin.pose_at_time(qpos, velocity)
+    velocity[:, 0] = windows.velocity
+    with np.errstate(invalid="ignore", over="ignore"):  # a twin that diverged shows that in what it predicts
+        pose = twin.pose_at_time(qpos, velocity)
     pose[:, 0] = windows.pose  # joints that follow the log do so from there on
     if rotor_speed is not None:
         rotor_speed = np.concatenate([start.rotor_speed[:, None], rotor_speed], axis=1)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from itertools import pairwise
 from textwrap import indent
 from threading import Lock
 from typing import Any
@@ -14,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from vpptwin.cores import share_out
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree
 from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose, read_matrices
 
@@ -179,12 +176,6 @@ def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: in
     )  # fmt: skip
 
 
-@cache
-def threads() -> ThreadPoolExecutor:
-    """Threads that run fused steps, which hold no lock."""
-    return ThreadPoolExecutor(os.cpu_count() or 1)
-
-
 class Stepper:
     """Runs the fused step of one twin, all of whose numbers lie where they lay when it was made.
 
@@ -214,20 +205,17 @@ class Stepper:
             self._held.append(shared)
             words += [shared.ctypes.data, 0 if array is None else array.strides[0]]
         self._fields = np.array(words, np.int64)
-        workers = min(num_threads, max(num_sims // FEW, 1))
+        self._workers = min(num_threads, max(num_sims // FEW, 1))
         sizes = list_room(int(model.nbody), int(model.nv), int(model.nu), int(model.nC)).values()
-        self._rooms = np.zeros((workers, sum(int(np.prod(size)) for size in sizes)))
+        self._rooms = np.zeros((self._workers, sum(int(np.prod(size)) for size in sizes)))
         self._lock = Lock()
-        self._shares = list(pairwise(np.linspace(0, num_sims, workers + 1).astype(int).tolist()))
+        self._count = num_sims
 
     def run(self, function: Any, context: np.ndarray) -> None:  # noqa: ANN401
         """Run the compiled `function` on a context, its simulations shared out to threads."""
         context["static"], context["fields"] = self._statics.ctypes.data, self._fields.ctypes.data
-        jobs = [(context.ctypes.data, *share, room.ctypes.data) for share, room in zip(self._shares, self._rooms)]
+        rooms = [room.ctypes.data for room in self._rooms]
         with self._lock:  # the room that threads work in is the twin's
             if self._turns is not None and self._matrices is not None:
                 self._matrices[:] = read_matrices(self._turns)
-            others = [threads().submit(function, *job) for job in jobs[1:]]
-            function(*jobs[0])
-            for job in others:
-                job.result()
+            share_out(lambda *part: function(context.ctypes.data, *part, rooms.pop()), self._count, self._workers, FEW)

@@ -17,6 +17,7 @@ from numba import njit, types
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
+from vpptwin.cores import share_out
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
@@ -307,9 +308,14 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, rows
     result, known = layer.copy(), np.ascontiguousarray(constants)
     given, own = np.ascontiguousarray(commands, float), np.ascontiguousarray(rows, np.int64)
     first = find_first(layer, constants, given, dt)
-    sizes = np.array([(len(own), given.shape[1], own.ctypes.data, first.ctypes.data, dt)], SIZES)
-    arrays = result, known, given, sizes
-    compile_warm_up(result.dtype, constants.dtype, given.shape[2])(*(array.ctypes.data for array in arrays))
+    move = compile_warm_up(result.dtype, constants.dtype, given.shape[2])
+
+    def move_some(begin: int, end: int) -> None:
+        part, same, number, since = (array[begin:end] for array in (result, known, own, first))
+        sizes = np.array([(end - begin, given.shape[1], number.ctypes.data, since.ctypes.data, dt)], SIZES)
+        move(*(array.ctypes.data for array in (part, same, given, sizes)))
+
+    share_out(move_some, len(own))
     return result
 
 

@@ -254,24 +254,41 @@ def test_bounded_minima_are_those_of_scipy(monkeypatch: pytest.MonkeyPatch, sets
             matrix, wanted = rng.normal(size=(size + 3, size)), rng.normal(size=size + 3)
             low, width = rng.normal(size=size), rng.uniform(1e-6, 1.0, size) * rng.choice([0.001, 1.0], size)
             bounds = low, low + width
-            found = solve_bounded(matrix.T @ matrix, matrix.T @ wanted, bounds)
+            found, _ = solve_bounded(matrix.T @ matrix, matrix.T @ wanted, bounds)
             assert np.all((found >= low - 1e-12) & (found <= low + width + 1e-12))
             best = lsq_linear(matrix, wanted, bounds=bounds, method="bvls").x
             np.testing.assert_allclose(found, best, atol=1e-7 * max(np.linalg.cond(matrix), 1.0))
+
+
+def test_bounded_minima_are_found_where_sets_of_bounds_go_round() -> None:
+    """Parameters that do much the same: if all change sides at once, every third time the same sets come for ever."""
+    rng = np.random.default_rng(7)
+    for _ in range(100):
+        matrix = rng.normal(size=(31, 2)) @ rng.normal(size=(2, 30)) + 0.03 * rng.normal(size=(31, 30))
+        target, width = rng.normal(size=30) * 10.0 ** rng.uniform(-2.0, 2.0, 30), 10.0 ** rng.uniform(-2.0, 1.0, 30)
+        hessian, bounds = matrix.T @ matrix + 1e-3 * np.eye(30), (-width, width)
+        believed = tuple(rng.random((2, 30)) < [[0.5], [0.0]])
+        for found, (below, above) in (solve_bounded(hessian, target, bounds, each) for each in (None, believed)):
+            downhill, free = target - hessian @ found, ~(below | above)
+            scale = 1e-9 * (np.abs(hessian) @ np.abs(found) + np.abs(target))
+            assert np.all(np.abs(found) <= width * (1.0 + 1e-12))
+            assert np.all(downhill[below] <= scale[below])
+            assert np.all(downhill[above] >= -scale[above])
+            assert np.all(np.abs(downhill[free]) <= scale[free])
 
 
 def test_bounded_minima_do_without_divide_and_conquer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where LAPACK gives up on a matrix, as in session 199 of seed 81580, the same answer comes another way."""
     rng = np.random.default_rng(5)
     matrix, target, bounds = rng.normal(size=(6, 6)), rng.normal(size=6), (np.full(6, -0.1), np.full(6, 0.2))
-    usual = solve_bounded(matrix.T @ matrix, target, bounds)
+    usual = solve_bounded(matrix.T @ matrix, target, bounds)[0]
 
     def give_up(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
 
     monkeypatch.setattr("scipy.optimize._lsq.bvls.lstsq", give_up)
     monkeypatch.setattr("vpptwin.diagnosis.search.solution.SETS", 0)
-    found = solve_bounded(matrix.T @ matrix, target, bounds)
+    found, _ = solve_bounded(matrix.T @ matrix, target, bounds)
     np.testing.assert_allclose(found, usual, atol=1e-5)
     assert np.all((found >= bounds[0]) & (found <= bounds[1]))
 

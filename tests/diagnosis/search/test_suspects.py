@@ -32,6 +32,7 @@ def suspect(effect: Effect, *nominal: float) -> list[Unknown]:
     return [Unknown(effect, p, n) for p, n in zip(effect.parameters, nominal, strict=True)]
 
 
+NOWHERE = np.zeros(1, bool), np.zeros(1, bool)
 UNKNOWNS = (
     *suspect(coulomb(Place("a", "on a", tolerance=TOLERANCE)), 0.0),
     *suspect(viscous(Place("b", "on b", tolerance=TOLERANCE)), 0.5),
@@ -166,7 +167,8 @@ def test_freedom_has_its_price() -> None:
     covariance = np.zeros((3, 3))
     covariance[0, 0] = 0.03**2
     covariance[1:, 1:] = [[0.09**2, 0.5 * 0.09 * 0.06], [0.5 * 0.09 * 0.06, 0.06**2]]
-    solution = Solution(np.zeros(5), 0.0, np.linalg.inv(covariance), np.array([1.0, 0.0, 0.0, 1.0, 1.0]))
+    moving, nowhere = np.array([1.0, 0.0, 0.0, 1.0, 1.0]), np.zeros(5, bool)
+    solution = Solution(np.zeros(5), 0.0, np.linalg.inv(covariance), moving, (nowhere, nowhere))
     force = 2.0 * np.log(30.0)
     # Shares 0.1 and 0.1 of their ranges 0.9 and 0.6, correlation 0.5: determinant 1e-4 * 0.75.
     pair = -np.log(1e-4 * 0.75)
@@ -198,18 +200,18 @@ def test_scatter_by_hand() -> None:
     """Scores 1, 2, -1, -1 in a stretch of four windows and 6 after it: sums 1 and 6, curvature 16; √37 / 16."""
     bench = lay_starts([0.0, 0.25 * STRETCH, 0.5 * STRETCH, 0.75 * STRETCH, 1.01 * STRETCH])
     fit = linear(np.zeros(1), np.array([[1.0, 2.0, 1.0, 1.0, 3.0]]), np.array([1.0, 1.0, -1.0, -1.0, 2.0]))
-    solution = Solution(np.zeros(1), 0.0, np.array([[16.0]]), np.ones(1))
+    solution = Solution(np.zeros(1), 0.0, np.array([[16.0]]), np.ones(1), NOWHERE)
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [np.sqrt(37.0) / 16.0])
     # The fit may have moved by 0.5: residuals 0.5, 0, -1.5, -1.5, 0.5; scores 0.5, 0, -1.5, -1.5 and 1.5; over scale 2.
     twice = replace(fit, frame=replace(fit.frame, scale=2.0))
-    moved = Solution(np.array([0.5]), 0.0, np.array([[8.0]]), np.ones(1))
+    moved = Solution(np.array([0.5]), 0.0, np.array([[8.0]]), np.ones(1), NOWHERE)
     np.testing.assert_allclose(scatter_by_stretch(twice, moved, bench), [np.hypot(2.5, 1.5) / 2.0 / 8.0])
 
 
 def test_windows_of_other_flights_are_other_stretches() -> None:
     """Scores 1, 2 at the same time of two flights: √5, not 3."""
     fit = linear(np.zeros(1), np.ones((1, 2)), np.array([1.0, 2.0]))
-    solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)), np.ones(1))
+    solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)), np.ones(1), NOWHERE)
     for flight, expected in (([0, 1], np.sqrt(5.0)), ([0, 0], 3.0)):
         np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_starts([0.5, 0.5], flight)), [expected])
 
@@ -219,7 +221,7 @@ def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
     error = np.repeat(np.random.default_rng(0).standard_normal(200), 20)
     error -= error.mean()
     fit = linear(np.zeros(1), np.ones((1, len(error))), error)
-    solution = Solution(np.zeros(1), 0.0, np.array([[float(len(error))]]), np.ones(1))
+    solution = Solution(np.zeros(1), 0.0, np.array([[float(len(error))]]), np.ones(1), NOWHERE)
     bench = lay_starts(list(STRETCH * (np.arange(800) // 4 + 0.2 * (np.arange(800) % 4) + 0.1)))
     # 200 draws know their own scatter to 5 %.
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [1.0 / np.sqrt(200.0)], rtol=0.15)

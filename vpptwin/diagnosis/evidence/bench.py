@@ -12,7 +12,7 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import Channel, predict_channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.diagnosis.evidence.runs import ROWS, Key, MakeTwin, Runs, Track, Variation, keep_last, pick
-from vpptwin.effects import Stage
+from vpptwin.effects import Stage, find_effect
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows
 from vpptwin.twin.manifold import find_place
@@ -24,6 +24,10 @@ MOTIONS = 4
 """Motions of one variation, those simulated last, that a bench keeps."""
 ASTRAY, FARTHEST = 1e4, 1e8
 """Noises by which a simulation that diverged is taken to miss, and by which any can: squares must not overflow."""
+NEARLY = 0.25
+"""Share by which effects may differ that change alike what others do."""
+INERTIAS = {"body_mass", "body_inertia", "dof_armature"}
+"""Constants that tell how hard a rig is to accelerate."""
 FAR, UNSEEN = 8.0, 1e4
 """Typical sizes beyond which an effect changes what others do, and beyond which it is a limit that nothing reaches."""
 
@@ -158,6 +162,21 @@ class Bench(Runs):
         rubbing = {e.id for e in self.spec.catalogue if e.stage in (Stage.FRICTION, Stage.SLIP)}
         far = {effect for effect, _ in self.regime(values)} - rubbing
         return self.without_dry_friction | {key: value for key, value in values.items() if key[0] in far}
+
+    @cached_property
+    def _heavy(self) -> frozenset[str]:
+        """Ids of the effects that change how hard the rig is to accelerate."""
+        return frozenset(e.id for e in self.spec.catalogue if INERTIAS & set(e.writes))
+
+    def weights(self, values: Mapping[Key, float]) -> dict[Key, float]:
+        """Those of the values that tell how hard the rig is to accelerate."""
+        return {key: value for key, value in values.items() if key[0] in self._heavy}
+
+    def is_near(self, known: Mapping[Key, float], values: Mapping[Key, float]) -> bool:
+        """Whether effects are nearly as strong as what is known, so that a rig is pushed about as it was there."""
+        effects = [(find_effect(self.spec.catalogue, effect_id), name) for effect_id, name in known]
+        sizes = [(abs(known[e.id, n] - self.spec.value(e, n)), e.parameter(n).size) for e, n in effects]
+        return all(abs(values[key] - known[key]) <= NEARLY * max(size) for key, size in zip(known, sizes))
 
     def _observe(self, variation: Variation, motion: Motion) -> np.ndarray:
         """All channels of one variation, (K, M)."""

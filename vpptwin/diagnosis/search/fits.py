@@ -174,11 +174,29 @@ class Fitter:
         """
         floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
         loose = self._polish(fit, self.responses.without_dry_friction(floor, fit.values))
+        doubt = self.doubt(loose)
         if not sticking:
-            return loose
+            return replace(loose, cost=loose.cost + doubt)
         tight = self._polish(fit, self.responses.find(sticking, floor, fit.values, fit.likelihood.gust))
         chosen = tight if tight.evidence_against(loose) > -self.criteria.yielding else loose
-        return replace(chosen, cost=find_cheapest([tight, loose]).cost)
+        return replace(chosen, cost=find_cheapest([tight, loose]).cost + doubt)
+
+    def doubt(self, fit: Fit) -> float:
+        """How much more a fit costs if gusts push a rig as heavy as its own, and are believed as with the nominal one.
+
+        Noise in logged inputs and what a controller does against gusts act through the rig as it is: judged by what
+        they do to a nominal twin, a heavier one, which they move less, is the likelier for that alone; judged with all
+        that they do to its own, the smaller volume of what can happen makes it so. A cause must hold either way
+        (Deming, Statistical Adjustment of Data, 1943: errors in both what is regressed and what on).
+        """
+        floor, likelihood = fit.frame.floor, fit.likelihood
+        if not (self.bench.guessed and self.bench.weights(fit.values)):
+            return 0.0
+        nominal = self.responses.find(frozenset(), floor, self.bench.loosen({}))
+        heavy = couple_gusts(self.bench, self.responses.as_heavy(floor, fit.values), likelihood.gust, likelihood.storm)
+        believed = couple_gusts(self.bench, nominal, likelihood.gust, likelihood.storm)
+        about = fit.about.under(replace(heavy, logdet=believed.logdet), fit.frame)
+        return max(self.fit(fit.effects, fit.values, about, POLISH).cost - fit.cost, 0.0)
 
     def reframe(self, fit: Fit) -> Fit:
         """Take a fit as the new state of knowledge: derivatives that belong to it, a frame of its own, and a refit.

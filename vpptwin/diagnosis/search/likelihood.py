@@ -16,11 +16,14 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
+from vpptwin.cores import map_rows, share_out
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""
+MUCH = 10**6
+"""Multiplications for which another thread pays."""
 MOST_COUPLED = 432
 """Pulses in a stretch of windows: the cost of coupling them grows with the cube, the loss at a cut is small."""
 STORMS = np.geomspace(1.0, 1e4, 81)
@@ -134,12 +137,14 @@ class Likelihood:
         gust: strength of the gusts as a multiple of what is assumed, per degree of freedom, (nv,).
         stretches: windows whose gusts are coupled, in the order of time, with the factor of I + C, (n G, n G).
         logdet: logarithm of the determinant of S, every window's share of it, (K,).
+        storm: by how much more than in others the variance of gusts is in every window, (K,); None for nowhere.
     """
 
     response: Response
     gust: np.ndarray
     stretches: list[tuple[np.ndarray, np.ndarray]]
     logdet: np.ndarray
+    storm: np.ndarray | None = None
 
     def whiten(self, residual: np.ndarray) -> np.ndarray:
         """Residuals (..., K, M) in units of their own standard deviation; independent if the model is right."""
@@ -178,7 +183,9 @@ def apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """The product of matrices (K, N, M) and vectors (V, K, M) or (K, M), one by one, (..., K, N)."""
     if vectors.ndim == 2:
         return np.asarray((matrices @ vectors[..., None])[..., 0])
-    return np.moveaxis(np.moveaxis(vectors, 0, 1) @ np.swapaxes(matrices, 1, 2), 1, 0)
+    least = max(MUCH // max(vectors[:, 0].size * matrices.shape[1], 1), 1)
+    product = map_rows(np.matmul, np.moveaxis(vectors, 0, 1), np.swapaxes(matrices, 1, 2), least=least)
+    return np.moveaxis(product, 1, 0)
 
 
 def gust_std(bench: Bench) -> np.ndarray:
@@ -224,22 +231,25 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
         storm: by how much more than in others the variance of gusts is in every window, (K,), which has its price.
     """
     size = response.triangles.shape[1]
-    time, stretches = middles_of_segments(bench), []
-    logdet = response.sensors.logdet.copy()
+    time, stretches = middles_of_segments(bench), list_stretches(bench)
+    factors, logdet = [np.empty(0)] * len(stretches), response.sensors.logdet.copy()
     if storm is not None:
         logdet += price_of_storm(storm, size, bench.criteria.tails)
-    for part in list_stretches(bench):
-        prior = np.kron(likeness_of_gusts(bench, time[part].ravel()), np.diag(gust**2))
-        if storm is not None:
-            stronger = np.repeat(np.sqrt(storm[part]), size)
-            prior *= stronger[:, None] * stronger
-        rows = np.zeros((len(part) * size, len(part) * size))
-        for i, k in enumerate(part):
-            rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
-        factor = np.linalg.cholesky(np.eye(len(rows)) + rows @ prior @ rows.T)
-        logdet[part] += 2.0 * np.log(np.diag(factor)).reshape(len(part), -1).sum(axis=1)
-        stretches.append((part, factor))
-    return Likelihood(response, gust, stretches, logdet)
+
+    def couple(begin: int, end: int) -> None:
+        for number, part in enumerate(stretches[begin:end], begin):
+            prior = np.kron(likeness_of_gusts(bench, time[part].ravel()), np.diag(gust**2))
+            if storm is not None:
+                stronger = np.repeat(np.sqrt(storm[part]), size)
+                prior *= stronger[:, None] * stronger
+            rows = np.zeros((len(part) * size, len(part) * size))
+            for i, k in enumerate(part):
+                rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
+            factors[number] = np.linalg.cholesky(np.eye(len(rows)) + rows @ prior @ rows.T)
+            logdet[part] += 2.0 * np.log(np.diag(factors[number])).reshape(len(part), -1).sum(axis=1)
+
+    share_out(couple, len(stretches), least=max(MUCH // size**3, 1))
+    return Likelihood(response, gust, list(zip(stretches, factors)), logdet, storm)
 
 
 def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
@@ -256,14 +266,14 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
     (count, size, _), nv = response.triangles.shape, bench.spec.model.nv
     pulses = response.triangles.reshape(count, size, -1, nv)
     spread = np.einsum("kij,kgja->kgia", alike, pulses)
-    most = criteria.tails * size
+    most, least = criteria.tails * size, max(MUCH // size**3, 1)
 
     def surprise(log_gust: np.ndarray) -> tuple[float, np.ndarray]:
         """Twice the negative log of how probable gusts are, and its slope by the log of their strength, (nv,)."""
         variance = np.exp(2.0 * log_gust)
         blown = (variance * spread).reshape(count, size, -1)
         covariance = np.eye(size) + blown @ np.swapaxes(response.triangles, 1, 2)
-        inverse = np.linalg.inv(covariance)
+        inverse = map_rows(np.linalg.inv, covariance, least=least)
         white = np.einsum("kgf,kf->kg", inverse, along)
         square = (white * along).sum(axis=1) / scale
         # Student's t: a window that goes astray must not make a storm.

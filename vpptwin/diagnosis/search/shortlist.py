@@ -50,7 +50,7 @@ def rank_effects(
     limited = {u.effect.id for u in unknowns if u.is_limit}
     for effect in {u.effect.id for u in unknowns} - effects - barred - limited:
         freed = effects | {effect}
-        solution = solve_hypothesis(about, unknowns, freed)
+        solution = solve_hypothesis(about, unknowns, freed, near=base)
         starts.append(Start(effect, advance(about, unknowns, freed, solution), base.cost - solution.cost))
     return starts
 

@@ -13,8 +13,13 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.suspects import Unknown
 
-SETS = 30
-"""Sets of bounds that are tried at most before another method is."""
+SETS, PATIENCE, MOST = 200, 5, 10_000
+"""Sets of bounds that are tried before another method is, those in a row that may leave no fewer on a wrong side, and
+steps of that method at most."""
+ROUNDING = 8.0 * np.finfo(float).eps
+"""Share of its terms by which rounding may be wrong about a sum."""
+Held = tuple[np.ndarray, np.ndarray]
+"""Which parameters lie at their lower and at their upper bounds, (n,) bool each."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,14 @@ class Solution:
     Attributes:
         hessian: half of the cost's by those n parameters that move, each in its unit, (n, n).
         unit: of every parameter; 0 for those that stay, (P,).
+        held: those at their bounds, (P,) each.
     """
 
     deviation: np.ndarray
     cost: float
     hessian: np.ndarray
     unit: np.ndarray
+    held: Held
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -41,8 +48,9 @@ class Solution:
 
 
 def solve_hypothesis(
-    about: Linearisation, unknowns: tuple[Unknown, ...], freed: frozenset[str], frozen: bool = False
-) -> Solution:
+    about: Linearisation, unknowns: tuple[Unknown, ...], freed: frozenset[str], frozen: bool = False,
+    near: Solution | None = None,
+) -> Solution:  # fmt: skip
     """Most probable parameters if the effects `freed` are wrong and all others sit within their build tolerance.
 
     Args:
@@ -50,6 +58,7 @@ def solve_hypothesis(
         unknowns: their parameters.
         freed: ids of effects whose parameters the data may move anywhere inside the bounds.
         frozen: the freed parameters stay where they are; only the others move.
+        near: a solution that is believed to lie at nearly the same bounds.
     """
     scale, reach = about.frame.scale, about.frame.criteria.most_tolerated
     nominal = np.array([u.nominal for u in unknowns])
@@ -69,41 +78,64 @@ def solve_hypothesis(
     target = slope / scale * unit + unit / width[moving] ** 2 * pull[moving]
     margin = 1e-12
     bounds = (low[moving] - margin) / unit, (high[moving] + margin) / unit
-    step = solve_bounded(hessian + 1e-9 * np.diag(np.diag(hessian)), target, bounds) * unit
-    deviation = np.zeros(len(unknowns))
-    deviation[moving] = step
+    believed = None if near is None else tuple((each & ~free)[moving] for each in near.held)
+    least, at_bound = solve_bounded(hessian + 1e-9 * np.diag(np.diag(hessian)), target, bounds, believed)
+    step = least * unit
+    deviation, held = np.zeros(len(unknowns)), np.zeros((2, len(unknowns)), bool)
+    deviation[moving], held[:, moving] = step, at_bound
     cost = (about.residual @ about.residual - 2.0 * slope @ step + step @ gram @ step) / scale
-    held = ~free
-    cost += float(np.sum(((deviation[held] - pull[held]) / width[held]) ** 2))
-    return Solution(deviation, float(cost), hessian, units)
+    cost += float(np.sum(((deviation - pull)[~free] / width[~free]) ** 2))
+    return Solution(deviation, float(cost), hessian, units, (held[0], held[1]))
 
 
-def solve_bounded(hessian: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def solve_bounded(
+    hessian: np.ndarray, target: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], held: Held | None = None
+) -> tuple[np.ndarray, Held]:
     """The x (n,) within bounds at which x' `hessian` x / 2 - `target`' x is least, `hessian` (n, n) positive definite.
 
-    By primal-dual active sets (Hintermüller, Ito, Kunisch 2003): few are tried before they stay, if they ever do.
+    By block principal pivoting (Júdice and Pires, Computers & Operations Research 21, 1994): all that are on the wrong
+    side change sides at once; where that leaves no fewer of them, the last alone, by which it ends sooner or later.
+
+    Returns:
+        x, and which of it lie at their lower and at their upper bounds.
+
+    Args:
+        hessian: (n, n).
+        target: (n,).
+        bounds: lower and upper ones, (n,) each.
+        held: which are believed to lie at their bounds; None for none.
+
+    Raises:
+        numpy.linalg.LinAlgError: if `hessian` is not positive definite.
     """
     low, high = bounds
-    below = above = np.zeros(len(target), bool)
+    size = np.abs(hessian)
+    below, above = held or (np.zeros(len(target), bool),) * 2
+    least, patience = len(target) + 1, PATIENCE
     for _ in range(SETS):
-        held = below | above
+        free = ~(below | above)
         x = np.where(below, low, np.where(above, high, 0.0))
-        if not held.all():
-            pulled = target[~held] - hessian[np.ix_(~held, held)] @ x[held]
-            x[~held], failed = dposv(hessian[np.ix_(~held, ~held)], pulled)[1:]
-            if failed:
-                raise np.linalg.LinAlgError(f"order {failed} of the matrix is not positive definite")
-        uphill = hessian @ x - target
-        then = (x < low) | (below & (uphill > 0.0)), (x > high) | (above & (uphill < 0.0))
-        if np.array_equal(then, (below, above)):
-            return x
-        below, above = then
+        pulled = target - hessian @ x
+        x[free], failed = dposv(hessian[free][:, free], pulled[free])[1:] if free.any() else (0.0, 0)
+        if failed:
+            raise np.linalg.LinAlgError(f"order {failed} of the matrix is not positive definite")
+        uphill, rounding = hessian @ x - target, ROUNDING * (size @ np.abs(x) + np.abs(target))
+        wrong = (x < low) & free | (below & (uphill < -rounding)), (x > high) & free | (above & (uphill > rounding))
+        number = int(np.count_nonzero(wrong[0] | wrong[1]))
+        if not number:
+            return x, (below, above)
+        least, patience = (number, PATIENCE) if number < least else (least, patience - 1)
+        if patience < 0:
+            last = np.arange(len(target)) == np.flatnonzero(wrong[0] | wrong[1])[-1]
+            wrong = wrong[0] & last, wrong[1] & last
+        below, above = below ^ wrong[0], above ^ wrong[1]
     factor = np.linalg.cholesky(hessian)
     wanted = np.linalg.solve(factor, target)
     try:
-        return np.asarray(lsq_linear(factor.T, wanted, bounds=bounds, method="bvls").x)
+        found = lsq_linear(factor.T, wanted, bounds=bounds, method="bvls", max_iter=MOST)
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer gives up on rare well-conditioned matrices
-        return np.asarray(lsq_linear(factor.T, wanted, bounds=bounds, method="trf").x)
+        found = lsq_linear(factor.T, wanted, bounds=bounds, method="trf")
+    return np.asarray(found.x), (found.active_mask < 0, found.active_mask > 0)
 
 
 def price_of_freedom(solution: Solution, unknowns: tuple[Unknown, ...], freed: frozenset[str]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import mujoco
@@ -33,19 +34,19 @@ class Unknown:
     parameter: Parameter
     nominal: float
 
-    @property
+    @cached_property
     def key(self) -> Key:
         """Effect id and parameter name."""
         return self.effect.id, self.parameter.name
 
-    @property
+    @cached_property
     def is_limit(self) -> bool:
         """A rate, an angle, an output that nothing exceeds: off at the upper bound, it acts far below it or not."""
         parameter = self.parameter
         typical = parameter.prior.b if parameter.prior.kind == "uniform" else parameter.prior.a
         return parameter.off >= parameter.high and self.nominal > typical
 
-    @property
+    @cached_property
     def width(self) -> float:
         """Range within which the parameter is looked for once its effect is under suspicion."""
         prior, parameter = self.parameter.prior, self.parameter
