@@ -170,7 +170,7 @@ class Fitter:
         A slider that sticks hardly feels its starting velocity or a gust; other effects leave the response to them
         nearly as it is. A real slider may yield where the twin's stands still, so that the likelier of its response
         and the nominal one sets the cost; parameters come from its own unless that is far less likely. The fit is
-        polished; derivatives by effects that are not freed are kept.
+        polished; derivatives by effects that are not freed are kept. A rig that weighs otherwise costs its `doubt` too.
         """
         floor, sticking = fit.frame.floor, self.dry_friction_of(fit.effects)
         loose = self._polish(fit, self.responses.without_dry_friction(floor, fit.values))
