@@ -187,10 +187,11 @@ class Fitter:
         Noise in logged inputs and what a controller does against gusts act through the rig as it is: judged by what
         they do to a nominal twin, a heavier one, which they move less, is the likelier for that alone; judged with all
         that they do to its own, the smaller volume of what can happen makes it so. A cause must hold either way
-        (Deming, Statistical Adjustment of Data, 1943: errors in both what is regressed and what on).
+        (Deming, Statistical Adjustment of Data, 1943: errors in both what is regressed and what on). What flies is left
+        out: its inputs are commands, which have no noise, and less thrust is more weight.
         """
         floor, likelihood = fit.frame.floor, fit.likelihood
-        if not (self.bench.guessed and self.bench.weights(fit.values)):
+        if not self.bench.guessed or self.bench.followed is not None or not self.bench.weights(fit.values):
             return 0.0
         nominal = self.responses.find(frozenset(), floor, self.bench.loosen({}))
         heavy = couple_gusts(self.bench, self.responses.as_heavy(floor, fit.values), likelihood.gust, likelihood.storm)
