@@ -17,7 +17,11 @@ def threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1)
 
 
-def share_out(work: Callable[[int, int], object], count: int, workers: int = 0, least: int = 1) -> None:
+if hasattr(os, "register_at_fork"):  # a fork has none of its parent's threads, and would wait for them
+    os.register_at_fork(after_in_child=threads.cache_clear)
+
+
+def in_parts(work: Callable[[int, int], object], count: int, workers: int = 0, least: int = 1) -> None:
     """Do work on `count` rows in as many parts as there are workers, side by side.
 
     Args:
@@ -47,5 +51,5 @@ def map_rows(function: Callable[..., np.ndarray], *arrays: np.ndarray, least: in
     def work(first: int, end: int) -> None:
         found[first] = function(*(array[first:end] for array in arrays))
 
-    share_out(work, len(arrays[0]), least=least)
+    in_parts(work, len(arrays[0]), least=least)
     return np.concatenate([found[first] for first in sorted(found)]) if len(found) > 1 else found[0]

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from vpptwin.cores import share_out
+from vpptwin.cores import in_parts
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree
 from vpptwin.twin.layout import PER_SIMULATION, Layout, make_pose, read_matrices
 
@@ -218,4 +218,4 @@ class Stepper:
         with self._lock:  # the room that threads work in is the twin's
             if self._turns is not None and self._matrices is not None:
                 self._matrices[:] = read_matrices(self._turns)
-            share_out(lambda *part: function(context.ctypes.data, *part, rooms.pop()), self._count, self._workers, FEW)
+            in_parts(lambda *part: function(context.ctypes.data, *part, rooms.pop()), self._count, self._workers, FEW)

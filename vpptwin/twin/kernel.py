@@ -17,7 +17,7 @@ from numba import njit, types
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, move_actuator, push_commands
 from vpptwin.actuators.numbers import vehicle_dtype
-from vpptwin.cores import share_out
+from vpptwin.cores import in_parts
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
@@ -116,6 +116,8 @@ def control(m, d):
 """
 
 
+MANY = 10_000
+"""Past commands for which another thread pays."""
 SIZES = np.dtype([(name, np.int64) for name in ("count", "steps", "rows", "first")] + [("dt", np.float64)])
 """Of past commands: numbers of simulations and steps, addresses of whose row is which and of first steps, step [s]."""
 WARM_UP = """
@@ -315,7 +317,7 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, rows
         sizes = np.array([(end - begin, given.shape[1], number.ctypes.data, since.ctypes.data, dt)], SIZES)
         move(*(array.ctypes.data for array in (part, same, given, sizes)))
 
-    share_out(move_some, len(own))
+    in_parts(move_some, len(own), least=max(MANY // max(given.shape[1], 1), 1))
     return result
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
-from vpptwin.cores import map_rows, share_out
+from vpptwin.cores import in_parts, map_rows
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 
@@ -248,7 +248,7 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
             factors[number] = np.linalg.cholesky(np.eye(len(rows)) + rows @ prior @ rows.T)
             logdet[part] += 2.0 * np.log(np.diag(factors[number])).reshape(len(part), -1).sum(axis=1)
 
-    share_out(couple, len(stretches), least=max(MUCH // size**3, 1))
+    in_parts(couple, len(stretches), least=max(MUCH // size**3, 1))
     return Likelihood(response, gust, list(zip(stretches, factors)), logdet, storm)
 
 
