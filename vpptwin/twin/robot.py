@@ -46,6 +46,7 @@ from vpptwin.twin.model import (
     compile_model,
     describe_joints,
     find_floating,
+    find_free,
     find_meeting,
     tell_rotary,
     tells_mount,
@@ -229,6 +230,12 @@ class Robot:
                 turns = slice(int(self.model.jnt_dofadr[joint]) + 3, int(self.model.jnt_dofadr[joint]) + 6)
                 force[turns] = np.maximum(force[turns], free.force * free.size)
         return force
+
+    @cached_property
+    def afloat(self) -> list[int]:
+        """First degrees of freedom of the free joints that do not follow their log."""
+        first = [int(self.model.jnt_dofadr[joint]) for joint in find_free(self.model)]
+        return [dof for dof in first if dof not in self.driven]
 
     def scale(self, loads: Loads) -> Robot:
         """The same rig with sizes, bounds and disturbances that suit what logs say of its scales."""

@@ -550,7 +550,7 @@ class Script:
         return found
 
     def extend(
-        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", values: object = None,
+        self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "", whole: Fit | None = None,
         near: frozenset[str] = frozenset(),
     ) -> Step:  # fmt: skip
         """Every other suspect beside a fit; none in the place of a cause."""

@@ -39,7 +39,6 @@ from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
-from vpptwin.twin.manifold import FREE
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -185,9 +184,8 @@ def prepare(
 
 def is_followed(spec: TwinSpec) -> bool:
     """Whether windows are simulated about the motion that is likeliest: of the drone, of bodies that turn freely."""
-    model, driven = spec.model, set(spec.robot.driven)
-    flies = any(model.jnt_dofadr[joint] + 3 not in driven for joint in np.flatnonzero(model.jnt_type == FREE))
-    return spec.robot.disturbance.known or flies
+    robot = spec.robot
+    return robot.disturbance.known or any(dof + 3 not in robot.driven for dof in robot.afloat)
 
 
 def judge(

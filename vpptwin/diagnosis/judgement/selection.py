@@ -434,4 +434,4 @@ def find_near(search: Search, step: Step, effect: str) -> frozenset[str]:
 def replace_cause(search: Search, fit: Fit, effect: str, near: frozenset[str]) -> Step:
     """The fit without a cause, and every shortlisted suspect, or one of those near it, tried in its place."""
     without = search.rederive(search.without(fit, effect))
-    return search.extend(without, against=effect, values=fit.values, near=near)
+    return search.extend(without, against=effect, whole=fit, near=near)

@@ -191,7 +191,7 @@ class Fitter:
         out: its inputs are commands, which have no noise, and less thrust is more weight.
         """
         floor, likelihood = fit.frame.floor, fit.likelihood
-        if not self.bench.guessed or self.bench.followed is not None or not self.bench.weights(fit.values):
+        if not self.bench.guessed or self.bench.spec.robot.afloat or not self.bench.weights(fit.values):
             return 0.0
         nominal = self.responses.find(frozenset(), floor, self.bench.loosen({}))
         heavy = couple_gusts(self.bench, self.responses.as_heavy(floor, fit.values), likelihood.gust, likelihood.storm)

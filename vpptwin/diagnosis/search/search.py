@@ -72,7 +72,7 @@ class Search(Fitter):
 
     def extend(
         self, fit: Fit, barred: frozenset[str] = frozenset(), against: str = "",
-        values: Mapping[Key, float] | None = None, near: frozenset[str] = frozenset(),
+        whole: Fit | None = None, near: frozenset[str] = frozenset(),
     ) -> Step:  # fmt: skip
         """Refit with each of the best-ranked further suspects added in turn, each under its own likelihood.
 
@@ -83,7 +83,7 @@ class Search(Fitter):
             fit: what they are added to.
             barred: suspects that are not tried.
             against: a cause in whose place the others stand; those that fall far behind it are not tried.
-            values: its parameters.
+            whole: the fit with it.
             near: those that came near it when it was found, which are tried whatever they promise.
         """
         starts: dict[str, list[Start]] = {}
@@ -116,17 +116,34 @@ class Search(Fitter):
             for start in start_from_look_alikes(fit.about, self.unknowns, leader, best.values, fit.values):
                 if start.effect in starts and start.effect not in found:
                     self._refit(found, fit, self._lead_on(fit, start))
-        if values:
+        if whole is not None:
             # Without the cause the others have moved to make up for it: beside a look-alike they are as they were.
-            rest = {key: value for key, value in values.items() if key[0] != against}
-            for start in start_from_look_alikes(fit.about, self.unknowns, against, values, rest):
+            rest = {key: value for key, value in whole.values.items() if key[0] != against}
+            for start in start_from_look_alikes(fit.about, self.unknowns, against, whole.values, rest):
                 if start.effect in starts and (rest or start.effect not in found):
                     self._refit(found, fit, self._lead_on(fit, start))
         drops = {name: refitted.evidence_against(fit) for name, refitted in found.items()}
         least = max(self.criteria.chance * max(drops.values(), default=0.0), 0.0)
         behind = {name: found[name] for name, drop in drops.items() if self.criteria.bar < drop < least}
         step = Step(fit, {}, {name: found[name] for name, drop in drops.items() if drop >= least})
-        return replace(self.judge_behind(step), behind=behind)
+        step = self.judge_behind(step)
+        tried = {name: self.judge_beside(each, whole) if whole else each for name, each in step.tried.items()}
+        return replace(step, tried=tried, behind=behind)
+
+    def judge_beside(self, rival: Fit, fit: Fit) -> Fit:
+        """A rival as it was judged, or begun with the gusts that a fit needs, where it costs less so.
+
+        Gusts and parameters are fitted in turn: begun with gusts that made up for all that a cause explains, what
+        explains as much may end where they still do a part of it.
+        """
+        if not self.bench.guessed:
+            return rival
+        about = rival.about.under(fit.likelihood, rival.frame)
+        hoped = solve_hypothesis(about, self.unknowns, rival.effects)
+        cost = hoped.cost + fit.likelihood.logdet.sum() + price_of_freedom(hoped, self.unknowns, rival.effects)
+        if cost > rival.cost - self.criteria.better:
+            return rival
+        return find_cheapest([rival, self.judge_alone(self.fit(rival.effects, rival.values, about))])
 
     def judge_behind(self, step: Step) -> Step:
         """A step in which those that fall behind are judged by their own likelihoods too."""
