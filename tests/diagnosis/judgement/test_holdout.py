@@ -269,10 +269,14 @@ def test_a_window_that_goes_astray_surprises_less_than_its_square(rubbing: HeldO
     np.testing.assert_allclose(found[usually], (square + likelihood.logdet)[usually])
 
 
-def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sticks", [False, True])
+def test_a_fit_predicts_with_all_that_it_leaves_open(
+    rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch, sticks: bool
+) -> None:
     """The density of a fit is that of all parameters within its covariance together, as quadrature has it.
 
-    Of a gain two standard deviations off what the windows say, the point alone is far less likely.
+    Of a gain two standard deviations off what the windows say, the point alone is far less likely, also where a twin
+    sticks: its gain and that of the one that glides, of which either motion may be, are then not quite one.
     """
     monkeypatch.setattr(Bench, "guessed", True)
     judges, gain, std = HeldOut(rubbing.short, rubbing.errors.bench), ("motor.gain", "gain"), 0.005
@@ -280,15 +284,15 @@ def test_a_fit_predicts_with_all_that_it_leaves_open(rubbing: HeldOut, monkeypat
     def surprise(value: float, variance: float) -> float:
         fit = guess({**TRUTH, gain: value})
         covariance = np.diag([0.0, variance / CRITERIA.temper])
-        return float(judges.surprise(replace(fit, covariance=covariance), False).sum())
+        return float(judges.surprise(replace(fit, covariance=covariance), sticks).sum())
 
-    around = 1.0 + 2.0 * std + std * np.linspace(-4.0, 4.0, 161)
+    around = 1.0 + 2.0 * std + std * np.linspace(-4.0, 4.0, 41)
     points = np.array([surprise(value, 0.0) for value in around])
     density = norm.pdf(around, 1.0 + 2.0 * std, std) * np.exp(-0.5 * (points - points.min()))
     together = points.min() - 2.0 * np.log(np.trapezoid(density, around))
     found = surprise(1.0 + 2.0 * std, std**2)
-    assert found == pytest.approx(together, abs=1.0)
-    assert surprise(1.0 + 2.0 * std, 0.0) > found + 20.0
+    assert found == pytest.approx(together, abs=2.0 if sticks else 1.0)
+    assert surprise(1.0 + 2.0 * std, 0.0) > found + 15.0
 
 
 def test_a_twin_that_diverges_is_no_better(rubbing: HeldOut, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,7 +60,7 @@ class HeldOut:
         self._responses: dict[Values, Response] = {}
         self._misfits: dict[Values, tuple[np.ndarray, np.ndarray]] = {}
         self._missed: dict[Values, tuple[np.ndarray, Track | None]] = {}
-        self._spreads: dict[tuple[Values, bytes], tuple[np.ndarray, np.ndarray]] = {}
+        self._spreads: dict[tuple[Values, bytes, bool], tuple[np.ndarray, np.ndarray]] = {}
         self._plain = short.about(None)
         self._tracks: dict[Values, tuple[Response, np.ndarray, Track]] = {}
 
@@ -90,13 +90,13 @@ class HeldOut:
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         gust, found = fit.likelihood.gust if gust is None else gust, []
-        seen = [(self.response(self.short.loosen(fit.values)), *self.miss(fit.likeliest))]
-        seen += [self.follow(fit)] if sticks else []
-        for number, (response, missed, track) in enumerate(seen):
+        seen = [(self.short, self.response(self.short.loosen(fit.values)), *self.miss(fit.likeliest))]
+        seen += [(self.short.about(found[2]), *found) for found in ([self.follow(fit)] if sticks else [])]
+        for bench, response, missed, track in seen:
             likelihood = couple_gusts(self.short, response, gust)
             left, price = likelihood.whiten(response.restore(missed, track)) / np.sqrt(fit.frame.scale), 0.0
-            if number == 0 and self.short.guessed and fit.effects:
-                left, price = self._adapt(fit, likelihood, left)
+            if self.short.guessed and fit.effects:
+                left, price = self._adapt(fit, likelihood, left, bench)
             found.append(self._temper(left)[0] + likelihood.logdet + price / self.count)
         return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
 
@@ -110,14 +110,16 @@ class HeldOut:
         share = usual / np.maximum(square, max(usual, 1e-300))
         return np.where(share < 1.0, usual * (1.0 - np.log(share)), square), share
 
-    def _adapt(self, fit: Fit, likelihood: Likelihood, left: np.ndarray) -> tuple[np.ndarray, float]:
+    def _adapt(
+        self, fit: Fit, likelihood: Likelihood, left: np.ndarray, bench: Bench
+    ) -> tuple[np.ndarray, float]:  # fmt: skip
         """Whitened residual (K, M) with the likeliest of the parameters that the fit leaves open, and what that costs.
 
         Where what was fitted tells less of them than the held-out windows do, as where these are longer and a rig falls
         over, chance decides else between two causes that do the same (Laplace: squares there, with their price, are
         twice the negative log of the density that all parameters together predict).
         """
-        axes, changed = self._spread(fit)
+        axes, changed = self._spread(fit, bench)
         unit = np.sqrt(fit.frame.scale)
         moved, step, hessian = likelihood.whiten(changed) / unit, np.zeros(len(axes)), np.eye(len(axes))
         for _ in range(REWEIGHTED):
@@ -125,19 +127,19 @@ class HeldOut:
             hessian = np.eye(len(axes)) + np.einsum("ikm,jkm->ij", weighed, moved)
             step = np.linalg.solve(hessian, np.einsum("ikm,km->i", weighed, left))
         price, away = float(np.linalg.slogdet(hessian)[1]), float(step @ step)
-        found = shift_track(self.short, self._move(fit, axes @ step), likelihood.response)
+        found = shift_track(bench, self._move(fit, axes @ step), likelihood.response)
         there = likelihood.whiten(likelihood.response.restore(*found)) / unit
         better = self._temper(there)[0].sum() + away < self._temper(left)[0].sum()
         return (there, price + away) if better else (left, price)
 
-    def _spread(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """Axes of what a fit leaves open, in columns a standard deviation long, and changes along them, (n, K, M)."""
-        key = frozenset(fit.likeliest.items()), fit.covariance.tobytes()
+    def _spread(self, fit: Fit, bench: Bench) -> tuple[np.ndarray, np.ndarray]:
+        """Axes of what a fit leaves open, columns a standard deviation long, and changes along them, (n, K, M)."""
+        key = frozenset(fit.likeliest.items()), fit.covariance.tobytes(), bench is self.short
         if key not in self._spreads:
             variance, axes = np.linalg.eigh(self.criteria.temper * fit.covariance)
             axes = axes * np.sqrt(np.maximum(variance, 0.0))
             variations = [Variation(values) for values in (fit.likeliest, *(self._move(fit, axis) for axis in axes.T))]
-            predicted = self._plain.predict(variations, fit.likeliest)
+            predicted = bench.predict(variations, fit.likeliest)
             changed = self.short.bound(predicted[1:] - predicted[0])
             keep_last(self._spreads, key, (axes, changed), RESPONSES)
         return self._spreads[key]
