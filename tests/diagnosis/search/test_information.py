@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart
-from tests.diagnosis.rigs import drive_cart
+from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.search.information import choose_judges, measure_information
+from vpptwin.diagnosis.search.information import SHOWN, choose_judges, measure_information
 from vpptwin.diagnosis.search.suspects import list_unknowns
 
 
@@ -55,8 +55,8 @@ def test_information_is_signal_to_noise_of_a_typical_size(tmp_path: Path) -> Non
     unknowns = tuple(u for u in list_unknowns(spec) if not u.effect.modifies)  # of no friction nothing shows
     effects = list(dict.fromkeys(u.effect.id for u in unknowns))
     found = measure_information(spec, flights, unknowns, None, CRITERIA)
-    assert found.shape == (2, len(effects))
-    assert (found[0] > CRITERIA.half_seen).all()
+    assert found.shape == (2, len(effects) + 1)
+    assert (found[0, :-1] > CRITERIA.half_seen).all()
     seen = {effect for effect, signal in zip(effects, found[1]) if signal > CRITERIA.half_seen}
     assert "slide.bias" in seen
     assert not seen & {"slide.inertia", "motor.gain", "motor.delay", "motor.lag", "motor.rate_limit"}
@@ -65,3 +65,16 @@ def test_information_is_signal_to_noise_of_a_typical_size(tmp_path: Path) -> Non
     noise = flights[1].positions[0].std, flights[1].velocities[0].std
     signal = ((force * t**2 / 4.0 / noise[0]) ** 2 + (force * t / 2.0 / noise[1]) ** 2).sum()
     assert found[1, effects.index("slide.bias")] == pytest.approx(23.0 * signal, rel=0.02)
+
+
+def test_the_flight_in_which_there_is_something_to_find_is_fitted(tmp_path: Path) -> None:
+    """Both carts show all there is, the one that rubs misses its twin by far more than noise, and the other judges."""
+    spec = load_cart(tmp_path)
+    flights = [measure_cart(drive_cart(force, 3), 7) for force in (0.0, FRICTION, 0.0)]
+    for order in ([0, 1], [1, 0], [0, 1, 2], [1, 0, 2]):
+        chosen = [flights[i] for i in order]
+        found = measure_information(spec, chosen, list_unknowns(spec), None, CRITERIA)
+        rubs = order.index(1)
+        assert found[rubs, -1] == pytest.approx(SHOWN * CRITERIA.half_seen)
+        assert np.delete(found[:, -1], rubs).max() < 0.1 * CRITERIA.half_seen
+        assert not choose_judges(found, CRITERIA) & {rubs}

@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench, list_starts
 from vpptwin.diagnosis.evidence.runs import MakeTwin, Variation
+from vpptwin.diagnosis.search.likelihood import measure_response
 from vpptwin.diagnosis.search.suspects import Trial, Unknown, list_trials
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.spec import TwinSpec
@@ -16,13 +18,18 @@ from vpptwin.twin.twin import Twin
 
 SAMPLE = 16
 """Windows of every flight that are looked at."""
+SHOWN = 100.0
+"""How much better than half the flight in which the twin misses most shows that, the others by their share of it."""
 
 
 def measure_information(
     spec: TwinSpec, measurements: Sequence[Measurements], unknowns: tuple[Unknown, ...],
     progress: Callable[[int], None] | None, criteria: Criteria, make_twin: MakeTwin = Twin,
 ) -> np.ndarray:  # fmt: skip
-    """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects)."""
+    """Squared signal to noise with which every effect of a typical size shows in every flight, (flights, effects).
+
+    Of rigs whose disturbances are assumed one column more says in which flights there is something to find.
+    """
     window = spec.robot.window
     starts = list_starts(measurements, window)
     sample = [s[np.linspace(0, len(s) - 1, min(SAMPLE, len(s))).astype(int)] for s in starts]
@@ -49,7 +56,19 @@ def measure_information(
         share = len(all_starts) / max(mine.sum(), 1)
         for row, values in zip(rows, signal[:, mine].sum(axis=(1, 2)) * share):
             found[flight, row] = max(found[flight, row], values)
-    return found
+    if not bench.guessed:
+        return found
+    missed = measure_misfit(bench, bench.miss(predicted[0]), len(measurements))
+    return np.column_stack([found, missed * criteria.half_seen * SHOWN / max(missed.max(), 1e-300)])
+
+
+def measure_misfit(bench: Bench, missed: np.ndarray, flights: int) -> np.ndarray:
+    """Squares of what windows miss, (K, M), beyond noise and starting states, a window of every flight, (flights,)."""
+    white = measure_response(bench, {}, pushed=False).sensors.apply(missed)
+    beyond = (white**2).sum(axis=1) - bench.valid.sum(axis=1) + 2 * bench.windows.free_dofs
+    number = np.bincount(bench.windows.flight, minlength=flights)
+    total = np.bincount(bench.windows.flight, weights=beyond, minlength=flights)
+    return np.maximum(total, 0.0) / np.maximum(number, 1)
 
 
 def share_of_typical(strength: Unknown, trial: Trial) -> float:
