@@ -170,8 +170,8 @@ BACKLASH = Effect(
 RATE_LIMIT = Effect(
     id="rate_limit", summary="a limited rate", equation="|u̇| ≤ rate",
     parameters=(
-        Parameter(name="rate", unit="ctrl/s", off=UNLIMITED, low=0.1, high=UNLIMITED, prior=Prior("uniform", 5.0, 50.0),
-                  size=UNLIMITED - 10.0, tolerance=0.001 * UNLIMITED,
+        Parameter(name="rate", unit="ctrl/s", off=UNLIMITED, low=0.001, high=UNLIMITED,
+                  prior=Prior("uniform", 5.0, 50.0), size=UNLIMITED - 10.0, tolerance=0.001 * UNLIMITED,
                   source="assumption: typically 10/s for inputs of order one"),
     ),
     stage=Stage.CONSTANT, apply=apply_rate_limit, shows=ACTUATOR_SHOWS, look_alikes=("lag",),
@@ -180,7 +180,7 @@ RATE_LIMIT = Effect(
 SATURATION = Effect(
     id="saturation", summary="saturation", equation="|u| ≤ limit",
     parameters=(
-        Parameter(name="limit", unit="ctrl", off=UNLIMITED, low=0.05, high=UNLIMITED, prior=Prior("uniform", 0.7, 1.5),
+        Parameter(name="limit", unit="ctrl", off=UNLIMITED, low=0.001, high=UNLIMITED, prior=Prior("uniform", 0.7, 1.5),
                   size=UNLIMITED - 0.5, tolerance=0.001 * UNLIMITED,  # secants go to half a ctrl
                   source="assumption: about the largest input, of order one"),
     ),

@@ -25,6 +25,9 @@ LIMIT_STEP = 0.15
 CUT = tuple(0.5**halved for halved in range(7, 0, -1))
 """What limits that are tried cut off an input, as shares of its root mean square."""
 
+CROSSED, SLOWLY = (0.015, 0.03, 0.06, 0.12, 0.25, 0.5), (1.0, 2.0, 4.0)
+"""Times in which a rate that is tried crosses what commands span; of a rig that nobody knows the latter too [s]."""
+
 
 @dataclass(frozen=True)
 class Unknown:
@@ -168,7 +171,8 @@ def list_limits(limit: Unknown, bench: Bench) -> list[float]:
     if bench.guessed and (own := bench.spec.robot.locate(limit.effect).actuator) >= 0:
         command = command[..., own]
     if limit.effect.follows == "command change":
-        found = float(np.ptp(np.percentile(command, [2.0, 98.0]))) / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5])
+        span = float(np.ptp(np.percentile(command, [2.0, 98.0])))
+        found = span / np.array(CROSSED + SLOWLY if bench.guessed else CROSSED)
     else:
         found = cut_off(command)
     return [float(value) for value in found[(found >= parameter.low) & (found <= parameter.high)]]
