@@ -224,6 +224,18 @@ def test_what_leaves_as_little_of_much_is_as_good(
 
 
 @pytest.mark.parametrize(
+    ("gain", "rival", "as_good"), [(0.5, "a_spring", True), (3.0, "a_spring", False), (0.5, "b_coulomb", False)]
+)
+def test_look_alikes_are_told_apart_by_more_than_a_point(gain: float, rival: str, as_good: bool) -> None:
+    """Twice the chi² of the points of two fits, but held-out windows with all that these leave open favour neither."""
+    judges, fits = Judges(0.0), (fit(300.0), fit(100.0, a_viscous=1.0), fit(180.0, **{rival: 1.0}))
+    left = {id(each.values): chi2 for each, chi2 in zip(fits, (3e5, 300.0, 600.0))}
+    judges.chi2 = lambda values: left[id(values)]  # type: ignore[method-assign]
+    judges.weigh = lambda before, after: (gain, 1.0)  # type: ignore[method-assign]
+    assert tell_nothing(OTHER_RIG, judges, *fits, 80.0) == (np.inf if as_good else 0.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
     ("spread", "left", "other", "counts"),
     [
         (6.0, 3.0, 3.1, 1.5625),  # standard errors: 32/24.8, squared, less by one degree of freedom

@@ -77,12 +77,24 @@ def tell_nothing(
         return 0.0
     criteria = search.criteria
     there, left, other = (held_out.chi2(each.values) - 1.0 for each in (without, fit, rival))
-    if other >= left + criteria.worse * min(max(left, 1.0), there - left):
+    if other >= left + criteria.worse * min(max(left, 1.0), there - left) and not is_open(search, held_out, fit, rival):
         return 0.0
     if left > criteria.missed:
         return float("inf")
     found, error = weigh_windows(search, held_out, fit, rival)
     return evidence - criteria.temper * max(found / max(error, 1e-9), 0.0) ** 2
+
+
+def is_open(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> bool:
+    """Whether two fits differ in effects that are hard to tell apart, and held-out windows do not favour the first.
+
+    Not by a standard error, with all that either leaves open: errors are those of a point, which chance sets.
+    """
+    pairs = [(one, other) for one in fit.effects - rival.effects for other in rival.effects - fit.effects]
+    if not any(look_alike(search, one, other) for one, other in pairs):
+        return False
+    gain, error = compare(search, held_out, rival, fit)
+    return gain <= error
 
 
 def weigh_windows(search: Search, held_out: HeldOut, fit: Fit, rival: Fit) -> tuple[float, float]:
