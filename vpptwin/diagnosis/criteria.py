@@ -65,6 +65,8 @@ class Criteria:
     # Search: who is refitted.
     judging_worth: float = by_hand(0.5, "", "worth of an effect seen where it is judged, not fitted", "85407b0")
     half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
+    shown: float = by_hand(100.0, "", "how well the flight with most misfit shows it, in halves seen; others by share",
+        "issue 22, sessions 94414/17 and 13989/56")
     shortlist: int = by_hand(5, "", "suspects refitted at every step", "4 at 85fc87b, 5 since e1272d1")
     starts: int = by_hand(2, "", "places of a shape or a limit from which a refit starts", "e1272d1")
     few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not", "issue 20")

@@ -10,7 +10,7 @@ import pytest
 from tests.diagnosis.carts import load_cart, measure_cart
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.search.information import SHOWN, choose_judges, measure_information
+from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.suspects import list_unknowns
 
 
@@ -75,6 +75,6 @@ def test_the_flight_in_which_there_is_something_to_find_is_fitted(tmp_path: Path
         chosen = [flights[i] for i in order]
         found = measure_information(spec, chosen, list_unknowns(spec), None, CRITERIA)
         rubs = order.index(1)
-        assert found[rubs, -1] == pytest.approx(SHOWN * CRITERIA.half_seen)
+        assert found[rubs, -1] == pytest.approx(CRITERIA.shown * CRITERIA.half_seen)
         assert np.delete(found[:, -1], rubs).max() < 0.1 * CRITERIA.half_seen
         assert not choose_judges(found, CRITERIA) & {rubs}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ from vpptwin.effects import find_effect
 Values = frozenset[tuple[Key, float]]
 RESPONSES = 8
 """Responses that are kept, those asked for last: each has tens of megabytes."""
+SURPRISES = 256
+"""Surprises that are kept: one fit is weighed against many, and against one more than once."""
 REWEIGHTED = 5
 """Times that parameters are found anew with windows that go astray counting less."""
 LEAST = 0.01
@@ -61,6 +63,7 @@ class HeldOut:
         self._misfits: dict[Values, tuple[np.ndarray, np.ndarray]] = {}
         self._missed: dict[Values, tuple[np.ndarray, Track | None]] = {}
         self._spreads: dict[tuple[Values, bytes, bool], tuple[np.ndarray, np.ndarray]] = {}
+        self._surprises: dict[Hashable, np.ndarray] = {}
         self._plain = short.about(None)
         self._tracks: dict[Values, tuple[Response, np.ndarray, Track]] = {}
 
@@ -90,6 +93,10 @@ class HeldOut:
             gust: strength of the gusts, (nv,); None for the fit's own.
         """
         gust, found = fit.likelihood.gust if gust is None else gust, []
+        point = frozenset(fit.likeliest.items()), frozenset(fit.values), fit.covariance.tobytes()
+        key = *point, fit.frame.scale, sticks, gust.tobytes()
+        if key in self._surprises:
+            return self._surprises[key]
         seen = [(self.short, self.response(self.short.loosen(fit.values)), *self.miss(fit.likeliest))]
         seen += [(self.short.about(found[2]), *found) for found in ([self.follow(fit)] if sticks else [])]
         for bench, response, missed, track in seen:
@@ -98,7 +105,8 @@ class HeldOut:
             if self.short.guessed and fit.effects:
                 left, price = self._adapt(fit, likelihood, left, bench)
             found.append(self._temper(left)[0] + likelihood.logdet + price / self.count)
-        return -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+        surprise = -2.0 * (logsumexp(-0.5 * np.array(found), axis=0) - np.log(len(found)))
+        return keep_last(self._surprises, key, surprise, SURPRISES)
 
     def _temper(self, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Squares of whitened residuals, and by how much of theirs they grow with them, (K,) each.

@@ -18,8 +18,6 @@ from vpptwin.twin.twin import Twin
 
 SAMPLE = 16
 """Windows of every flight that are looked at."""
-SHOWN = 100.0
-"""How much better than half the flight in which the twin misses most shows that, the others by their share of it."""
 
 
 def measure_information(
@@ -59,7 +57,7 @@ def measure_information(
     if not bench.guessed:
         return found
     missed = measure_misfit(bench, bench.miss(predicted[0]), len(measurements))
-    return np.column_stack([found, missed * criteria.half_seen * SHOWN / max(missed.max(), 1e-300)])
+    return np.column_stack([found, missed * criteria.half_seen * criteria.shown / max(missed.max(), 1e-300)])
 
 
 def measure_misfit(bench: Bench, missed: np.ndarray, flights: int) -> np.ndarray:
