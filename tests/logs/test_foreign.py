@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import sqlite3
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
+from zstandard import ZstdCompressor
 
 from tests.logs.bags import EPOCH, POSE, Bag, make_poses
 from vpptwin.cli import main
@@ -381,6 +383,10 @@ def test_rosbag2_in_sqlite_is_read(
     expected = read_flight(source).streams["/mocap/pose"]
     found = read_flight(tmp_path / "bag").streams["/mocap/pose"]
     assert all(np.array_equal(found[column], expected[column]) for column in expected.values)
+    with sqlite3.connect(next((tmp_path / "bag").glob("*.db3"))) as base:  # as --compression-mode message has it
+        for key, data in base.execute("SELECT id, data FROM messages WHERE id % 3 = 0").fetchall():
+            base.execute("UPDATE messages SET data = ? WHERE id = ?", (ZstdCompressor().compress(data), key))
+    assert np.array_equal(read_flight(tmp_path / "bag").streams["/mocap/pose"]["x"], expected["x"])
     whole = survey(tmp_path / "bag")[1]
     monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
     monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)

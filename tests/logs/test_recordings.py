@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as PlainWriter
 from mcap_ros2.writer import Writer
+from zstandard import ZstdCompressor
 
 from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, make_poses, pose_bag, stamp_header
 from vpptwin.cli import main
@@ -48,6 +50,56 @@ def test_folders_are_read(tmp_path: Path, metadata: str) -> None:
     split_bag(tmp_path)
     (tmp_path / "metadata.yaml").write_text(metadata)
     assert len(read_flight(tmp_path).streams["/mocap/pose"]) == (20 if "bag_1" in metadata else 50)
+
+
+OLD = "rosbag2_bagfile_information: {{version: 3, relative_file_paths: [{}]}}"
+
+
+@pytest.mark.parametrize("name", ["swing", "renamed"])
+@pytest.mark.parametrize("written", ["swing/bag_0.mcap, swing/bag_1.mcap", "bag_0.mcap, bag_1.mcap"])
+@pytest.mark.parametrize("packed", ["", ".zstd", "unpacked"])
+def test_folders_of_old_metadata_are_read(tmp_path: Path, name: str, written: str, packed: str) -> None:
+    """Version 3 has FOLDER/FILE, and the folder may have another name now; files may be compressed, or be no longer."""
+    (tmp_path / name).mkdir()
+    for file in split_bag(tmp_path / name):
+        if packed == ".zstd":
+            file.with_name(f"{file.name}.zstd").write_bytes(ZstdCompressor().compress(file.read_bytes()))
+            file.unlink()
+    named = written.replace(".mcap", ".mcap.zstd") if packed else written
+    (tmp_path / name / "metadata.yaml").write_text(OLD.format(named))
+    assert len(read_flight(tmp_path / name).streams["/mocap/pose"]) == 50
+
+
+@pytest.mark.parametrize(
+    "named", ["../else_0.mcap", "else_0.mcap", "link.mcap", "pipe", "x" * 5000, '"a\\0b"', "sub", "[1]"]
+)
+def test_folders_hold_what_their_metadata_name(tmp_path: Path, named: str) -> None:
+    """What lies beside a folder is none of its files, by whatever name; a pipe is no file."""
+    folder = tmp_path / "bag"
+    (folder / "sub").mkdir(parents=True)
+    Bag(tmp_path / "else_0.mcap").add("/mocap/pose", POSE, make_poses(5)).write()
+    (folder / "link.mcap").symlink_to(tmp_path / "else_0.mcap")
+    os.mkfifo(folder / "pipe")
+    (folder / "metadata.yaml").write_text(OLD.format(named))
+    with pytest.raises(InputError, match=r"metadata\.yaml names .*(, which is missing|x…); expected all files"):
+        read_flight(folder)
+
+
+def test_files_compressed_as_a_whole_are_read(tmp_path: Path) -> None:
+    """By zstd, in several frames too; what is cut or unpacks to far too much is refused by its own name."""
+    log = pose_bag(tmp_path / "log.mcap", EPOCH + MS * np.arange(50)).read_bytes()
+    packed = tmp_path / "log.mcap.zst"
+    packed.write_bytes(ZstdCompressor().compress(log[:500]) + ZstdCompressor().compress(log[500:]))
+    assert len(read_flight(packed).streams["/mocap/pose"]) == 50
+    assert list_flights(tmp_path) == [tmp_path / "log.mcap", packed]
+    for content, said in (
+        (packed.read_bytes()[:-300], "log.mcap.zst is damaged .it ends early"),
+        (ZstdCompressor().compress(log)[:20] + b"nonsense" * 9, "log.mcap.zst is damaged"),
+        (ZstdCompressor().compress(bytes(1 << 26)), "log.mcap.zst unpacks to more than"),
+    ):
+        packed.write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            read_flight(packed)
 
 
 def test_a_folder_of_flights_is_a_folder_of_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

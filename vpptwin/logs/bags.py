@@ -12,6 +12,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text, load_extra
 from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.unpack import unpack_message
 
 _GATHERED = 1 << 14  # messages of a channel that are kept apart at most
 _LENGTH = struct.Struct("<I")
@@ -118,7 +119,7 @@ def _read_sqlite(path: Path, wish: Wish) -> RawFile:
         gather, messages = _Gather(path, wish, texts), reader.messages(reader.connections)
         for connection, stamp, raw in show_reading(path, iterable=messages, unit=" messages"):
             if gather.note(connection.id, stamp):
-                gather.add(connection.id, stamp, bytes(raw))
+                gather.add(connection.id, stamp, unpack_message(bytes(raw)))
     finally:
         reader.close()
     return gather.finish()

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
 from vpptwin.errors import InputError, check_name
 from vpptwin.fields import Stamp
 from vpptwin.logs.arrays import read_mat, read_npz
+from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
 from vpptwin.logs.container import read_container
@@ -24,15 +24,14 @@ from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
 from vpptwin.logs.tables import Table, find_field, keep_tables, name_topic
+from vpptwin.logs.unpack import ZSTD, unpack_file
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
-from vpptwin.plain import read_yaml
 
 PathLike = str | os.PathLike[str]
 TableReader = Callable[[Path, str, Wish, list[str]], Iterator[Table]]
 _EXPECTED = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
 _SIGNATURES = {
     b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
-    b"\x28\xb5\x2f\xfd": ("zstd-compressed as a whole", "decompress it with `zstd -d`"),
     b"PK\x03\x04": ("a ZIP archive", "unpack it and give the .mcap file inside"),
     b"\x7fELF": ("a program", "give a log"),
     b"\x89HDF": ("an HDF5 file", "convert it to MCAP"),
@@ -48,7 +47,8 @@ _BEGINNINGS = {
 }  # fmt: skip
 _ARRAYS = (".mat", ".npz")
 _ENDINGS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
-_LOGS = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ARRAYS, *_ENDINGS)
+_PLAIN = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ARRAYS, *_ENDINGS)
+_LOGS = (*_PLAIN, *(log + packed for log in _PLAIN for packed in PACKED))
 
 
 @dataclass(frozen=True)
@@ -200,20 +200,13 @@ def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
         raise InputError(f"no file {given}", _EXPECTED, "check the path")
     if not given.is_dir():
         return [given]
-    if not (given / "metadata.yaml").exists():
+    if not is_bag(given):
         within = list_flights(given)
         if len(within) > 1:
             action = f"give one, such as {within[0]}"
             raise InputError(f"folder {given} holds {len(within)} flights", "one flight here", action)
         return find_files(within[0])
-    listed = _read_metadata(given)
-    if not listed:
-        raise InputError(f"{given} with a metadata.yaml that names none of its files", "a rosbag2 folder", "remove it")
-    for name in listed:
-        if not (given / name).exists():
-            absent = f"{given}/metadata.yaml names {name}, which is missing"
-            raise InputError(absent, "all files of the recording", "copy it")
-    return [given / name for name in listed]
+    return list_bag(given)
 
 
 def list_flights(path: PathLike) -> list[Path]:
@@ -223,12 +216,12 @@ def list_flights(path: PathLike) -> list[Path]:
         InputError: if a folder holds no log.
     """
     given = Path(path)
-    if not given.is_dir() or (given / "metadata.yaml").exists():
+    if not given.is_dir() or is_bag(given):
         return [given]
     if is_lerobot(given):
         return list_episodes(given)
     found = sorted(item for item in given.iterdir() if item.is_file() and item.name.lower().endswith(_LOGS))
-    found += sorted(item for item in given.iterdir() if item.is_dir() and (item / "metadata.yaml").exists())
+    found += sorted(item for item in given.iterdir() if item.is_dir() and is_bag(item))
     if not found:
         held = ", ".join(sorted(item.name for item in given.iterdir())[:5]) or "nothing"
         raise InputError(f"folder {given} holds {held}", "logs, or a rosbag2 folder", "give a log")
@@ -241,14 +234,6 @@ def is_episode(path: Path) -> bool:
     return bool(mark) and number.isdigit() and not path.exists() and is_lerobot(Path(folder))
 
 
-def _read_metadata(folder: Path) -> list[str]:
-    try:
-        content = read_yaml(folder / "metadata.yaml")
-        return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
-        return sorted(file.name for file in folder.iterdir() if file.suffix in (".mcap", ".db3"))
-
-
 def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     check_name(str(path))
     try:
@@ -259,6 +244,12 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     if not start:
         advice = "check that the recorder was stopped properly, and record again"
         raise InputError(f"{path} is empty (0 bytes)", _EXPECTED, advice)
+    if start.startswith(ZSTD):
+        with unpack_file(path) as plain:
+            try:
+                return replace(_read_file(plain, wish, alone), path=path)
+            except InputError as error:
+                raise InputError(error.found.replace(str(plain), str(path)), error.expected, error.action) from None
     kind = find_kind(path, start)
     if kind == "bag":
         return read_bag(path, wish)

@@ -1,13 +1,16 @@
-"""Chunks of MCAP files unpacked within bounds: what a file claims about its own size is not believed."""
+"""Chunks of MCAP files, whole files and messages unpacked within bounds: what says its own size is not believed."""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from lz4.frame import LZ4FrameDecompressor
 from mcap.records import Chunk
-from zstandard import ZstdDecompressor
+from zstandard import ZstdDecompressor, ZstdError
 
 from vpptwin.errors import InputError
 
@@ -17,6 +20,51 @@ FREE = 1 << 25
 """What a file of any size may unpack to [bytes]."""
 MOST_CHUNK = 1 << 28
 """Largest chunk unpacked [bytes]: recorders write chunks of 1 to 8 MB."""
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""What zstd's frames begin with."""
+_PIECE = 1 << 12  # bytes unpacked at once, which may become ten thousand times as many
+
+
+@contextmanager
+def unpack_file(path: Path) -> Iterator[Path]:
+    """A file that zstd compressed as a whole, unpacked for a while.
+
+    Raises:
+        InputError: if it is damaged, or unpacks to more than a log can honestly hold.
+    """
+    most = MOST_RATIO * path.stat().st_size + FREE
+    with TemporaryDirectory() as folder, path.open("rb") as packed:
+        plain, size, frame = Path(folder) / path.stem, 0, ZstdDecompressor().decompressobj()
+        try:
+            with plain.open("wb") as file:
+                while size <= most and (piece := packed.read(_PIECE)):
+                    while piece:
+                        frame = ZstdDecompressor().decompressobj() if frame.eof else frame
+                        size += file.write(frame.decompress(piece))
+                        piece = frame.unused_data
+            if size <= most and not frame.eof:
+                raise ZstdError("it ends early")
+        except ZstdError as error:
+            raise InputError(f"{path} is damaged ({error})", "a whole zstd file", "copy it again") from None
+        if size > most:
+            found, expected = f"{path} unpacks to more than {most} bytes", f"at most {MOST_RATIO} times its length"
+            raise InputError(found, expected, "if it is a log after all, decompress it with `zstd -d`")
+        yield plain
+
+
+def unpack_message(content: bytes) -> bytes:
+    """A message, which zstd may have compressed: CDR begins otherwise.
+
+    Raises:
+        ValueError: if it unpacks to more than a log can honestly hold.
+    """
+    if not content.startswith(ZSTD):
+        return content
+    most = MOST_RATIO * len(content) + (FREE >> 10)
+    data = ZstdDecompressor().stream_reader(content).read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"a message of {len(content)} bytes unpacks to more than {most}")
+    return data
 
 
 class Unpacker:
