@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -60,12 +62,35 @@ def test_a_wrong_name_is_told() -> None:
 
 
 def test_what_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a line, as the commands do."""
+    """In a line, as the commands do; for whoever asks whether it is there, it is not."""
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "vpptwin.train.environments", raising=False)
     monkeypatch.delitem(vars(vpptwin), "make_env", raising=False)
-    with pytest.raises(vpptwin.InputError, match=r"pip install 'vpptwin\[train\]'"):
+    with pytest.raises(vpptwin.InputError, match=r"make_env needs torch, .* pip install 'vpptwin\[train\]'"):
         _ = vpptwin.make_env
+    assert not hasattr(vpptwin, "make_env")
+    assert {"diagnose", "compare"} <= dict(inspect.getmembers(vpptwin)).keys()
+
+
+def test_what_is_installed_but_broken_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reason stays in the message of the AttributeError."""
+
+    def load(name: str) -> None:
+        raise ImportError("libtorch.so: cannot open shared object file")
+
+    monkeypatch.setattr(vpptwin, "import_module", load)
+    monkeypatch.delitem(vars(vpptwin), "make_env", raising=False)
+    with pytest.raises(AttributeError, match=r"make_env cannot be imported: libtorch.so"):
+        _ = vpptwin.make_env
+
+
+@pytest.mark.parametrize(("module", "extra"), [("gymnasium", "gymnasium"), ("torch", "train")])
+def test_a_module_that_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch, module: str, extra: str) -> None:
+    """It cannot be imported, as `try: import` expects it."""
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, "vpptwin.gym", raising=False)
+    with pytest.raises(ModuleNotFoundError, match=rf"vpptwin.gym needs {module}, .* pip install 'vpptwin\[{extra}\]'"):
+        import_module("vpptwin.gym")
 
 
 def test_a_result_prints_in_ten_lines(result: vpptwin.Result) -> None:

@@ -50,20 +50,20 @@ def __getattr__(name: str) -> object:
     """Import what is asked for (PEP 562).
 
     Raises:
-        InputError: if that takes an extra that is not installed.
+        AttributeError: if there is no such name, or what it needs is not installed; `hasattr` asks so.
     """
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, there = _PLACES[name].partition(":")
     try:
         found: object = getattr(import_module(module), there)
-    except ModuleNotFoundError as error:
-        from vpptwin.errors import explain_missing
+    except ImportError as error:
+        from vpptwin.errors import MissingError, explain_missing
 
-        problem = explain_missing(error)
+        problem = explain_missing(error, f"vpptwin.{name}") if isinstance(error, ModuleNotFoundError) else None
         if problem is None:
-            raise
-        raise problem from error
+            raise AttributeError(f"vpptwin.{name} cannot be imported: {error}") from error
+        raise MissingError(problem.found, problem.expected, problem.action) from error
     globals()[name] = found
     return found
 

@@ -62,6 +62,10 @@ class InputError(ValueError):
         return type(self), (self.found, self.expected, self.action)
 
 
+class MissingError(InputError, AttributeError):
+    """A name of a module that takes an extra which is not installed: for `hasattr` it is not there."""
+
+
 def suggest(name: str, known: Iterable[str], otherwise: str = "check the name") -> str:
     """What to do about a name that is unknown: the known one that is closest to it, if one is close."""
     close = get_close_matches(name, known, n=1)

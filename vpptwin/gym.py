@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
-import torch
-from gymnasium.spaces import Box
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
-from tensordict import TensorDict, TensorDictBase
+
+from vpptwin.errors import explain_missing
+
+try:
+    import gymnasium
+    import torch
+    from gymnasium.spaces import Box
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+    from tensordict import TensorDict, TensorDictBase
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(explain_missing(error, __name__) or error, name=error.name) from error
 
 from vpptwin.train.env import VppEnv
 from vpptwin.train.environments import make_task_env
