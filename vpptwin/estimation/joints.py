@@ -128,16 +128,18 @@ def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series 
     """Position and, where logged, velocity of one degree of freedom, with the noise that they show."""
     length, unit = ("rad", "rad/s") if rotary else ("m", "m/s")
     late, apart = compare_streams(stream)
+    ahead, behind = max(-late, 0.0), max(late, 0.0)
     # The one that runs behind was filtered: what is still apart is its fault.
     of_position, of_velocity = (None if late > 0.0 else apart), (None if late < 0.0 or apart is None else apart)
     widest = TURN if rotary else np.inf
     noise = estimate_noise(stream.time, stream["position"], POSITION_SHARE, of_position, widest)
-    position = Series(name, length, stream.time - max(-late, 0.0), stream["position"], noise, white=False)
+    position = Series(name, length, stream.time - ahead, stream["position"], noise, white=False, late=ahead)
     if "velocity" not in stream.values:
         return position, None
     noise = estimate_noise(stream.time, stream["velocity"], VELOCITY_SHARE, of_velocity and of_velocity / SPANS[1])
-    time = stream.time - max(late, 0.0)
-    return position, Series(f"{name} rate", unit, time, stream["velocity"], noise, white=False)
+    return position, Series(
+        f"{name} rate", unit, stream.time - behind, stream["velocity"], noise, white=False, late=behind
+    )
 
 
 def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
@@ -179,7 +181,7 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
     for axis in range(3):
         rate_seen = found.velocities.get(turn + axis)
         if gyro is not None and rate_seen is not None:
-            found.velocities[turn + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis])
+            found.velocities[turn + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis], late=0.0)
     turns = [found.positions[turn + axis] for axis in range(3)]
     std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
     time = stream.time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
@@ -187,7 +189,8 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
         time = time - float(np.mean([time[0] - series.time[0] for series in turns]))
     found.attitudes[turn] = Series(f"{tracked.name} attitude", "rad", time, attitude, std, white=False)
     for axis in range(3):  # all three or none: a spike in one is one in the attitude
-        found.positions[turn + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std)
+        late = float(stream.time[0] - time[0])
+        found.positions[turn + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std, late=late)
 
 
 def share_noise(kept: dict[int, Series], dofs: range) -> None:

@@ -24,6 +24,7 @@ class Series:
     std: float  # sensor noise of one sample, 1 sigma, in the unit
     white: bool = True  # the noise is independent from sample to sample, so that averaging reduces it
     span: float = 0.0  # how far around an instant samples tell a state there [s]; 0 where nobody has looked
+    late: float = 0.0  # by how much later the log stamped the samples [s]: `time` is without that
 
 
 @dataclass(frozen=True)

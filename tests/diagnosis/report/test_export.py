@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from tests.diagnosis.rigs import CARTS, record
 from tests.estimation.synthetic import draw_commands, fly_own
 from vpptwin.diagnosis.report.export import name_files, write_prediction
-from vpptwin.diagnosis.report.prediction import predict_flight
+from vpptwin.diagnosis.report.prediction import FlightPrediction, Track, predict_flight
 from vpptwin.diagnosis.report.rerun import write_rrd
 from vpptwin.files import is_own
 from vpptwin.logs import Stream, read_flight, write_flight
@@ -148,20 +148,71 @@ def test_other_rigs_have_joint_states(tmp_path: Path) -> None:
         assert message.position[0] + residual.position[0] == pytest.approx(log[stamp].position[0], abs=1e-12)
 
 
-def test_a_rate_that_was_late_stays_in_the_message_of_its_position(tmp_path: Path) -> None:
-    """Though its stamps were moved, and the twin knows one sample more or less of it: every message holds both."""
+def spoil(stream: Stream, how: str) -> Stream:
+    """A cart's log with spikes in its velocity, a velocity that runs behind, or rows lost."""
+    time, position, velocity = stream.time, stream["position"].copy(), stream["velocity"].copy()
+    if how == "spikes":
+        velocity[[300, 701, 1500]] += 3.0
+    elif how == "late":
+        velocity = np.interp(time - 0.06, time, velocity)
+    else:
+        kept = np.random.default_rng(0).random(len(time)) > 0.05
+        time, position, velocity = time[kept], position[kept], velocity[kept]
+    return Stream(time, {"position": position, "velocity": velocity})
+
+
+@pytest.mark.parametrize("how", ["spikes", "late", "lost"])
+def test_what_a_message_lacks_is_not_in_its_shadow(tmp_path: Path, how: str) -> None:
+    """Position and velocity of one joint, of different length or moved in time: at the log's stamps, as predicted."""
     flight, spec = record_cart(tmp_path)
+    stream = spoil(flight.joints["/joint_states"]["slide"], how)
+    flight = replace(flight, joints={**flight.joints, "/joint_states": {"slide": stream}})
     prediction = predict_flight([spec], flight)
-    position, rate = prediction.tracks
-    known = np.flatnonzero(np.isfinite(position.predicted[0]))
-    position.predicted[0, known[:1]] = np.nan
-    late = replace(rate, time=rate.time - 5e-4)
-    write_prediction(tmp_path / "p.mcap", spec, replace(prediction, tracks=[position, late]))
-    messages = decode(tmp_path / "p.mcap", ["/twin/before/joint_states"])["/twin/before/joint_states"]
-    told = np.array([(messages[s].position[0], messages[s].velocity[0]) for s in sorted(messages)])
-    index = np.searchsorted(position.time, (np.array(sorted(messages)) - flight.start_ns) / 1e9 - 1e-6)
-    assert np.allclose(told[:, 0], position.predicted[0, index], atol=1e-12)
-    assert np.allclose(told[:, 1], rate.predicted[0, index], atol=1e-12)
+    write_prediction(tmp_path / "p.mcap", spec, prediction)
+    messages = decode(tmp_path / "p.mcap")["/twin/before/joint_states"]
+    stamps = {stamp - flight.start_ns for stamp in messages}
+    assert stamps <= {round(time * 1e9) for time in stream.time}
+    assert sum(len(m.position) == len(m.velocity) == 1 for m in messages.values()) > 0.97 * len(messages)
+    for track in prediction.tracks:
+        told = {s - flight.start_ns: getattr(m, track.kind) for s, m in messages.items() if getattr(m, track.kind)}
+        row = np.searchsorted(track.stamp, sorted(told))
+        assert len(told) > 0.9 * 100.0 * (stream.time[-1] - stream.time[0])
+        np.testing.assert_array_equal(np.concatenate([told[s] for s in sorted(told)]), track.predicted[0, row])
+
+
+TWO = """<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body>
+<body pos="1 0 0"><joint name="b"/><geom size="0.1"/></body></worldbody></mujoco>"""
+"""Two hinges, of one topic or of two."""
+
+
+@pytest.mark.parametrize("topics", [("/states", "/states"), ("/left", "/right")])
+def test_joints_that_are_not_in_every_message_lie_beside_those_that_are(
+    tmp_path: Path, topics: tuple[str, str]
+) -> None:
+    """Joint b is in every second message, its velocity never; a NaN and other rates part nothing else."""
+    (tmp_path / "two.xml").write_text(TWO)
+    (tmp_path / "two.yaml").write_text(f"model: two.xml\nsignals: {{joints: {{a: {topics[0]}, b: {topics[1]}}}}}\n")
+    spec, time = load_twin(tmp_path / "two.yaml"), 0.02 * np.arange(50)
+    given = (("a", "position", 0, time), ("a rate", "velocity", 0, time), ("b", "position", 1, time[::2]))
+    tracks = [Track(n, "rad", kind, dof, t, t, 1e-3, np.array([dof + t])) for n, kind, dof, t in given]
+    tracks[1].predicted[0, 7] = np.nan
+    flight = Flight(tmp_path / "none.mcap", 0, {}, {})
+    write_prediction(tmp_path / "p.mcap", spec, FlightPrediction(flight, tracks, np.zeros(1)))
+    held: dict[tuple[str, str], set[int]] = defaultdict(set)
+    with (tmp_path / "p.mcap").open("rb") as file:
+        for entry in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            if "residual" not in entry.channel.topic:
+                message, stamp = entry.decoded_message, entry.message.publish_time
+                for index, name in enumerate(message.name):
+                    assert message.position == [] or message.position[index] == pytest.approx(
+                        (name == "b") + stamp / 1e9
+                    )
+                    held[name, entry.channel.topic] |= {round(stamp / 2e7)}
+                    held[f"{name} rate", entry.channel.topic] |= {round(stamp / 2e7)} if message.velocity else set()
+    left, right = (f"/twin/before{topic}" for topic in topics)
+    assert held["a", left] == set(range(50))
+    assert held["a rate", left] == set(range(50)) - {7}
+    assert held["b", right] == set(range(0, 50, 2))
 
 
 def test_a_log_recorded_on_another_clock_is_met_there(tmp_path: Path) -> None:

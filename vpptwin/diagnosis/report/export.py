@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import singledispatch
 from pathlib import Path
 
@@ -24,8 +24,6 @@ MOST = 100.0
 """Samples per second of a quantity that are exported, out of those that the log has [Hz]."""
 OTHER_CLOCK = 60.0
 """A recorder whose first message is this far from its stamp ran on another clock, say under simulated time [s]."""
-LATEST = 0.02
-"""By which stamps of one quantity may be moved against another's of the same messages [s]."""
 POSE_COLUMNS = {"x": "x", "z": "z", "θ": "theta"}
 
 
@@ -97,52 +95,64 @@ def find_offset(flight: Flight) -> float:
 
 
 def thin_tracks(tracks: Sequence[Track]) -> list[Track]:
-    """The samples at which every twin was simulated, thinned out evenly if there are too many.
+    """Of every quantity at most `MOST` samples a second, where every twin was simulated; all where that is about right.
 
-    Of quantities that were logged together the same ones are kept, as one message holds them.
+    Of those in one stretch that is taken which shares its message with most others: one message holds them then.
     """
-    finite = [np.isfinite(track.predicted).all(axis=0) for track in tracks]
+    known = [track.take(track.known) for track in tracks]
+    stamps, shared = np.unique(np.concatenate([track.stamp for track in known]), return_counts=True)
     thinned = []
-    for track in tracks:
-        known = np.logical_and.reduce([f for f, other in zip(finite, tracks) if is_beside(track, other)])
-        period = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 1.0 / MOST
-        kept = np.flatnonzero(known)[:: max(round(1.0 / (period * MOST)), 1)]
-        time, measured, predicted = track.time[kept], track.measured[kept], track.predicted[:, kept]
-        thinned.append(replace(track, time=time, measured=measured, predicted=predicted))
+    for track in known:
+        if len(track.time) > 1 and round(1e9 / (float(np.median(np.diff(track.stamp))) * MOST)) > 1:
+            stretch, beside = track.stamp // round(1e9 / MOST), shared[np.searchsorted(stamps, track.stamp)]
+            order = np.lexsort((track.stamp, -beside, stretch))
+            track = track.take(np.sort(order[np.unique(stretch[order], return_index=True)[1]]))
+        thinned.append(track)
     return thinned
 
 
-def is_beside(one: Track, other: Track) -> bool:
-    """Whether two quantities come from the same messages; a lateness that was found has moved the stamps of one."""
-    if len(one.time) != len(other.time):
-        return False
-    period = float(np.diff(one.time).min()) if len(one.time) > 1 else 0.0
-    return bool(np.abs(one.time - other.time).max() <= max(0.5 * period, LATEST))
+def group_messages(tracks: Sequence[Track]) -> Iterator[tuple[np.ndarray, dict[int, np.ndarray]]]:
+    """Messages by which quantities they hold: their stamps (n,) [s], and index of a quantity → its rows (n,).
+
+    What came in one message has its stamp, whatever else is missing there or was moved to another time since.
+    """
+    stamps = np.unique(np.concatenate([track.stamp for track in tracks])) if tracks else np.empty(0)
+    row = np.full((len(tracks), len(stamps)), -1)
+    for i, track in enumerate(tracks):
+        row[i, np.searchsorted(stamps, track.stamp)] = np.arange(len(track.time))
+    for held in np.unique(row >= 0, axis=1).T:
+        among = ((row >= 0) == held[:, None]).all(axis=0)
+        yield stamps[among] / 1e9, {int(i): row[i, among] for i in np.flatnonzero(held)}
 
 
 @singledispatch
 def list_topics(robot: Robot, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
-    """Joints of a rig as one twin gives them, those that were logged at the same instants in one message."""
-    topics: dict[tuple[str, bytes], Topic] = {}
-    for joint, source in robot.signals.joints.items():
-        dof = int(robot.model.joint(joint).dofadr[0])
-        own = [track for track in tracks if track.dof == dof]
-        columns = {track.kind: track.predicted[i] for track in own}
-        key = source + "/".join(columns), own[0].time.tobytes()
-        topic = topics.setdefault(key, Topic(f"/twin/{twin}{source}", own[0].time, joints={}))
-        topics[key] = replace(topic, joints={**(topic.joints or {}), joint: columns})
-    return list(topics.values())
+    """Joints of a rig as one twin gives them; in one message those that one of the log's held with the same columns."""
+    dofs = {int(robot.model.joint(joint).dofadr[0]): joint for joint in robot.signals.joints}
+    topics = []
+    for source in dict.fromkeys(robot.signals.joints.values()):
+        own = [t for t in tracks if t.dof in dofs and robot.signals.joints[dofs[t.dof]] == source]
+        for time, rows in group_messages(own):
+            joints: dict[str, dict[str, np.ndarray]] = {}
+            for index, row in rows.items():
+                joints.setdefault(dofs[own[index].dof], {})[own[index].kind] = own[index].predicted[i, row]
+            for columns in {tuple(held) for held in joints.values()}:
+                alike = {joint: held for joint, held in joints.items() if tuple(held) == columns}
+                topics.append(Topic(f"/twin/{twin}{source}", time, joints=alike))
+    return topics
 
 
 @list_topics.register(PlanarDrone)
 def list_drone(robot: PlanarDrone, twin: str, tracks: Sequence[Track], i: int) -> list[Topic]:
     """Pose and gyro of our drone as one twin gives them."""
-    poses = [track for track in tracks if track.kind == "position"]
-    values = {POSE_COLUMNS[track.name]: track.predicted[i] for track in poses}
-    topics = [Topic(f"/twin/{twin}/mocap/pose", poses[0].time, values)]
+    poses, topics = [track for track in tracks if track.kind == "position"], []
+    for time, rows in group_messages(poses):
+        if len(rows) == len(POSE_COLUMNS):
+            values = {POSE_COLUMNS[poses[index].name]: poses[index].predicted[i, row] for index, row in rows.items()}
+            topics.append(Topic(f"/twin/{twin}/mocap/pose", time, values))
     for track in tracks:
         if track.kind == "velocity":
-            topics.append(Topic(f"/twin/{twin}/imu/data", track.time, {"rate": track.predicted[i]}))
+            topics.append(Topic(f"/twin/{twin}/imu/data", track.stamp / 1e9, {"rate": track.predicted[i]}))
     return topics
 
 
@@ -154,4 +164,4 @@ def plain_name(track: Track) -> str:
 def list_residual(twin: str, track: Track, i: int) -> Topic:
     """Measured minus predicted of one quantity."""
     name = plain_name(track)
-    return Topic(f"/twin/{twin}/residual/{name}", track.time, joints={name: {track.kind: track.residual[i]}})
+    return Topic(f"/twin/{twin}/residual/{name}", track.stamp / 1e9, joints={name: {track.kind: track.residual[i]}})

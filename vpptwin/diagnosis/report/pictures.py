@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -104,15 +104,14 @@ def draw_wrench(plot: WrenchPlot, subject: str, titles: tuple[str, str] = ("befo
 
 def cut_flight(prediction: FlightPrediction) -> list[Track]:
     """A stretch from the middle of a flight, every measured quantity where all twins were simulated."""
-    known = [track.time[np.isfinite(track.predicted).all(axis=0)] for track in prediction.tracks]
+    tracks = [track for track in prediction.tracks if np.count_nonzero(track.known) > 1]
+    if not tracks:
+        return []
+    known = [track.time[track.known] for track in tracks]
     first, last = max(t[0] for t in known), min(t[-1] for t in known)
     begin = max(first, 0.5 * (first + last) - 0.5 * STRETCH)
-    tracks = []
-    for track in prediction.tracks:
-        part = (track.time >= begin) & (track.time <= begin + STRETCH) & np.isfinite(track.predicted).all(axis=0)
-        samples = {name: getattr(track, name)[..., part] for name in ("time", "measured", "predicted")}
-        tracks.append(replace(track, **samples))
-    return tracks
+    cut = [t.take((t.time >= begin) & (t.time <= begin + STRETCH) & t.known) for t in tracks]
+    return [track for track in cut if len(track.time) > 1]
 
 
 def draw_track(track: Track, restarts: np.ndarray, same: bool) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,15 +27,31 @@ class Track:
     unit: str  # SI unit
     kind: str  # `position` or `velocity`
     dof: int  # degree of freedom it measures
-    time: np.ndarray  # stamps (n,) [s since the log's first]
+    time: np.ndarray  # when it was so (n,) [s since the log's first]
     measured: np.ndarray  # (n,)
     noise: float  # sensor noise of one sample, 1 sigma
     predicted: np.ndarray  # (twins, n) what each twin says; NaN where none could be simulated
+    late: float = 0.0  # by how much later the log stamped the samples [s]
 
     @property
     def residual(self) -> np.ndarray:
         """Measured minus predicted, (twins, n)."""
         return self.measured - self.predicted
+
+    @property
+    def stamp(self) -> np.ndarray:
+        """Stamps of the messages that the samples came in, (n,) [ns since the log's first]."""
+        return np.rint((self.time + self.late) * 1e9).astype(np.int64)
+
+    @property
+    def known(self) -> np.ndarray:
+        """Where all twins were simulated, (n,) bool."""
+        return np.isfinite(self.predicted).all(axis=0)
+
+    def take(self, rows: np.ndarray) -> Track:
+        """Some of the samples, by index or (n,) bool."""
+        time, measured, predicted = self.time[rows], self.measured[rows], self.predicted[:, rows]
+        return replace(self, time=time, measured=measured, predicted=predicted)
 
 
 @dataclass(frozen=True)
@@ -70,8 +86,8 @@ def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPredictio
                 place = find_place(twins[0].model, dof) if kind == "position" else dof
                 given = series, dof, kind, place, first
                 predicted = [read_sensor(r, c, *given) for r, c in zip(replays, constants, strict=True)]
-            logged = (series.time, series.value, float(series.std))
-            tracks.append(Track(series.name, series.unit, kind, dof, *logged, np.array(predicted)))
+            logged = (series.time, series.value, float(series.std), np.array(predicted), series.late)
+            tracks.append(Track(series.name, series.unit, kind, dof, *logged))
     return FlightPrediction(flight, tracks, replays[0].restarts)
 
 
