@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.logs.delimited import check_times, count_ns, find_clock, guess_unit, part_units, split_time
+from vpptwin.logs.headings import check_times, count_ns, find_clock, guess_unit, part_units, split_time
 from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields, name_topic
 

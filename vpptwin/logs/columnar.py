@@ -11,7 +11,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import Stamp
-from vpptwin.logs.delimited import check_times, count_ns, find_clock, guess_unit, part_units
+from vpptwin.logs.headings import check_times, count_ns, find_clock, guess_unit, part_units
 from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields
 

@@ -8,71 +8,28 @@ import io
 import re
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vpptwin.errors import InputError, load_extra
-from vpptwin.fields import NANOSECONDS, Stamp
+from vpptwin.fields import NANOSECONDS
+from vpptwin.logs.csv_form import DATE, NUMBER, Format, is_number, open_bytes, refuse_damaged, sniff
+from vpptwin.logs.headings import count_ns, find_clock, guess_unit
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import Table, choose_fields, list_names
+from vpptwin.logs.tables import Table, choose_fields
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_HEAD = 1 << 18  # characters that are looked at to see what kind of CSV it is
-_LONGEST_UNIT = 12  # characters
 _BLOCK = 1 << 22  # bytes of text converted at once, of which Arrow reads up to thirty ahead
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)|", re.IGNORECASE)
-_COMMA_NUMBER = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d(:?\d\d)?)?")
 _FORMS = {
-    "double": ("a number", _NUMBER),
+    "double": ("a number", NUMBER),
     "int64": ("a whole number", re.compile(r"[-+]?\d+")),
-    "timestamp": ("a date", _DATE),
+    "timestamp": ("a date", DATE),
 }
 """Arrow's type of a column → what its cells should be."""
-_UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
-_ENDING = re.compile(
-    r".*[a-zA-Z0-9]_(deg_per_s|deg_per_sec|deg_sec|deg_s|degps|dps|rad_per_s|rad_per_sec|rad_sec|rad_s|radps|"
-    r"deg|degrees?|rad|radians|mm_s|mm|cm_s|cm|m_per_s|m_s|mps|rpm|mNm|Nm|N|mV|V|mA|A)"
-)
-"""What names of columns end with that is a unit, by upper and lower case: `q_m` or `phase_a` may be anything."""
-_TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
-          "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
-_SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds", "us": "us usec microseconds µs μs",
-            "ns": "ns nsec nanoseconds"}  # fmt: skip
-_WORDS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
-_SUFFIXES = {f"_{word}": unit for word, unit in _WORDS.items()} | {"us": "us", "ms": "ms", "ns": "ns"}
-"""What names of clocks end with → unit."""
-_SLOWEST, _FASTEST = 5.0, 5000.0  # samples a second of a log whose clock tells no unit; three decades leave one unit
-
-_DATES = 1e9, 4e9  # seconds since 1970: 2001 to 2096
-_STEP = 60.0  # s, between samples of a log that shows dates
-
-
-@dataclass
-class Format:
-    """What kind of CSV a file is.
-
-    Attributes:
-        encoding: of its text.
-        delimiter, decimal: of cells and fractions.
-        skip: lines before the first row of values.
-        names: of the columns, each once.
-        units: of columns that have one.
-        first: row of values.
-    """
-
-    encoding: str
-    delimiter: str
-    decimal: str
-    skip: int
-    names: list[str]
-    units: dict[str, str] = field(default_factory=dict)
-    first: list[str] = field(default_factory=list)
 
 
 def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
@@ -124,215 +81,10 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
 
 
-def sniff(path: Path, notes: list[str]) -> Format:
-    """Find out what kind of CSV a file is, from its beginning.
-
-    Raises:
-        InputError: if it is none.
-    """
-    with open_bytes(path) as file:
-        head = read_head(path, file)
-    encoding = find_encoding(head)
-    if encoding == "latin-1":
-        notes.append(f"{path.name} is not in UTF-8, read as Latin-1")
-    text = head.decode(encoding, "ignore").lstrip("\ufeff")
-    lines = re.split(r"\r\n|\n|\r", text)
-    lines = lines[:-1] if len(head) >= _HEAD and len(lines) > 1 else lines
-    start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
-    rows = [line for line in lines[start:] if line.strip()][:50]
-    if not rows:
-        raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
-    delimiter = find_delimiter(rows)
-    cells = [[cell.strip() for cell in row] for row in csv.reader(rows, delimiter=delimiter)]
-    skip, names = start, cells[0]
-    if all(is_number(cell, delimiter) for cell in cells[0]):
-        said = next(csv.reader([lines[start - 1].lstrip("# ")], delimiter=delimiter)) if start else []
-        names = (
-            [cell.strip() for cell in said] if len(said) == len(cells[0]) else [f"c{i}" for i in range(len(cells[0]))]
-        )
-    else:
-        skip, cells = start + 1, cells[1:]
-    units: dict[str, str] = {}
-    names = part_units(names, units)
-    if len(cells) > 1 and is_units(cells[0], cells[1], delimiter):
-        units |= {name: clean_unit(cell) for name, cell in zip(names, cells[0]) if cell}
-        skip, cells = skip + 1, cells[1:]
-    skip += sum(not line.strip() for line in lines[start : start + (skip - start)])
-    values = [cell for row in cells for cell in row]
-    is_comma = delimiter != "," and any(_COMMA_NUMBER.fullmatch(cell) for cell in values)
-    return Format(encoding, delimiter, "," if is_comma else ".", skip, names, units, cells[0] if cells else [])
-
-
-def open_bytes(path: Path) -> Any:  # noqa: ANN401
-    """The file's content, unpacked if it is gzipped."""
-    with path.open("rb") as file:
-        packed = file.read(2) == b"\x1f\x8b"
-    return gzip.open(path) if packed else path.open("rb")
-
-
-def read_head(path: Path, file: Any) -> bytes:  # noqa: ANN401
-    """The beginning of a file's content."""
-    try:
-        return file.read(_HEAD)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise refuse_damaged(path, error) from None
-
-
-def refuse_damaged(path: Path, error: Exception) -> InputError:
-    """What to say of a gzip file that ends early or is broken."""
-    return InputError(f"{path} is damaged ({error})", "a whole gzip file", "copy it again")
-
-
-def find_encoding(head: bytes) -> str:
-    """Encoding of text that begins so."""
-    for mark, name in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8")):
-        if head.startswith(mark):
-            return name
-    try:
-        head.decode()
-    except UnicodeDecodeError as error:
-        return "utf-8" if error.start > len(head) - 4 else "latin-1"
-    return "utf-8"
-
-
-def find_delimiter(rows: Sequence[str]) -> str:
-    """The delimiter that parts most rows into as many cells as the first, at least two."""
-
-    def rate(mark: str) -> tuple[float, int]:
-        counts = [len(row) for row in csv.reader(rows, delimiter=mark)]
-        same = sum(count == counts[0] for count in counts) / len(counts)
-        return (round(same, 1) if counts[0] > 1 else 0.0), counts[0]
-
-    return max(";\t,| ", key=rate)  # of equals the first: semicolons part what commas are fractions of
-
-
-def is_number(cell: str, delimiter: str) -> bool:
-    """Whether a cell holds a number, or a list of them, or nothing."""
-    cell = cell.strip().strip('"')
-    if delimiter != "," and _COMMA_NUMBER.fullmatch(cell):
-        return True
-    return bool(_NUMBER.fullmatch(cell)) or cell.startswith(("[", "("))
-
-
-def is_units(row: Sequence[str], after: Sequence[str], delimiter: str) -> bool:
-    """Whether a row holds units: no number where the row after it has some, and short words."""
-    numbers = [i for i, cell in enumerate(after) if cell and is_number(cell, delimiter)]
-    words = [row[i].strip("[]()") for i in numbers if i < len(row)]
-    if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _LONGEST_UNIT:
-        return False
-    return not any(word and word != "1" and is_number(word, delimiter) for word in words)
-
-
-def clean_unit(text: str) -> str:
-    """A unit as `vpptwin.fields.UNITS` spells it, as far as it is one of those."""
-    text = text.strip().strip("[]()").strip()
-    text = re.sub(r"(_per)?_s(ec)?$|(?<=deg|rad)ps$", "/s", text)
-    text = {"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "°/s": "deg/s", "dps": "deg/s",
-            "mps": "m/s", "mNm": "mN m", "Nm": "N m",
-            "N·m": "N m", "m/s²": "m/s^2", "m/s2": "m/s^2", "m/s/s": "m/s^2", "RPM": "rpm", "percent": "%",
-            "meters": "m", "metres": "m"}.get(text, text)  # fmt: skip
-    return _WORDS.get(text, text)
-
-
-def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
-    """Names without the units that some of them bring, each once; nameless ones are called by their place."""
-    parted: list[str] = []
-    for place, given in enumerate(names):
-        match = _UNIT.fullmatch(given)
-        is_index = match is not None and match.group(2).isdigit()
-        name = first = (match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}"
-        count = 1
-        while name in parted:
-            count += 1
-            name = f"{first}_{count}"
-        parted.append(name)
-        if match is not None and not is_index and match.group(2):
-            units[name] = clean_unit(match.group(2))
-    for name in parted:
-        ending = _ENDING.fullmatch(name)
-        if ending and name not in units:
-            units[name] = clean_unit(ending.group(1))
-        stem, unit = split_time(name)
-        if stem and unit and name not in units:
-            units[name] = unit
-    return parted
-
-
-def split_time(name: str) -> tuple[bool, str]:
-    """Whether a column is called as clocks are, and the unit that its name ends with, "" for none."""
-    plain = list_names(name)[2]
-    if plain in _TIMES:
-        return True, ""
-    for suffix, unit in _SUFFIXES.items():
-        if plain.endswith(suffix) and plain.removesuffix(suffix).rstrip("_") in _TIMES:
-            return True, unit
-    return False, ""
-
-
-def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None) -> str:
-    """The column of the time.
-
-    Raises:
-        InputError: if there is none, or none of the name that somebody gave.
-    """
-    if stamp is not None:
-        known = [name for name in names if stamp.path in list_names(name)]
-    else:
-        known = sorted((n for n in names if split_time(n)[0]), key=lambda n: _rank(n))
-    if not known:
-        wanted = stamp.path if stamp is not None else "time, t or timestamp"
-        listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-        action = "call it so, or name it: `stamp: {path: NAME, unit: ms}`"
-        raise InputError(f"{path}: columns {listed}", f"a column {wanted} with the time", action)
-    return known[0]
-
-
-def _rank(name: str) -> int:
-    plain = list_names(name)[2]
-    return next((i for i, known in enumerate(_TIMES) if plain == known or plain.startswith(f"{known}_")), len(_TIMES))
-
-
-def guess_unit(time: np.ndarray) -> str:
-    """Unit of a clock: in which it shows a date of these years, otherwise in which its steps are those of a log."""
-    steps = np.abs(np.diff(time[:10_000].astype(float)))
-    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    latest = float(np.abs(time).max())
-    for unit, factor in NANOSECONDS.items():
-        if _DATES[0] < latest * factor / 1e9 < _DATES[1] and step * factor / 1e9 < _STEP:
-            return unit
-    for unit, factor in NANOSECONDS.items():
-        if step and _SLOWEST < 1e9 / (step * factor) <= _FASTEST:
-            return unit
-    return "s"
-
-
 def is_date(form: Format, clock: str) -> bool:
     """Whether the time is told as a date."""
     place = form.names.index(clock)
-    return place < len(form.first) and bool(_DATE.fullmatch(form.first[place]))
-
-
-def check_times(path: Path, clock: str, time: np.ndarray) -> None:
-    """Refuse a column of times (n,) with gaps.
-
-    Raises:
-        InputError: naming the first row without one.
-    """
-    if not np.isfinite(time).all():
-        row = int(np.argmin(np.isfinite(time)))
-        raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
-
-
-def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
-    """Times in ns, (n,) int64."""
-    factor = NANOSECONDS[unit]
-    if time.dtype.kind in "iu":
-        return time.astype(np.int64) * factor
-    whole = np.floor(time)
-    wild = ~(np.abs(time) < 2.0**62 / factor)
-    whole = np.where(wild, 0.0, whole)
-    counted = whole.astype(np.int64) * factor + np.rint((np.where(wild, 0.0, time) - whole) * factor).astype(np.int64)
-    return np.where(wild, np.int64(2**62), counted)
+    return place < len(form.first) and bool(DATE.fullmatch(form.first[place]))
 
 
 def convert_batches(
@@ -389,7 +141,7 @@ def blame_line(path: Path, form: Format, types: dict[str, str], error: Exception
                 return InputError(found, expected, "complete or remove the line")
             for kind, name, cell in zip(kinds, form.names, row):
                 text = cell.strip().replace(form.decimal, ".")
-                good = _NUMBER.fullmatch(text) or text.lower() in ("null", "none", "n/a", "na", "-", "-nan")
+                good = NUMBER.fullmatch(text) or text.lower() in ("null", "none", "n/a", "na", "-", "-nan")
                 if kind not in _FORMS or (good if kind == "double" else _FORMS[kind][1].fullmatch(text)):
                     continue
                 found = f"{path}, line {reader.line_num}: {cell!r} as {name}"
