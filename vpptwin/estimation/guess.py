@@ -89,8 +89,8 @@ def tell_quantity(signal: Signal) -> str:
 
 
 def is_commanded(signal: Signal) -> bool:
-    """Whether a signal's name says that it was asked for, not measured."""
-    return bool(COMMANDED & {*split_words(signal.label), *split_words(signal.topic)})
+    """Whether a signal's name says that it was asked for, not measured; or its topic's, where it is one of several."""
+    return bool(COMMANDED & {*split_words(signal.label), *([] if signal.alone else split_words(signal.topic))})
 
 
 def is_derived(signal: Signal) -> bool:
@@ -149,6 +149,11 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         driven = find_moved(model, i)
         moved = next((g.fields.get("position") for g in guesses if g.target == driven), None)
         check_actuator(guess, model, i, moved)
+    for guess in guesses if not any(command.fields for command in commands) else ():
+        position = guess.fields.get("position")
+        if position is not None and position.alone and COMMANDED & set(split_words(position.topic)):
+            guess.doubts.append(f"the log is called {position.topic}: was {position.label} measured, or asked for?")
+            guess.sure = False
     return [*guesses, *commands]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Chunk, Header, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
@@ -22,6 +23,7 @@ from zstandard import ZstdError
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.tables import is_packed, keep_apart
 from vpptwin.logs.unpack import Unpacker
 
 _PREFIX = struct.Struct("<BQ")
@@ -116,9 +118,9 @@ class _Scan:
             return
         known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
         text = known.data.decode("utf-8", "replace")
-        channel = RawChannel(
-            escape_text(record.topic), escape_text(known.name), record.message_encoding, known.encoding, text
-        )
+        topic, kind = name_channel(record, known)
+        topic = self.wish.names.get(topic, topic) if is_packed(kind) else topic
+        channel = RawChannel(topic, kind, record.message_encoding, known.encoding, text)
         self.channels[record.id] = channel
         if self.wish.channel(channel):
             self.keep.add(record.id)
@@ -145,6 +147,23 @@ class _Scan:
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
                 size += payload.nbytes
         self.hold.add(size, self.channels.values())
+
+
+def name_channel(record: ChannelRecord, schema: Schema | None) -> tuple[str, str]:
+    """Topic and message type of a channel; tables are called as none of our topics."""
+    topic, kind = escape_text(record.topic), escape_text(schema.name if schema else "")
+    return keep_apart(topic) if is_packed(kind) else topic, kind
+
+
+def list_channels(path: Path) -> dict[str, str] | None:
+    """Topic → message type, as the summary at the end of an MCAP file says; None for a file without one."""
+    with path.open("rb") as file:
+        try:
+            summary = SeekingReader(file).get_summary()
+        except _BROKEN:
+            return None
+    known = summary.schemas if summary else {}
+    return dict(name_channel(c, known.get(c.schema_id)) for c in summary.channels.values()) if summary else None
 
 
 def read_container(path: Path, wish: Wish) -> RawFile:

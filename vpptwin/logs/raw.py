@@ -109,10 +109,7 @@ class Wish:
     take: Take | None = None  # what looks at a large log's channels as they fill
     span: Span | None = None  # which messages are wanted, None for all
     texts: bool = False  # whether columns of text are
-
-    def name_table(self, topic: str) -> str:
-        """What the only table of a log is called: as wanted, where one topic is, so that a twin takes its next run."""
-        return next(iter(self.fields)) if len(self.fields) == 1 else topic
+    names: Mapping[str, str] = field(default_factory=dict)  # what a table is called -> what it is wanted as
 
 
 class Hold:

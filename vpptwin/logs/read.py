@@ -18,6 +18,7 @@ from vpptwin.logs.raw import RawChannel, Wish
 from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time
+from vpptwin.logs.tables import is_packed
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
 
@@ -91,7 +92,10 @@ def _read_table_topics(recording: Recording, topics: TopicMap, warnings: list[st
     """Canonical topic -> samples in order of time, for those that have messages."""
     samples = {}
     for canonical, route in topics.routes.items():
-        if recording.find_topic(route.topic) is not None:
+        present = recording.find_topic(route.topic)
+        if present is not None and not route.origin and is_packed(recording.list_topics()[present]):
+            continue  # a table that is called as a topic of ours
+        if present is not None:
             found = read_samples(recording, route)
             if len(found.stamp):
                 samples[canonical] = _order_samples(recording, found, warnings)
@@ -115,7 +119,7 @@ def _read_joint_topics(recording: Recording, topics: TopicMap, warnings: list[st
             ordered = {name: _order_samples(recording, item, warnings) for name, item in found.items()}
             if ordered:
                 joints[canonical] = ordered
-        elif canonical in JOINT_TOPICS:
+        elif canonical in JOINT_TOPICS and not is_packed(message_type):
             raise InputError(f"{recording.path}: {topic} is of type {message_type}", JOINT_STATE, "record that type")
     return joints
 
@@ -192,8 +196,7 @@ def _refuse_foreign(recording: Recording) -> InputError:
     found = f"{recording.path} holds no messages"
     if any(channel.count for file in recording.files for channel in file.channels):
         found = f"{recording.path} has none of our topics with messages, only {listed}"
-    return InputError(
-        found,
-        f"messages on some of {', '.join(CHANNELS)}, or JointState topics",
-        "name the topics in a topic map if they are recorded under other names",
-    )
+    action = "name the topics in a topic map if they are recorded under other names"
+    if any(map(is_packed, recording.list_topics().values())):
+        action = f"have `vpptwin inspect {recording.path} --model MODEL` write a twin that says what its columns are"
+    return InputError(found, f"messages on some of {', '.join(CHANNELS)}, or JointState topics", action)

@@ -17,13 +17,13 @@ from vpptwin.logs.arrays import read_mat, read_npz
 from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
-from vpptwin.logs.container import read_container
+from vpptwin.logs.container import list_channels, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
-from vpptwin.logs.tables import Table, find_field, keep_tables, name_topic
+from vpptwin.logs.tables import Table, find_field, is_packed, keep_tables, name_topic
 from vpptwin.logs.unpack import ZSTD, unpack_file
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 
@@ -45,6 +45,8 @@ _BEGINNINGS = {
     b"PAR1": "parquet", b"ULog": "ulog", b"\xa3\x95": "dataflash",
     b"#ROSBAG": "bag", b"SQLite format 3": "bag", b"\x1f\x8b": "csv", b"MATLAB ": "mat",
 }  # fmt: skip
+_ALONE = ("csv", "parquet", "lerobot", "mat", "npz")
+"""Those that hold one table, as a rule."""
 _ARRAYS = (".mat", ".npz")
 _ENDINGS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
 _PLAIN = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ARRAYS, *_ENDINGS)
@@ -128,9 +130,10 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
     """
     paths = find_files(path)
     files, origin = list[RawFile](), list[int]()
+    wish = replace(wish, names=name_tables([part_span(given)[0] for given in paths], wish))
     for given in paths:
         plain, span = part_span(given, origin)
-        files.append(_read_file(plain, replace(wish, span=span), len(paths) == 1))
+        files.append(_read_file(plain, replace(wish, span=span)))
         channels = [channel for file in files for channel in file.channels]
         held = sum(block.payload.nbytes for channel in channels for block in channel.blocks)
         if wish.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
@@ -143,6 +146,30 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
             refuse_encoding(file.path, file.channels)
     return Recording(paths[0], tuple(files))
+
+
+def name_tables(paths: Sequence[Path], wish: Wish) -> dict[str, str]:
+    """What the only table of a recording is called → as the twin calls it, so that it takes its next run.
+
+    A twin that names fields of several topics, or of one that is there beside the table, means what it says.
+    """
+    if len(wish.fields) != 1:
+        return {}
+    (wanted,), topics = wish.fields, dict[str, str | None]()
+    for path in paths:
+        start = read_start(path)
+        kind = find_kind(path, start) if not start.startswith(ZSTD) else find_kind(path.with_suffix(""), b"")
+        found = {name_table(path, kind): None} if kind in _ALONE else None if kind else list_channels(path)
+        if found is None:  # of several topics, which only reading tells
+            return {}
+        topics |= found
+    tables = [topic for topic, message_type in topics.items() if message_type is None or is_packed(message_type)]
+    return {tables[0]: wanted} if len(tables) == 1 and wanted not in topics else {}
+
+
+def name_table(path: Path, kind: str) -> str:
+    """What the only table of a file of a kind is called."""
+    return "/episode" if kind == "lerobot" else name_topic(path)
 
 
 def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
@@ -234,7 +261,12 @@ def is_episode(path: Path) -> bool:
     return bool(mark) and number.isdigit() and not path.exists() and is_lerobot(Path(folder))
 
 
-def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
+def read_start(path: Path) -> bytes:
+    """The first bytes of a file.
+
+    Raises:
+        InputError: if it cannot be read, or has none.
+    """
     check_name(str(path))
     try:
         with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
@@ -244,10 +276,15 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
     if not start:
         advice = "check that the recorder was stopped properly, and record again"
         raise InputError(f"{path} is empty (0 bytes)", _EXPECTED, advice)
+    return start
+
+
+def _read_file(path: Path, wish: Wish) -> RawFile:
+    start = read_start(path)
     if start.startswith(ZSTD):
         with unpack_file(path) as plain:
             try:
-                return replace(_read_file(plain, wish, alone), path=path)
+                return replace(_read_file(plain, wish), path=path)
             except InputError as error:
                 raise InputError(error.found.replace(str(plain), str(path)), error.expected, error.action) from None
     kind = find_kind(path, start)
@@ -255,8 +292,8 @@ def _read_file(path: Path, wish: Wish, alone: bool) -> RawFile:
         return read_bag(path, wish)
     if kind is not None:
         notes: list[str] = []
-        own = "/episode" if kind == "lerobot" else name_topic(path)
-        called = wish.name_table(own) if alone and kind in ("csv", "parquet", "mat", "npz") else own
+        own = name_table(path, kind)
+        called = wish.names.get(own, own)
         return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
     if not start.startswith(MCAP0_MAGIC):
         raise _refuse_foreign(path, start)

@@ -106,6 +106,7 @@ class Signal:
         values: (n,), NaN where there was none.
         stretches: all of it, where time and values hold but the first of several.
         headless: whether its messages have no time of their own, but the log's.
+        alone: whether its topic is the log's only one, whose name tells what the log is, not what of it.
     """
 
     topic: str
@@ -118,6 +119,7 @@ class Signal:
     values: np.ndarray
     stretches: tuple[Stretch, ...] = ()
     headless: bool = False
+    alone: bool = False
 
     @property
     def title(self) -> str:
@@ -208,7 +210,8 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
     stamps = {id(signal.time): signal.time for signal in first.values()}
     times = {key: (stamp - start) / 1e9 for key, stamp in stamps.items()}
     told = {key: tuple(parts) for key, parts in stretches.items()}
-    return recording, [replace(s, time=times[id(s.time)], stretches=told[key]) for key, s in first.items()]
+    alone = len({signal.topic for signal in first.values()}) == 1
+    return recording, [replace(s, time=times[id(s.time)], stretches=told[k], alone=alone) for k, s in first.items()]
 
 
 def list_joints(recording: Recording, topic: str) -> Iterator[Signal]:

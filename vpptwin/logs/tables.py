@@ -11,12 +11,15 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
+from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
 from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31
+_PACKAGE = "vpptwin_msgs/msg/"
+_OURS = {channel.message_type for channel in CHANNELS.values()}
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,18 @@ def choose_fields(wish: Wish, topic: str, columns: Iterable[str]) -> dict[str, s
 
 def name_topic(path: Path) -> str:
     """What the only table of a file is called."""
-    return "/" + (re.sub(r"[^A-Za-z0-9_]+", "_", path.name.split(".")[0]).strip("_") or "table")
+    return keep_apart("/" + (re.sub(r"[^A-Za-z0-9_]+", "_", path.name.split(".")[0]).strip("_") or "table"))
+
+
+def keep_apart(topic: str) -> str:
+    """What a table is called that would be called so: as none of our topics, nor its messages as a type of ours."""
+    ours = topic in (*CHANNELS, *JOINT_TOPICS) or _PACKAGE + _name_type(topic) in _OURS
+    return f"{topic}_table" if ours else topic
+
+
+def is_packed(message_type: str) -> bool:
+    """Whether messages of a type are rows of a table, which no topic of ours has."""
+    return message_type.startswith(_PACKAGE) and message_type not in _OURS
 
 
 def name_field(column: str) -> str:
@@ -103,7 +117,7 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         if table.topic not in channels:
             names = table.fields if table.fields is not None else choose_fields(wish, table.topic, table.columns)
             fields[table.topic] = {column: name for column, name in names.items() if column in table.columns}
-            kind = f"vpptwin_msgs/msg/{_name_type(table.topic)}"
+            kind = _PACKAGE + _name_type(keep_apart(table.topic))
             text = define_message(table.columns, fields[table.topic], table.units)
             channels[table.topic] = RawChannel(table.topic, kind, MessageEncoding.CDR, SchemaEncoding.ROS2, text)
         channel = channels[table.topic]
