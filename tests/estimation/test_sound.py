@@ -11,7 +11,7 @@ import pytest
 from tests.diagnosis.made_up import FLIP
 from vpptwin.estimation.lag import find_step
 from vpptwin.estimation.series import Series
-from vpptwin.estimation.sound import find_clipped, find_stuck, is_noisy, unwrap_turns, vet_joint, vet_rotors
+from vpptwin.estimation.sound import find_clipped, find_stuck, is_noisy, vet_joint, vet_rotors
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
@@ -78,42 +78,6 @@ def test_velocities_that_are_not_of_the_positions_are_left_out(factor: float, sa
     assert line.startswith("arm: velocity is ")
     assert said in line
     assert line.endswith(", left out")
-
-
-@pytest.mark.parametrize("low", [-np.pi, 0.0])
-def test_angles_of_one_turn_go_on(low: float) -> None:
-    """Wherever they jump, with encoder counts and noise; the count is told, and velocities fit what goes on."""
-    stream = swing()
-    turned = Stream(stream.time, {"position": 20.0 * stream["position"], "velocity": 20.0 * stream["velocity"]})
-    logged = (turned["position"] - low) % (2.0 * np.pi) + low
-    found, (line,) = unwrap_turns(Stream(stream.time, {**turned.values, "position": logged}), "arm")
-    offset = found["position"] - turned["position"]
-    np.testing.assert_allclose(offset, offset[0], atol=1e-9)
-    assert int(re.search(r"a turn (\d+) times", line)[1]) == np.count_nonzero(np.abs(np.diff(logged)) > np.pi)
-    assert vet_joint(found, "arm") == (found, [])
-
-
-def test_degrees_are_no_angles_of_one_turn() -> None:
-    """Quick swings over 2 rad in degrees: neither jumps by a turn nor radians."""
-    time = swing().time[::10]
-    fast = Stream(time, {"position": np.degrees(np.sin(12.0 * time))})
-    found, (line,) = unwrap_turns(fast, "log arm")
-    assert found is fast
-    assert re.fullmatch(
-        r"log arm: position moves \d+ times by more than half a turn from sample to sample; if these are degrees, say "
-        r"`unit: deg`",
-        line,
-    )
-    assert unwrap_turns(Stream(time, {"position": np.sin(12.0 * time)}), "arm")[1] == []
-
-
-def test_what_jumps_by_no_turn_is_left_as_it_is() -> None:
-    """A glitch of 4 rad, half a turn, and motion within one."""
-    stream = swing()
-    for jump in (4.0, 3.3, 0.0):
-        position = stream["position"] + jump * (np.arange(len(stream)) == 1000)
-        spiked = Stream(stream.time, stream.values | {"position": position})
-        assert unwrap_turns(spiked, "arm") == (spiked, [])
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.8, 1.3])

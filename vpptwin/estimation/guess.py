@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.sound import unwrap_turns
+from vpptwin.estimation.turns import TURN, follow_turns, unwrap_turns
 from vpptwin.fields import UNITS
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.survey import Signal
-from vpptwin.twin.actuation import INTEGRATES
+from vpptwin.twin.actuation import tell_control
 
 WORDS = {
     "acceleration": "acc accel acceleration ax ay az ddot",
@@ -57,6 +57,7 @@ class Guess:
     sure: bool = False  # whether there is no doubt
     reasons: list[str] = field(default_factory=list)  # what speaks for it, with numbers
     doubts: list[str] = field(default_factory=list)  # what speaks against it, or what else it may be
+    motion: Signal | None = None  # the position, if it is a joint's, as it goes on beyond a turn [m, rad]
 
 
 def split_words(text: str) -> list[str]:
@@ -147,7 +148,7 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
             settle(guess, "effort", own, "the name of the joint that it moves")
     for i, guess in enumerate(commands):
         driven = find_moved(model, i)
-        moved = next((g.fields.get("position") for g in guesses if g.target == driven), None)
+        moved = next((g.motion for g in guesses if g.target == driven), None)
         check_actuator(guess, model, i, moved)
     for guess in guesses if not any(command.fields for command in commands) else ():
         position = guess.fields.get("position")
@@ -169,15 +170,6 @@ def is_control(signal: Signal, kind: str) -> bool:
 def find_moved(model: mujoco.MjModel, actuator: int) -> str:
     """Name of the joint that an actuator acts on itself; "" for none."""
     return str(model.joint(model.actuator_trnid[actuator, 0]).name) if model.actuator_trntype[actuator] == 0 else ""
-
-
-def tell_control(model: mujoco.MjModel, actuator: int) -> str:
-    """Which quantity an actuator's control input is: position or velocity of what it moves, or effort."""
-    stiffness, damping = model.actuator_biasprm[actuator, 1:3]
-    affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-    if affine and stiffness:
-        return "velocity" if model.actuator_dynprm[actuator, INTEGRATES] else "position"
-    return "velocity" if affine and damping and damping == -model.actuator_gainprm[actuator, 0] else "effort"
 
 
 def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:
@@ -266,11 +258,14 @@ def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
         return
     guess.units |= check_unit(guess, "position", position, length)
     scale = UNITS[guess.units.get("position", length)][1]
+    limits = model.jnt_range[joint] if model.jnt_limited[joint] else None
+    guess.motion, mended = straighten(position, scale, limits, length == "rad")
+    guess.reasons += mended
     if velocity is not None:
         guess.units |= check_unit(guess, "velocity", velocity, f"{length}/s")
         of_rate = UNITS[guess.units.get("velocity", f"{length}/s")][1]
-        correlation, share = compare_slope(straighten(position, scale) if length == "rad" else position, velocity)
-        share *= of_rate / scale
+        correlation, share = compare_slope(guess.motion, velocity)
+        share *= of_rate
         told = f"{velocity.label} is {share:.2f} of the slope of {position.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
             guess.doubts.append("too little motion to test the velocity")
@@ -280,7 +275,7 @@ def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
             guess.units.pop("velocity", None)
         else:
             guess.reasons.append(told)
-    check_range(guess, "position", scale, model.jnt_range[joint] if model.jnt_limited[joint] else None, length)
+    check_range(guess, position, guess.motion.values, limits, length)
     travel = float(np.ptp(position.finite)) if len(position.finite) else 0.0
     if not (model.jnt_limited[joint] or position.name or position.unit) and travel > FAR[length]:
         guess.doubts.append(
@@ -302,13 +297,11 @@ def check_unit(guess: Guess, quantity: str, signal: Signal, expected: str) -> di
     return {}
 
 
-def check_range(guess: Guess, quantity: str, scale: float, limits: np.ndarray | None, length: str = "") -> None:
-    """Hold values against the limits of a joint or actuator; say which unit would fit."""
-    signal = guess.fields.get(quantity)
-    if signal is None or limits is None or not len(signal.finite):
+def check_range(guess: Guess, signal: Signal, values: np.ndarray, limits: np.ndarray | None, length: str = "") -> None:
+    """Hold a signal, whose values (n,) these are in SI units, against limits; say which unit would fit."""
+    if limits is None or not len(values):
         return
     margin = 0.05 * float(limits[1] - limits[0])
-    values = signal.finite * scale
 
     def lie_outside(factor: float) -> float:
         scaled = values * factor
@@ -337,8 +330,14 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         length = name_length(model, model.actuator_trnid[actuator, 0])
         guess.units |= check_unit(guess, "effort", command, length)
     raw = kind == "effort" and tell_quantity(command) == "drive"
+    known, scale = np.isfinite(command.values), UNITS[guess.units.get("effort", length)][1] if length else 1.0
+    asked = replace(command, time=command.time[known], values=command.values[known] * scale)
+    if length == "rad" and moved is not None and len(moved.values):
+        stops = model.jnt_range[joint] if model.jnt_limited[joint := model.actuator_trnid[actuator, 0]] else None
+        track = asked.time, asked.values
+        asked = replace(asked, values=follow_turns(track, (moved.time, moved.values), stops, TURN, False))
     if not raw:
-        check_range(guess, "effort", UNITS[guess.units.get("effort", length)][1] if length else 1.0, limits, length)
+        check_range(guess, command, asked.values, limits, length)
     if kind == "effort":
         if raw:
             low, high = command.whole.low, command.whole.high
@@ -349,7 +348,7 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
             guess.doubts.append(f"{command.label} may be measured, not commanded")
     elif moved is not None:
         if kind == "position":
-            correlation, lag = compare_lag(command, moved)
+            correlation, lag = compare_lag(asked, moved)
             told = f"{moved.label} follows {command.label} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
         else:
             (correlation, share), lag = compare_slope(moved, command), 0.0
@@ -376,11 +375,12 @@ def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarr
     return period, *(np.interp(grid, time, values) for time, values in good)
 
 
-def straighten(angle: Signal, scale: float) -> Signal:
-    """An angle in units of `scale` rad that goes on where it was logged within one turn."""
-    known = np.isfinite(angle.values)
-    stream = Stream(angle.time[known], {"position": scale * angle.values[known]})
-    return replace(angle, time=stream.time, values=unwrap_turns(stream, "")[0]["position"] / scale)
+def straighten(position: Signal, scale: float, limits: np.ndarray | None, rotary: bool) -> tuple[Signal, list[str]]:
+    """A position logged in units of `scale`, in SI units, that goes on where it was logged within one turn."""
+    known = np.isfinite(position.values)
+    stream = Stream(position.time[known], {"position": scale * position.values[known]})
+    stream, told = unwrap_turns(stream, position.label, limits, rotary)
+    return replace(position, time=stream.time, values=stream["position"]), told
 
 
 def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:

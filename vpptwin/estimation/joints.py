@@ -14,9 +14,10 @@ from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.initial import choose_span
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
-from vpptwin.estimation.sound import unwrap_turns, vet_joint, vet_rates
+from vpptwin.estimation.sound import vet_joint, vet_rates
+from vpptwin.estimation.turns import TURN, follow_turns, measure_counter, unwrap_turns
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.twin.actuation import INTEGRATES, integrate_input
+from vpptwin.twin.actuation import INTEGRATES, JOINT, integrate_input, tell_control
 from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
 from vpptwin.twin.model import HINGE, is_indifferent
 from vpptwin.twin.signals import Tracked, turn_from_parent
@@ -24,7 +25,6 @@ from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
 """Shares of its range below which a joint's logged position and velocity are not believed."""
-TURN = 2.0 * np.pi
 SPANS = (0.02, 0.25)
 """Over which times [s] positions are compared with what velocities integrate to."""
 EXPLAINED, LATEST = 0.5, 0.1
@@ -33,6 +33,7 @@ WHEEL = (
     "joint {}: logged by its velocity alone, of which its position here is the integral from 0 on; nothing in the MJCF "
     "depends on where it is"
 )
+TARGET = "{}: {} of {} targets are taken whole turns from where they were logged, on the turn that its joint is on"
 DRIFT = 1.0
 """Such a position is known to what its velocity's noise would make of it in so long, were it all bias [s]."""
 
@@ -67,6 +68,7 @@ class Found:
     attitudes: dict[int, Series] = field(default_factory=dict)
     driven: dict[int, Series] = field(default_factory=dict)
     spans: dict[str, tuple[float, float]] = field(default_factory=dict)
+    turned: dict[int, float] = field(default_factory=dict)  # degree of freedom that was unwrapped → its turn [rad, m]
     warnings: list[str] = field(default_factory=list)
 
     def add(self, dof: int, tracks: tuple[Series, Series | None], label: str) -> None:
@@ -109,6 +111,8 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
     whole, told = straighten_joint(spec.model, tracked, logged)
     stream, unsound = vet_joint(whole, label)
     found.warnings += [*told, *unsound]
+    if whole is not logged and "position" in logged.values:
+        found.turned[dof] = TURN if spec.robot.rotary[dof] else measure_counter(logged.time, logged["position"])
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}",
@@ -250,7 +254,7 @@ def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], foun
                 "record it or correct `signals`",
             )
         held, index = np.searchsorted(stream.time, time, side="right") - 1, spec.model.actuator(name).id
-        value[:, index] = stream[column][held]
+        value[:, index] = straighten_targets(spec, index, stream, column, found)[held]
         if (noted := spec.model.actuator_dynprm[index])[INTEGRATES]:
             dof = int(spec.model.jnt_dofadr[spec.model.actuator_trnid[index, 0]])
             track = (found.positions | found.driven)[dof]
@@ -286,8 +290,31 @@ def straighten_joint(model: mujoco.MjModel, tracked: Tracked, stream: Stream) ->
         known, led = np.isfinite(values["velocity"]), np.full(len(stream), np.nan)
         led[known] = integrate(values["velocity"][known], stream.time[known])
         return Stream(stream.time, {"position": led, **values}), [WHEEL.format(tracked.name)]
-    turns = model.jnt_type[joint] == HINGE and not (model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < TURN)
-    return unwrap_turns(stream, f"{tracked.topic} {tracked.name}") if turns else (stream, [])
+    label, rotary = f"{tracked.topic} {tracked.name}", bool(model.jnt_type[joint] == HINGE)
+    return unwrap_turns(stream, label, find_limits(model, joint), rotary)
+
+
+def find_limits(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Between which a hinge or slide can be, (2,); None for one without limits."""
+    return model.jnt_range[joint] if model.jnt_limited[joint] else None
+
+
+def straighten_targets(spec: TwinSpec, actuator: int, target: Stream, column: str, found: Found) -> np.ndarray:
+    """Inputs (n,) of an actuator, those of a position servo on the turn that its joint is on, which is told."""
+    model, logged = spec.model, target[column]
+    joint, gear = int(model.actuator_trnid[actuator, 0]), float(model.actuator_gear[actuator, 0])
+    if tell_control(model, actuator) != "position" or model.actuator_trntype[actuator] != JOINT or not gear:
+        return logged
+    dof = int(model.jnt_dofadr[joint])
+    turn = abs(gear) * found.turned.get(dof, TURN if model.jnt_type[joint] == HINGE else 0.0)
+    track, limits = (found.positions | found.driven).get(dof), find_limits(model, joint)
+    if not turn or track is None:
+        return logged
+    limits = None if limits is None else np.sort(gear * limits)
+    followed = follow_turns((target.time, logged), (track.time, gear * track.value), limits, turn, dof in found.turned)
+    if changed := np.count_nonzero(followed != logged):
+        found.warnings.append(TARGET.format(model.actuator(actuator).name, changed, len(logged)))
+    return followed
 
 
 def compare_streams(stream: Stream) -> tuple[float, float | None]:

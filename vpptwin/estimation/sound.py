@@ -30,10 +30,6 @@ LEAST, MOST = 0.7, 1.4
 reaches from 0.8 to 1.2."""
 SLOWEST, FASTEST = 0.6, 1.6
 """The same of rotor speeds, against the governed one."""
-WRAP = 0.5
-"""By how much [rad] a jump may differ from a turn."""
-RARE = 0.005
-"""Share of samples that may be half a turn from the one before, before a joint's unit is doubted."""
 UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """What lengths may be in [m]."""
 
@@ -193,23 +189,6 @@ def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) ->
         "metres",
         f"convert x and z, for instance with `scale: {scale:.4g}` in a topic map, or check the accelerometer's axes",
     )
-
-
-def unwrap_turns(stream: Stream, label: str) -> tuple[Stream, list[str]]:
-    """A hinge's stream whose position goes on where it was logged from -π to π, or from 0 to 2π."""
-    position = stream.values.get("position", np.zeros(0))
-    steps = np.abs(np.diff(position))
-    wraps = steps > np.pi
-    if not wraps.any():
-        return stream, []
-    often = f"{np.count_nonzero(wraps)} times"
-    if wraps.mean() > RARE and np.ptp(position) > 2.0 * np.pi + WRAP:
-        told = f"{label}: position moves {often} by more than half a turn from sample to sample"
-        return stream, [f"{told}; if these are degrees, say `unit: deg`"]
-    if np.any(np.abs(steps[wraps] - 2.0 * np.pi) > max(WRAP, 4.0 * np.median(steps[~wraps]))):
-        return stream, []
-    told = f"{label}: position jumps by a turn {often}, as angles of one turn do: it goes on"
-    return Stream(stream.time, stream.values | {"position": np.unwrap(position)}), [told]
 
 
 def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:

@@ -12,6 +12,7 @@ GAINS = {int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)}
 BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
 """Actuators whose force the compiled step foresees, as friction answers to it."""
 FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
+JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
 FREE = [-np.inf, np.inf]
 
 
@@ -61,6 +62,15 @@ def is_limited(flag: int, bounds: np.ndarray) -> bool:
 def turns_joint(actuator: mujoco.MjsActuator) -> bool:
     """Whether an actuator acts on a joint."""
     return bool(actuator.trntype in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+def tell_control(model: mujoco.MjModel, actuator: int) -> str:
+    """Which quantity an actuator's control input is: position or velocity of what it moves, or effort."""
+    stiffness, damping = model.actuator_biasprm[actuator, 1:3]
+    affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+    if affine and stiffness:
+        return "velocity" if model.actuator_dynprm[actuator, INTEGRATES] else "position"
+    return "velocity" if affine and damping and damping == -model.actuator_gainprm[actuator, 0] else "effort"
 
 
 def list_noted(model: mujoco.MjModel) -> dict[str, dict[str, float]]:
