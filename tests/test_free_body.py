@@ -32,12 +32,13 @@ from vpptwin.twin.manifold import (
     difference_poses,
     follow_sign,
     integrate_pose,
+    read_angles,
     rotate,
     turn_to_world,
 )
 from vpptwin.twin.robot import Loads
 from vpptwin.twin.signals import Signals
-from vpptwin.viz.panels import tell_angles, tell_flight
+from vpptwin.viz.panels import tell_flight
 from vpptwin.viz.show import prepare_show
 
 ARM_ON_BASE = """<mujoco><worldbody><body name="base"><freejoint/><geom size="1"/>
@@ -79,7 +80,7 @@ def test_attitudes_turn_vectors_and_keep_their_sign() -> None:
     flipped = np.where(np.arange(200)[:, None] % 3 == 0, -smooth, smooth)
     assert np.abs(np.diff(follow_sign(flipped), axis=0)).max() < 0.05
     yawed = rotate(np.array([1.0, 0.0, 0.0, 0.0]), np.array([[0.0, 0.0, 0.7]]))
-    np.testing.assert_allclose(tell_angles(rotate(yawed, np.array([[0.2, 0.0, 0.0]]))), [[0.2, 0.0, 0.7]], atol=1e-12)
+    np.testing.assert_allclose(read_angles(rotate(yawed, np.array([[0.2, 0.0, 0.0]]))), [[0.2, 0.0, 0.7]], atol=1e-12)
 
 
 @pytest.mark.parametrize("causal", [True, False])

@@ -23,6 +23,8 @@ UNITS: dict[str, tuple[str, float]] = {
 
 BODIES, SITES, TURNS = "/bodies/", "/sites/", "/turns/"
 """Roots of the topics that bodies, IMUs and ball joints out of fields are read as, one for each name."""
+FRAMES = ("body", "world", "euler")
+"""What rates are about: the body's axes, the world's, or those of roll, pitch and yaw, whose slopes they are."""
 TIME_UNITS = ("s", "ms", "us", "ns")
 NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
@@ -55,6 +57,7 @@ class FieldEntry(Entry):
     polynomial: list[float] = []
     voltage: Voltage | None = None
     axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    frame: Literal["body", "world", "euler"] = "body"
 
     @field_validator("unit")
     @classmethod
@@ -90,7 +93,7 @@ class SignalEntry(Entry):
     """A joint or an actuator, one field each, or a free body or an IMU out of fields of any topic.
 
     Of a body: position x, y, z and attitude w, x, y, z in the world; of a ball joint: attitude from its parent; of an
-    IMU: rate x, y, z in its axes.
+    IMU: rate x, y, z in its axes, or in what `frame` says, as a body's own rate may be.
     """
 
     topic: str

@@ -9,12 +9,14 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import clean_series
+from vpptwin.estimation.frames import look_up, turn_rates_to_body
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.initial import choose_span
+from vpptwin.estimation.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
-from vpptwin.estimation.sound import vet_joint, vet_rates
+from vpptwin.estimation.sound import vet_joint
 from vpptwin.estimation.turns import TURN, follow_turns, measure_counter, unwrap_turns
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, JOINT, integrate_input, tell_control
@@ -56,6 +58,9 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
         flight.path.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
         attitudes=found.attitudes,
     )  # fmt: skip
+    for each in spec.robot.tracked:
+        if kinds[each.joint] == FREE and not each.led:
+            vet_pushes(spec, flight, each, measurements)
     return replace(measurements, warnings=(*found.warnings, *told, *tell_cut(spans), *tell_gaps(measurements)))
 
 
@@ -157,6 +162,8 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
     stream = find_spatial(flight, tracked.topic, *["position"] * free, "attitude")
     dof, attitude = int(model.jnt_dofadr[joint]), follow_sign(stream["attitude"])
     found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
+    gyro = read_gyro(spec, flight, joint, found)
+    rates = read_rates(spec, flight, tracked, Stream(stream.time, stream.values | {"attitude": attitude}), gyro)
     linear = {}
     if free:
         linear["position"] = stream["position"]
@@ -166,11 +173,9 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
         attitude = turn_from_parent(model, tracked, attitude)
     steps = difference_attitudes(attitude[:-1], attitude[1:])
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    angular, rate = {"position": turned}, stream.values.get("rate")
-    gyro = read_gyro(spec, flight, joint, found)
-    if gyro is not None:
-        rate = np.stack([np.interp(stream.time, gyro.time, column) for column in gyro["rate"].T], axis=1)
-    if rate is not None:
+    angular = {"position": turned}
+    if rates is not None:
+        rate = look_up(stream.time, rates.time, rates["rate"])
         aligned = align_rates(stream.time, turned, rate)
         vet_rates(f"{flight.path}: rates of {tracked.name}", stream.time, turned, rate, aligned)
         angular["velocity"] = rate if gyro is None else aligned  # how noisy it is, not how it is mounted
@@ -184,8 +189,9 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
             share_noise(kept, range(first, first + 3))
     for axis in range(3):
         rate_seen = found.velocities.get(turn + axis)
-        if gyro is not None and rate_seen is not None:
-            found.velocities[turn + axis] = replace(rate_seen, time=gyro.time, value=gyro["rate"][:, axis], late=0.0)
+        if gyro is not None and rates is not None and rate_seen is not None:
+            whole = rates["rate"][:, axis]
+            found.velocities[turn + axis] = replace(rate_seen, time=rates.time, value=whole, late=0.0)
     turns = [found.positions[turn + axis] for axis in range(3)]
     std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
     time = stream.time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
@@ -206,15 +212,36 @@ def share_noise(kept: dict[int, Series], dofs: range) -> None:
             kept[dof] = replace(series, std=most)
 
 
-def read_gyro(spec: TwinSpec, flight: Flight, joint: int, found: Found) -> Stream | None:
-    """Rates about its axes of the first IMU on the body that a joint moves, (n, 3) rad/s; None without one."""
-    model = spec.model
+def read_rates(
+    spec: TwinSpec, flight: Flight, tracked: Tracked, pose: Stream, gyro: tuple[str, Stream] | None
+) -> Stream | None:  # fmt: skip
+    """Rates about a body's axes, (n, 3) rad/s, of an IMU on it or its own; None without either.
+
+    Raises:
+        InputError: if they and its attitudes turn alike only when either is read otherwise.
+    """
+    if gyro is None and "rate" not in pose.values:
+        return None
+    name, stream = (tracked.name, pose) if gyro is None else gyro
+    topic = tracked.topic if gyro is None else spec.robot.signals.sites[name]
+    entry, rate = find_entry(spec, topic, name), stream["rate"]
+    frame = "body" if entry is None or entry.rate is None else entry.rate.frame
+    if gyro is not None and frame == "body":
+        rate = turn_from_site(spec, name, rate)
+    rates = Stream(stream.time, {"rate": rate})
+    vet_turns(spec, str(flight.path), tracked, pose, (topic, name), rates, rate is stream["rate"])
+    attitude = look_up(rates.time, pose.time, pose["attitude"])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    return Stream(rates.time, {"rate": turn_rates_to_body(attitude, rate, frame)})
+
+
+def read_gyro(spec: TwinSpec, flight: Flight, joint: int, found: Found) -> tuple[str, Stream] | None:
+    """The first IMU on the body that a joint moves, and its `rate` (n, 3) as logged; None without one."""
     for site, topic in spec.robot.signals.sites.items():
-        if model.site(site).bodyid[0] == model.jnt_bodyid[joint]:
+        if spec.model.site(site).bodyid[0] == spec.model.jnt_bodyid[joint]:
             stream = find_spatial(flight, topic, "rate")
             found.spans[f"{topic} {site}"] = (float(stream.time[0]), float(stream.time[-1]))
-            turn = np.broadcast_to(model.site(site).quat, (len(stream), 4))
-            return Stream(stream.time, {"rate": turn_to_world(turn, stream["rate"])})
+            return site, stream
     return None
 
 

@@ -11,7 +11,7 @@ from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.estimation.clean import drop_rows, tell_left_out
 from vpptwin.estimation.series import integrate
-from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_LIKENESS, MIN_TURN, compare_steps
+from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_LIKENESS, compare_steps
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.vehicle import Vehicle
 
@@ -205,30 +205,6 @@ def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
     if likeness < MIN_LIKENESS or SLOWEST < factor < FASTEST:
         return stream, []
     return known, [f"{label}: velocity is {factor:.3g} times the motion of position, left out"]
-
-
-def vet_rates(label: str, time: np.ndarray, turned: np.ndarray, rate: np.ndarray, aligned: np.ndarray) -> None:
-    """Refuse rates (n, 3) in another unit than the attitudes of a body that `turned` so, (n, 3), whatever their axes.
-
-    What hardly turns, and what even the rates in the attitudes' axes, `aligned` (n, 3), do not explain, is not judged.
-
-    Raises:
-        InputError: if the two agree but for a factor, such as 57.3.
-    """
-    if len(time) < FEW or np.ptp(turned, axis=0).max() < MIN_TURN:
-        return
-    stride = max(round(BEND / float(np.median(np.diff(time)))), 1)
-    tracks = turned, integrate(rate, time), integrate(aligned, time)
-    seen, told, in_axes = (np.diff(track[::stride], axis=0) for track in tracks)
-    factor = float(np.linalg.norm(told - told.mean(axis=0)) / np.linalg.norm(seen - seen.mean(axis=0)))
-    if compare_steps(seen.ravel(), in_axes.ravel())[1] < MIN_LIKENESS or SLOWEST < factor < FASTEST:
-        return
-    looks = "deg/s" if factor > 20.0 else "rad/s that `unit: deg/s` makes too small" if factor < 0.05 else ""
-    scale = "`unit: deg/s`" if factor > 20.0 else "`unit: rad/s`" if factor < 0.05 else f"`scale: {1.0 / factor:.3g}`"
-    raise InputError(
-        f"{label} are {factor:.3g} times the turning of the attitudes{' and look like ' * bool(looks)}{looks}",
-        "rad/s of the same motion", f"correct its signal in the twin, for instance with {scale}",
-    )  # fmt: skip
 
 
 def bend_tracks(pose: Stream, imu: Stream, gravity: float) -> tuple[np.ndarray, np.ndarray]:

@@ -154,6 +154,9 @@ JOINT_COLUMNS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "
 SPATIAL_COLUMNS = {BODIES: {"position": 3, "attitude": 4}, SITES: {"rate": 3}, TURNS: {"attitude": 4}}
 """Bodies, IMUs and ball joints out of fields: root of the topics that they are read as -> column -> numbers."""
 
+OPTIONAL_COLUMNS = {BODIES: {"rate": 3}, TURNS: {"rate": 3}}
+"""Likewise, what may be there besides."""
+
 SIGNAL_COLUMNS = (*JOINT_COLUMNS, "attitude", "rate")
 EULER = ("roll", "pitch", "yaw")
 """What may stand for the four numbers of an attitude [rad]: it yaws about z, then pitches about y, rolls about x."""

@@ -19,6 +19,7 @@ from vpptwin.logs.channels import (
     EULER,
     JOINT_COLUMNS,
     JOINT_TOPICS,
+    OPTIONAL_COLUMNS,
     SIGNAL_COLUMNS,
     SPATIAL_COLUMNS,
     Channel,
@@ -188,10 +189,11 @@ def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries |
 
 
 def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> JointRoute:
-    columns = next((found for root, found in SPATIAL_COLUMNS.items() if canonical.startswith(root)), None)
-    widths = columns or dict.fromkeys(JOINT_COLUMNS, 1)
+    root = next((root for root in SPATIAL_COLUMNS if canonical.startswith(root)), "")
+    columns, more = SPATIAL_COLUMNS.get(root), OPTIONAL_COLUMNS.get(root, {})
+    widths = {**columns, **more} if columns else dict.fromkeys(JOINT_COLUMNS, 1)
     given = {column: item for column in SIGNAL_COLUMNS if (item := getattr(entry, column)) is not None}
-    if not given.keys() & widths.keys() or (columns and given.keys() != columns.keys()):
+    if not given.keys() & widths.keys() or (columns and given.keys() - more.keys() != columns.keys()):
         expected = " and ".join(columns) if columns else " or ".join(JOINT_COLUMNS)
         raise InputError(
             f"{where}{name} on {entry.topic} with {' and '.join(given) or 'no fields'}", expected, "name it"
@@ -204,6 +206,8 @@ def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> J
             found = f"{where}{name}.{column}: {len(paths)} fields, {len(item.factors)} factors"
             expected = f"{wanted} fields{', or roll, pitch and yaw' * (column == 'attitude')}"
             raise InputError(found, expected if wanted else "none, as it is no such signal", "correct it")
+        if item.frame != "body" and column != "rate":
+            raise InputError(f"{where}{name}.{column} with frame {item.frame}", "a frame of rates alone", "remove it")
         sources[column] = _make_source(paths, item, item.axis)
     return JointRoute(canonical, name, slash(entry.topic), sources, entry.stamp)
 

@@ -62,6 +62,14 @@ def turn_to_world(attitude: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.asarray(vector + w * across + np.cross(v, across))
 
 
+def read_angles(attitude: np.ndarray) -> np.ndarray:
+    """Roll, pitch and yaw of attitudes (n, 4), (n, 3) rad: they yaw about z, then pitch about y, roll about x."""
+    w, x, y, z = attitude.T
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.column_stack([roll, np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)), yaw])
+
+
 def list_attitudes(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Where quaternions lie in positions, and their rotation vectors in velocities, of free and ball joints."""
     found = []

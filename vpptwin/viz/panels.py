@@ -12,7 +12,7 @@ from vpptwin.actuators.blade import compute_thrust
 from vpptwin.errors import InputError
 from vpptwin.estimation.joints import find_input, straighten_joint
 from vpptwin.twin.drone import PlanarDrone
-from vpptwin.twin.manifold import BALL, FREE
+from vpptwin.twin.manifold import BALL, FREE, read_angles
 from vpptwin.twin.robot import Robot
 from vpptwin.twin.signals import Tracked
 from vpptwin.twin.spec import TwinSpec
@@ -139,22 +139,15 @@ def tell_body(robot: Robot, tracked: Tracked, flight: Flight, prediction: Predic
     turn = q + values.shape[1] - 4
     if prediction is not None:  # whose quaternion gives way to angles
         qpos = prediction.qpos.copy()
-        qpos[:, turn : turn + 3] = tell_angles(qpos[:, turn : turn + 4])
+        qpos[:, turn : turn + 3] = read_angles(qpos[:, turn : turn + 4])
         told = replace(prediction, qpos=qpos)
     for axis in range(turn - q):
         lines = [measured(time, values[:, axis]), *twin_line(prediction, "qpos", q + axis)]
         panels.append(Panel(f"{tracked.name} {'xyz'[axis]} [m]", lines))
-    for axis, angle in enumerate(tell_angles(values[:, -4:]).T):
+    for axis, angle in enumerate(read_angles(values[:, -4:]).T):
         lines = [measured(time, angle), *twin_line(told, "qpos", turn + axis)]
         panels.append(Panel(f"{tracked.name} {('roll', 'pitch', 'yaw')[axis]} [rad]", lines))
     return panels
-
-
-def tell_angles(attitude: np.ndarray) -> np.ndarray:
-    """Roll, pitch and yaw of attitudes (n, 4), (n, 3) rad."""
-    from scipy.spatial.transform import Rotation  # which few rigs wait for
-
-    return np.asarray(Rotation.from_quat(attitude, scalar_first=True).as_euler("ZYX")[:, ::-1])
 
 
 @tell_robot.register(PlanarDrone)
