@@ -22,7 +22,7 @@ LAGS = np.linspace(-0.2, 0.2, 21)
 FITS, CLEAR = 0.2, 3.0
 """A reading fits that misses less than this share of the turns; it is better than the given one if that misses so many
 times as much."""
-SLIGHT = {"turns": 0.02, "pushes": 0.005}
+SLIGHT = {"turns": 0.01, "pushes": 0.005}
 """Shares of either that are too slight for the given reading to be wrong."""
 NEAR = np.deg2rad(30.0)
 """Axes that are turned by less are taken for the same."""
