@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib import import_module
@@ -80,6 +81,18 @@ def explain_missing(error: ModuleNotFoundError, need: str = "") -> InputError | 
             found = f"{need} needs {module}, which" if need else module
             return InputError(f"{found} is not installed", f"vpptwin[{extra}]", f"pip install 'vpptwin[{extra}]'")
     return None
+
+
+def describe_failure(error: Exception) -> str:
+    """What failed, in one line: bad input as it says itself; a mistake of ours by its kind and place."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return escape_text(f"{error.strerror} ({error.filename or type(error).__name__})")
+    *_, last = [None, *traceback.extract_tb(error.__traceback__)]
+    place = f" ({Path(last.filename).name}:{last.lineno})" if last else ""
+    told = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
+    return f"{escape_text(told)}{place}, which is a mistake of vpptwin: please report it"
 
 
 def load_extra(module: str, need: Path | str) -> Any:  # noqa: ANN401

@@ -12,7 +12,7 @@ import pytest
 
 from tests.diagnosis.made_up import FLIP, make_up
 from vpptwin.cli import main
-from vpptwin.diagnosis.report import result
+from vpptwin.diagnosis.report import pictures, result
 from vpptwin.diagnosis.report.command import diagnose_logs
 from vpptwin.diagnosis.report.output import stage_results
 from vpptwin.errors import InputError
@@ -85,19 +85,76 @@ def refuse(fault: Fault) -> Callable[..., None]:
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"])
-@pytest.mark.parametrize("step", ["judge", "write_prediction", "write_json", "write_whole", "render_report"])
+FAULTS = pytest.mark.parametrize(
+    "fault", [KeyboardInterrupt(), FULL, ValueError("a bug")], ids=["ctrl-c", "full disk", "bug"]
+)
+
+
+def fill(folder: Path) -> dict[str, bytes]:
+    """Results of an earlier run."""
+    old = {name: f"old {name} {OURS}".encode() for name in RESULTS}
+    for name, content in old.items():
+        (folder / name).write_bytes(content)
+    return old
+
+
+@FAULTS
+@pytest.mark.parametrize("step", ["judge", "write_json", "write_whole"])
 def test_a_run_that_fails_leaves_the_old_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ) -> None:
-    """Wherever it fails, a good verdict, report, twin and prediction stay, with nothing half-made beside them."""
-    old = {name: f"old {name} {OURS}".encode() for name in RESULTS}
-    for name, content in old.items():
-        (tmp_path / name).write_bytes(content)
+    """Before there is a new verdict the old files stay, with nothing half-made beside them."""
+    old = fill(tmp_path)
     monkeypatch.setattr(result, step, refuse(fault))
     with pytest.raises(type(fault)):
         diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == old
+
+
+PIECES = {
+    "predict_flight": ["prediction.mcap"], "write_prediction": ["prediction.mcap"], "draw_pictures": [],
+    "render_report": ["report.html"], "compose_twin": ["twin.yaml"],
+}  # fmt: skip
+"""What fails → the files that are not there for it."""
+
+
+@FAULTS
+@pytest.mark.parametrize("step", PIECES)
+def test_what_fails_beside_the_verdict_costs_only_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], step: str, fault: Fault
+) -> None:
+    """The new verdict is there; it and a line on stderr say what is missing and why; nothing old lies beside it."""
+    fill(tmp_path)
+    monkeypatch.setattr(result, step, refuse(fault))
+    if isinstance(fault, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            diagnose_logs([FLIP], "nominal", tmp_path)
+        if step not in ("predict_flight", "write_prediction", "draw_pictures"):
+            return  # it came before the verdict
+        missing, why = ["prediction.mcap"], "the run ended before they were made"
+    else:
+        diagnose_logs([FLIP], "nominal", tmp_path)
+        missing, why = PIECES[step], "No space left" if fault is FULL else "ValueError: a bug (test_output.py:"
+        assert why in capsys.readouterr().err
+    assert sorted(list_files(tmp_path)) == sorted(set(RESULTS) - set(missing))
+    verdict = json.loads((tmp_path / "verdict.json").read_text())
+    assert [cause["effect"] for cause in verdict["causes"]] == ["rail_x.coulomb", "gyro.bias"]
+    assert any(why in warning for warning in verdict["warnings"])
+    if "report.html" not in missing:
+        report = (tmp_path / "report.html").read_text()
+        assert why in report
+        assert not any(f'href="{name}"' in report for name in missing)
+
+
+def test_one_picture_that_fails_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sketch fails: the report has every other picture, and says so."""
+    monkeypatch.setattr(pictures, "sketch_rig", refuse(IndexError("no such geom")))
+    monkeypatch.setattr(result, "draw_pictures", pictures.draw_pictures)
+    found = diagnose_logs([FLIP], "nominal", tmp_path)
+    assert found.lost == [warning for warning in found.verdict.warnings if "IndexError: no such geom" in warning]
+    assert "sketch" not in found.figures
+    assert {"errors", "flight", "force rail_x.coulomb", "left over"} <= set(found.figures)
+    assert len(found.lost) == 1
 
 
 def test_a_full_disk_is_one_line(

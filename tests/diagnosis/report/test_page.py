@@ -15,6 +15,7 @@ from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.verdict import Misfit, Unexplained
 from vpptwin.diagnosis.report.page import tie_units
+from vpptwin.diagnosis.report.provenance import trace_origin
 from vpptwin.diagnosis.report.result import collect_result
 from vpptwin.estimation.measurements import read_measurements
 
@@ -24,7 +25,8 @@ VOID = {"meta", "link", "br", "img", "path", "use", "rect", "line", "circle"}
 def write(diagnosis: Diagnosis, folder: Path) -> str:
     """The report of a diagnosis of the demo flight."""
     spec, flight = read_demo()
-    collect_result(spec, [flight], diagnosis, []).write(folder, Path("x y"))
+    origin = trace_origin(["diagnose", str(flight.path), "--twin", spec.name], spec.name, [flight.path])
+    collect_result(spec, [flight], diagnosis, origin, []).draw().write(folder, Path("x y"))
     return (folder / "report.html").read_text(encoding="utf-8")
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.diagnosis.report.export import name_files
-from vpptwin.diagnosis.report.output import check_target, give_json, stage_results
-from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, diagnose, list_stale
+from vpptwin.diagnosis.report.output import Pieces, check_target, give_json, stage_results
+from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, judge_logs, list_stale
 from vpptwin.diagnosis.report.sources import list_logs
 from vpptwin.diagnosis.report.terminal import print_summary
 from vpptwin.errors import load_extra
 from vpptwin.files import STDOUT
 from vpptwin.logs.flight import Flight
+from vpptwin.progress import tell_wait
 
 
 def diagnose_logs(
@@ -43,11 +45,27 @@ def diagnose_logs(
         load_extra("rerun", "--rrd")  # before the work
     read = [Path(log) for log in flown if not isinstance(log, Flight)]
     files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
-    with stage_results(out, files, list_stale(out), force) as folder:
-        result = diagnose(flown, twin, topic_map, effects, device=device)
-        result.write(folder, out, rrd)
+    with stage_results(out, files, [*list_stale(out), *files], force) as folder:
+        found = judge_logs(flown, twin, topic_map, effects, True, device)
+        kept = found.write(folder, out)
+    result = complete(found, kept, out, rrd)
+    for line in result.lost:
+        print(f"vpptwin: {line}", file=sys.stderr)
     if json is not None:
         give_json(result.verdict.as_dict(), json)
     if json != STDOUT:
-        print_summary(result.verdict, result.summary, out, files)
+        print_summary(result.verdict, result.summary, out, [name for name in files if (out / name).exists()])
     return result
+
+
+def complete(found: Result, kept: Result, out: Path, rrd: bool) -> Result:
+    """Draw what was `found`, and write all files again with that; what was `kept` stays where that cannot be."""
+    with tell_wait("drawing"):
+        drawn = found.draw()
+    pieces = Pieces()
+
+    def save() -> Result:
+        with stage_results(out, drawn.files, force=True) as folder:
+            return drawn.write(folder, out, rrd)
+
+    return pieces.attempt("pictures and predictions", save, kept).tell(pieces.lost)

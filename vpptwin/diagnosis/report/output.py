@@ -4,12 +4,35 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
-from vpptwin.errors import InputError
+from vpptwin.errors import InputError, describe_failure
 from vpptwin.files import STDOUT, check_own, replace_files, without_nan, write_json
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Parts of results that can be missing: one that fails costs only itself.
+
+    Attributes:
+        lost: what could not be made and why, one line each.
+    """
+
+    lost: list[str] = field(default_factory=list)
+
+    def attempt(self, what: str, work: Callable[[], Found], otherwise: Found) -> Found:
+        """What `work` makes; `otherwise` where it fails, which is noted."""
+        try:
+            return work()
+        except Exception as error:  # whatever it is: what is whole must not be lost for it
+            self.lost.append(f"{what} could not be made: {describe_failure(error)}")
+            return otherwise
 
 
 @contextmanager

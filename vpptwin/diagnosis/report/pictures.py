@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot, plot_wrench
 from vpptwin.diagnosis.report.error_table import is_changed
 from vpptwin.diagnosis.report.fingerprints import draw_fingerprints
+from vpptwin.diagnosis.report.output import Pieces
 from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
 from vpptwin.diagnosis.report.words import join_words
 from vpptwin.effects import find_effect
@@ -29,37 +31,51 @@ VISIBLE = 0.1
 
 @dataclass(frozen=True)
 class Pictures:
-    """SVG elements, several for one subject where it takes several panels."""
+    """SVG elements, several for one subject where it takes several panels; without what could not be drawn."""
 
-    sketch: str  # the rig, what is accused lit; "" for a rig without shapes
-    forces: dict[str, list[str]]  # cause → the missing force before and after
-    errors: dict[str, list[str]]  # quantity → its error by horizon
-    flight: dict[str, list[str]]  # measured quantity → log with twin, and residual
+    sketch: str = ""  # the rig, what is accused lit; "" for a rig without shapes
+    forces: dict[str, list[str]] = field(default_factory=dict)  # cause → the missing force before and after
+    errors: dict[str, list[str]] = field(default_factory=dict)  # quantity → its error by horizon
+    flight: dict[str, list[str]] = field(default_factory=dict)  # measured quantity → log with twin, and residual
     # names in `errors` and `flight` of what the extended twin predicts as the other did, drawn once
-    same: frozenset[str]
-    flight_name: str  # the log that `flight` shows
-    leftover: list[str]  # the force that is still missing
-    prints: dict[str, str]  # effect → what it would do to these logs
+    same: frozenset[str] = frozenset()
+    flight_name: str = ""  # the log that `flight` shows
+    leftover: list[str] = field(default_factory=list)  # the force that is still missing
+    prints: dict[str, str] = field(default_factory=dict)  # effect → what it would do to these logs
 
 
-def draw_pictures(diagnosis: Diagnosis, predictions: Sequence[FlightPrediction], noise: NoiseFloor) -> Pictures:
-    """Draw everything; of several flights one is shown that no fit has seen."""
-    verdict, bench = diagnosis.verdict, diagnosis.held_out.short
-    shown = predictions[int(bench.windows.flight[-1])]
+def draw_pictures(
+    diagnosis: Diagnosis, predictions: Sequence[FlightPrediction | None], noise: NoiseFloor, pieces: Pieces
+) -> Pictures:
+    """Draw everything that can be; of several flights one is shown that no fit has seen."""
+    verdict, bench, draw = diagnosis.verdict, diagnosis.held_out.short, pieces.attempt
+    shown, plot = predictions[int(bench.windows.flight[-1])], diagnosis.leftover_plot
     accused = [find_effect(bench.spec.catalogue, cause.effect) for cause in verdict.causes]
     lit = f", lit: {join_words([effect.summary for effect in accused])}" if accused else ""
-    errors, flight = list_errors(verdict), cut_flight(shown)
+    errors, flight, none = list_errors(verdict), list[Track](), list[str]()
+    if shown is not None:
+        flight = draw("pictures of log and twin", partial(cut_flight, shown), flight)
     same = {quantity for quantity, (_, before, after) in errors.items() if not is_changed(before, after)}
     same |= {track.name for track in flight if not is_told_apart(track)}
+    restarts = shown.restarts if shown is not None else np.empty(0)
+    tracks = {
+        t.name: draw(f"the picture of {t.name}", partial(draw_track, t, restarts, t.name in same), none) for t in flight
+    }
     return Pictures(
-        sketch=sketch_rig(bench.spec.robot, accused, f"The rig{lit}"),
-        forces={cause.effect: draw_force(diagnosis, cause.effect) for cause in verdict.causes},
-        errors={name: draw_error(verdict, noise, *found, name in same) for name, found in errors.items()},
-        flight={track.name: draw_track(track, shown.restarts, track.name in same) for track in flight},
+        sketch=draw("the sketch of the rig", lambda: sketch_rig(bench.spec.robot, accused, f"The rig{lit}"), ""),
+        forces={
+            cause.effect: draw(f"the force of {cause.effect}", partial(draw_force, diagnosis, cause.effect), none)
+            for cause in verdict.causes
+        },
+        errors={
+            name: draw(f"the picture of {name} errors", partial(draw_error, verdict, noise, *found, name in same), none)
+            for name, found in errors.items()
+        },
+        flight={name: drawings for name, drawings in tracks.items() if drawings},
         same=frozenset(same),
-        flight_name=shown.flight.path.name,
-        leftover=draw_wrench(diagnosis.leftover_plot, "left") if diagnosis.leftover_plot is not None else [],
-        prints=draw_fingerprints(bench),
+        flight_name=shown.flight.path.name if shown is not None else "",
+        leftover=draw("the picture of what is left", partial(draw_wrench, plot, "left"), none) if plot else [],
+        prints=draw("pictures of suspects", partial(draw_fingerprints, bench), dict[str, str]()),
     )
 
 

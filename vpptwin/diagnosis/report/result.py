@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from json import loads
 from os import PathLike
 from pathlib import Path
 from textwrap import shorten
 
-from vpptwin.diagnosis.evidence.noise import find_noise_floor
+from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.diagnose import diagnose as judge
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.advice import Session, list_steps
 from vpptwin.diagnosis.report.export import name_files, write_prediction
-from vpptwin.diagnosis.report.output import stage_results
+from vpptwin.diagnosis.report.output import Pieces, stage_results
 from vpptwin.diagnosis.report.page import render_report
 from vpptwin.diagnosis.report.pictures import Pictures, draw_pictures
 from vpptwin.diagnosis.report.prediction import FlightPrediction, predict_flight
@@ -37,6 +38,7 @@ from vpptwin.twin.warp_replay import choose_maker
 VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
 LINES, COLUMNS = 10, 160
 """A result prints in no more than so many lines of so many characters."""
+UNDRAWN = "pictures and predictions are not there: the run ended before they were made"
 
 
 class Picture(str):
@@ -44,6 +46,15 @@ class Picture(str):
 
     def _repr_svg_(self) -> str:
         return str(self)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What takes time and can fail beside a verdict: its pictures, and by log what twins predict."""
+
+    pictures: Pictures
+    predictions: list[FlightPrediction | None]
+    lost: list[str]  # what could not be made, and why
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,18 +65,21 @@ class Result:
         verdict: causes, errors before and after, what is left, as in verdict.json.
         twin: the twin that was diagnosed, the causes switched on as they were fitted.
         summary: the verdict in sentences.
+        lost: what of pictures and files could not be made and why, which is among the verdict's warnings, too.
     """
 
     verdict: Verdict
     twin: TwinSpec
     summary: Summary
+    lost: list[str]
     _spec: TwinSpec = field(repr=False)
-    _options: list[str]
-    _predictions: list[FlightPrediction]
+    _logs: list[Path]
     _ranking: list[Suspect]
-    _pictures: Pictures
     _preflight: list[str]
-    _apart: list[str] = field(default_factory=list)
+    _origin: Provenance
+    _options: list[str]
+    _drawn: Drawn
+    _draw: Callable[[], Drawn] | None = None
 
     def __str__(self) -> str:
         """The verdict in at most ten lines."""
@@ -79,13 +93,13 @@ class Result:
 
     def _repr_html_(self) -> str:
         """The report, in a frame of its own, so that its style stays there."""
-        page = self._render(self._trace([]), None)
+        page = self._render(self._origin, None, [])
         return f'<iframe srcdoc="{html.escape(page)}" style="width: 100%; height: 40em; border: 0"></iframe>'
 
     @property
     def figures(self) -> dict[str, list[Picture]]:
         """The report's pictures as SVG by what they show, the missing force by the cause that is accused of it."""
-        drawn = self._pictures
+        drawn = self._drawn.pictures
         named = {f"force {effect}": drawings for effect, drawings in drawn.forces.items()}
         for name, found in (("errors", drawn.errors), ("flight", drawn.flight)):
             named[name] = [drawing for drawings in found.values() for drawing in drawings]
@@ -97,9 +111,9 @@ class Result:
         """Names of what `save` writes."""
         return [VERDICT, REPORT, TWIN, *name_files(self._logs)]
 
-    @property
-    def _logs(self) -> list[Path]:
-        return [prediction.flight.path for prediction in self._predictions]
+    def draw(self) -> Result:
+        """The same with pictures and predictions, as far as they can be made."""
+        return self if self._draw is None else replace(self, _drawn=self._draw(), _draw=None)
 
     def save(self, folder: str | PathLike[str], force: bool = False, rrd: bool = False) -> None:
         """Write verdict.json, report.html, twin.yaml and the twins' predictions, as `vpptwin diagnose --out` does.
@@ -114,35 +128,58 @@ class Result:
         """
         out = Path(folder)
         files = [*self.files, *(name_files(self._logs, ".rrd") if rrd else ())]
-        with stage_results(out, files, list_stale(out), force) as drafts:
+        with stage_results(out, files, [*list_stale(out), *files], force) as drafts:
             self.write(drafts, out, rrd)
 
-    def write(self, folder: Path, out: Path, rrd: bool = False) -> None:
-        """Write all files into `folder`, to lie in `out` in the end."""
-        origin = self._trace(["--out", str(out)])
+    def write(self, folder: Path, out: Path, rrd: bool = False) -> Result:
+        """Write all files into `folder`, to lie in `out` in the end; one that cannot be made costs only itself.
+
+        Returns:
+            The same, whose verdict says what could not be made and why, as verdict.json does.
+        """
+        origin = replace(self._origin, command=f"{self._origin.command} {shlex.join(['--out', str(out)])}")
         traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
-        for prediction, name in zip(self._predictions, name_files(self._logs), strict=True):
-            write_prediction(folder / name, self._spec, prediction, {"log": str(prediction.flight.path)} | traced)
-        for prediction, name in zip(self._predictions, name_files(self._logs, ".rrd")):
-            if rrd:
-                write_rrd(folder / name, prediction)
-        write_json(self.verdict.as_dict(), folder / VERDICT)
-        write_whole(folder / TWIN, compose_twin(self._spec, self.twin.effects, self.verdict, origin, out))
-        write_whole(folder / REPORT, self._render(origin, out))
+        pieces, made = Pieces(list(self._drawn.lost)), [VERDICT]
+        twin = pieces.attempt(TWIN, partial(compose_twin, self._spec, self.twin.effects, self.verdict, origin, out), "")
+        made += [TWIN] if twin else []
+        for suffix in (".mcap", ".rrd") if rrd else (".mcap",):
+            for prediction, name in zip(self._drawn.predictions, name_files(self._logs, suffix), strict=True):
+                if prediction is not None:  # or else it is told already
+                    export = partial(self._export, folder / name, prediction, traced)
+                    made += pieces.attempt(name, export, [])
+        page = pieces.attempt(REPORT, lambda: self.tell(pieces.lost)._render(origin, out, made), "")
+        told = self.tell(pieces.lost)
+        write_json(told.verdict.as_dict(), folder / VERDICT)
+        for name, content in ((TWIN, twin), (REPORT, page)):
+            if content:
+                write_whole(folder / name, content)
+        return told
 
-    def _trace(self, more: Sequence[str]) -> Provenance:
-        logs, name = map(str, self._logs), self._spec.name
-        given = [*self._options, *self._apart, *more]
-        return trace_origin(["diagnose", *logs, "--twin", name, *given], name, self._logs)
+    def _export(self, path: Path, prediction: FlightPrediction, traced: Mapping[str, str]) -> list[str]:
+        """Write a prediction in the form that its name asks for; the names of what was written."""
+        try:
+            if path.suffix == ".rrd":
+                write_rrd(path, prediction)
+            else:
+                write_prediction(path, self._spec, prediction, {"log": str(prediction.flight.path), **traced})
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        return [path.name]
 
-    def _render(self, origin: Provenance, out: Path | None) -> str:
-        """The report, as it lies in the folder `out`, or in none."""
+    def tell(self, lost: Sequence[str]) -> Result:
+        """The same with a verdict that says what else is missing."""
+        verdict = replace(self.verdict, warnings=[*self.verdict.warnings, *lost])
+        return replace(self, verdict=verdict, lost=[*self.lost, *lost])
+
+    def _render(self, origin: Provenance, out: Path | None, files: Sequence[str]) -> str:
+        """The report, as it lies in the folder `out` beside `files`, or in none."""
         session = Session(self._spec, [str(log) for log in self._logs], self._options, out)
         meanings = name_meanings(self._spec)
         steps = list_steps(self.verdict, session, self.summary.experiment, meanings)
-        files = [name for name in self.files if name != REPORT] if out is not None else []
-        given = (self.verdict, self.summary, steps, files, self._ranking, self._pictures, self._preflight, origin)
-        return render_report(*given, meanings)
+        drawn = self._drawn.pictures
+        given = (self.verdict, self.summary, steps, files, self._ranking, drawn, self._preflight, origin, meanings)
+        return render_report(*given)
 
 
 def diagnose(
@@ -163,41 +200,60 @@ def diagnose(
     Raises:
         InputError: on bad logs or a bad twin, a device that is not there, or a rig that none steps.
     """
+    return judge_logs(logs, twin, topic_map, effects, progress, device).draw()
+
+
+def judge_logs(
+    logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec, topic_map: str | PathLike[str] | None,
+    effects: Sequence[str | PathLike[str]], progress: bool, device: str | None,
+) -> Result:  # fmt: skip
+    """A diagnosis as `diagnose` has it, but for what is yet to be drawn."""
     spec = open_twin(twin, effects)
     make_twin = choose_maker(spec, device)
     flights = open_flights(logs, topic_map, spec.robot.signals.entries)
     options = ["--topic-map", str(topic_map)] if topic_map is not None else []
     options += [part for file in effects for part in ("--effects", str(file))]
+    paths = [flight.path for flight in flights]
+    typed = [*map(str, paths), "--twin", spec.name, *options, *(["--device", device] if device else [])]
+    origin = trace_origin(["diagnose", *typed], spec.name, paths)
     with open_bar(desc="diagnose", disable=not progress) as bar:
-        told = partial(tell_stage, bar), bar.update
-        diagnosis = judge(spec, flights, *told, make_twin=make_twin)
-        tell_stage(bar, "drawing")
-        spec = spec.with_robot(signals=diagnosis.held_out.short.spec.robot.signals)  # of what follows its log, too
-        return collect_result(spec, flights, diagnosis, options, ["--device", device] if device else [])
+        diagnosis = judge(spec, flights, partial(tell_stage, bar), bar.update, make_twin=make_twin)
+    spec = spec.with_robot(signals=diagnosis.held_out.short.spec.robot.signals)  # of what follows its log, too
+    return collect_result(spec, flights, diagnosis, origin, options)
 
 
 def collect_result(
-    spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, options: Sequence[str], apart: Sequence[str] = ()
+    spec: TwinSpec, flights: Sequence[Flight], diagnosis: Diagnosis, origin: Provenance, options: Sequence[str]
 ) -> Result:
-    """A diagnosis with its pictures and sentences.
+    """A diagnosis in sentences, and what its pictures take.
 
     Args:
         spec: the twin that was diagnosed.
         flights: that it was diagnosed on.
         diagnosis: what came out.
+        origin: where it comes from.
         options: of the command that does the same, which other commands have too.
-        apart: those that it has alone.
     """
-    verdict = diagnosis.verdict
+    verdict, meanings = diagnosis.verdict, name_meanings(spec)
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
     twins = [spec, extended] if verdict.causes else [spec]
-    predictions = [predict_flight(twins, flight) for flight in flights]
     noise = find_noise_floor([read_measurements(spec, flight) for flight in flights])
     return Result(
-        verdict, extended, summarise(verdict, noise, name_meanings(spec)), spec, list(options), predictions,
-        rank_suspects(diagnosis.ranking, verdict, name_meanings(spec)), draw_pictures(diagnosis, predictions, noise),
-        [flight.describe() for flight in diagnosis.preflight], list(apart),
+        verdict, extended, summarise(verdict, noise, meanings), [], spec, [flight.path for flight in flights],
+        rank_suspects(diagnosis.ranking, verdict, meanings), [flight.describe() for flight in diagnosis.preflight],
+        origin, list(options), Drawn(Pictures(), [None] * len(flights), [UNDRAWN]),
+        partial(draw_result, twins, flights, diagnosis, noise),
     )  # fmt: skip
+
+
+def draw_result(twins: Sequence[TwinSpec], flights: Sequence[Flight], diagnosis: Diagnosis, noise: NoiseFloor) -> Drawn:
+    """Pictures of a diagnosis, and what twins predict for its flights."""
+    pieces, predictions = Pieces(), list[FlightPrediction | None]()
+    for flight in flights:
+        what = f"the prediction of {flight.path.name}"
+        predictions.append(pieces.attempt(what, partial(predict_flight, twins, flight), None))
+    draw = partial(draw_pictures, diagnosis, predictions, noise, pieces)
+    return Drawn(pieces.attempt("the pictures", draw, Pictures()), predictions, pieces.lost)
 
 
 def name_meanings(spec: TwinSpec) -> dict[str, str]:
