@@ -141,7 +141,7 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
         units: dict[str, str] = {}
         given = dict(zip(part_units(list(columns), units), columns.values()))
         stamp = wish.stamps.get(called)
-        clock = find_clock(path, list(given), stamp)
+        clock = find_clock(path, list(given), stamp, units)
         time = given[clock]
         check_times(path, clock, time)
         unit = (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)

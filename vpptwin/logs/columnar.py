@@ -41,7 +41,7 @@ def read_rows(
         unit: str | None = None
         units: dict[str, str] = {}
         given = dict(zip(part_units(content.schema_arrow.names, units), content.schema_arrow.names))
-        clock = find_clock(path, list(given), stamp)
+        clock = find_clock(path, list(given), stamp, units)
         fields: dict[str, str] | None = None
         for first in content.iter_batches(batch_size=_ROWS):  # only rows tell whether lists have one length
             held = {n: read_arrow(pa, n, first.column(k), units, names) for k, n in enumerate(given)}

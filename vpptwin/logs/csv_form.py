@@ -4,21 +4,33 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import re
 import zlib
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from vpptwin.errors import InputError
-from vpptwin.logs.headings import clean_unit, part_units
+from vpptwin.fields import UNITS
+from vpptwin.logs.headings import clean_unit, part_units, split_time
 
-_HEAD = 1 << 18  # characters that are looked at to see what kind of CSV it is
+_HEAD, _MOST = 1 << 18, 1 << 24  # characters that are looked at to see what kind of CSV it is; of very long lines
+_LINES, _FEW, _TOLD = 50, 8, 1 << 16  # lines looked at, how few of them are too few, characters that tell decimals
 _LONGEST_UNIT = 12  # characters
+_LONGEST_CELL = 1 << 26  # characters: more is a quote that was left open
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)|", re.IGNORECASE)
 COMMA_NUMBER = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+(,\d+)?|(,\d{3})+(\.\d+)?|(['’ \u00a0\u202f]\d{3})+([.,]\d+)?)")
+"""Numbers whose thousands are parted."""
 DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d(:?\d\d)?)?")
+NULLS = ("", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-nan",
+         "#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NV", "#WERT!", "#BEZUG!", "#ZAHL!")  # fmt: skip
+"""Cells without a value."""
+LISTS = ("[", "(")
+"""What cells with lists begin with."""
 
 
 @dataclass
@@ -31,7 +43,10 @@ class Format:
         skip: lines before the first row of values.
         names: of the columns, each once.
         units: of columns that have one.
-        first: row of values.
+        kinds: of the columns: "number", "list" or "text".
+        first: a cell of each column that is of its kind.
+        is_folded: whether cells hold line ends.
+        grouped: columns with numbers whose thousands are parted.
     """
 
     encoding: str
@@ -40,7 +55,10 @@ class Format:
     skip: int
     names: list[str]
     units: dict[str, str] = field(default_factory=dict)
+    kinds: list[str] = field(default_factory=list)
     first: list[str] = field(default_factory=list)
+    is_folded: bool = False
+    grouped: set[str] = field(default_factory=set)
 
 
 def sniff(path: Path, notes: list[str]) -> Format:
@@ -52,34 +70,134 @@ def sniff(path: Path, notes: list[str]) -> Format:
     with open_bytes(path) as file:
         head = read_head(path, file)
     encoding = find_encoding(head)
-    if encoding == "latin-1":
-        notes.append(f"{path.name} is not in UTF-8, read as Latin-1")
+    if encoding in ("cp1252", "latin-1"):
+        notes.append(f"{path.name} is not in UTF-8, read as Windows-1252 (Latin-1)")
     text = head.decode(encoding, "ignore").lstrip("\ufeff")
     lines = re.split(r"\r\n|\n|\r", text)
     lines = lines[:-1] if len(head) >= _HEAD and len(lines) > 1 else lines
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
-    rows = [line for line in lines[start:] if line.strip()][:50]
-    if not rows:
+    told = re.fullmatch(r'"?sep=(.)"?[;,\t]*', lines[start]) if start < len(lines) else None  # which Excel obeys
+    start += told is not None
+    sample = [line for line in lines[start:] if line.strip()][:_LINES]
+    if not sample:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
-    delimiter = find_delimiter(rows)
-    cells = [[cell.strip() for cell in row] for row in csv.reader(rows, delimiter=delimiter)]
-    skip, names = start, cells[0]
-    if all(is_number(cell, delimiter) for cell in cells[0]):
-        said = next(csv.reader([lines[start - 1].lstrip("# ")], delimiter=delimiter)) if start else []
-        names = (
-            [cell.strip() for cell in said] if len(said) == len(cells[0]) else [f"c{i}" for i in range(len(cells[0]))]
-        )
+    delimiter = told.group(1) if told else find_delimiter(sample)
+    places, rows = part_lines(path, lines[start:], delimiter)
+    kinds = find_kinds(rows[:_LINES])
+    begin, named, united = find_heads(rows[:_LINES], kinds)
+    if begin == len(rows):
+        raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
+    width, body = len(kinds), [row for row in rows[begin:] if len(row) == len(kinds)]
+    if named is not None:
+        names = fit_names(path, rows[named], body, start + places[named] + 1)
     else:
-        skip, cells = start + 1, cells[1:]
+        names = read_comment(lines[start - 1] if start else "", delimiter, width)
     units: dict[str, str] = {}
     names = part_units(names, units)
-    if len(cells) > 1 and is_units(cells[0], cells[1], delimiter):
-        units |= {name: clean_unit(cell) for name, cell in zip(names, cells[0]) if cell}
-        skip, cells = skip + 1, cells[1:]
-    skip += sum(not line.strip() for line in lines[start : start + (skip - start)])
-    values = [cell for row in cells for cell in row]
-    is_comma = delimiter != "," and any(COMMA_NUMBER.fullmatch(cell) for cell in values)
-    return Format(encoding, delimiter, "," if is_comma else ".", skip, names, units, cells[0] if cells else [])
+    if united is not None:
+        units |= {name: clean_unit(cell) for name, cell in zip(names, rows[united]) if cell}
+    columns = list(zip(*body)) or [()] * width
+    decimal = find_decimal(columns)
+    first = [next((cell for cell in column if find_kind(cell) == kind), "") for column, kind in zip(columns, kinds)]
+    grouped = {n for n, column in zip(names, columns) if any(is_grouped(cell, decimal) for cell in column)}
+    is_folded = any("\n" in cell for row in rows for cell in row)
+    return Format(encoding, delimiter, decimal, start + places[begin], names, units, kinds, first, is_folded, grouped)
+
+
+def part_lines(path: Path, lines: Sequence[str], delimiter: str) -> tuple[list[int], list[list[str]]]:
+    """The first rows: which line each begins in, from 0 on, and its cells."""
+    places, rows, place, size = list[int](), list[list[str]](), 0, 0
+    for line, row in part_rows(path, (f"{line}\n" for line in lines), delimiter):
+        if any(row) or len(row) > 1:
+            places.append(place)
+            rows.append([cell.strip() for cell in row])
+        place, size = line, size + sum(map(len, row))
+        if len(rows) >= _LINES and size > _TOLD:
+            break
+    return places, rows
+
+
+def part_rows(path: Path, lines: io.TextIOBase | Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Number of the line in which each row ends, from 1 on, and its cells.
+
+    Raises:
+        InputError: if a cell has no end.
+    """
+    csv.field_size_limit(_LONGEST_CELL)
+    reader = csv.reader(lines, delimiter=delimiter)
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as error:
+        found = f"{path}, line {reader.line_num}: {error}"
+        raise InputError(found, "cells that end in their line", "look for a quote that is left open") from None
+
+
+def find_kind(cell: str) -> str:
+    """What a cell holds: "" for nothing, otherwise the kind of a column."""
+    if cell in NULLS:
+        return ""
+    return "list" if cell.startswith(LISTS) else "number" if is_number(cell) else "text"
+
+
+def find_kinds(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The kind of each column: that of most of its cells in the later half of the first rows."""
+    width = Counter(len(row) for row in reversed(rows)).most_common(1)[0][0]
+    body = [row for row in rows if len(row) == width]
+    kinds = []
+    for column in zip(*body[len(body) // 2 :]):
+        found = Counter(kind for cell in reversed(column) if (kind := find_kind(cell)))
+        kind = found.most_common(1)[0][0] if found else "number"
+        widths = Counter(len(part_list(cell)) for cell in column if cell.startswith(LISTS)) if kind == "list" else {}
+        ragged = bool(widths) and 2 * max(widths.values()) <= sum(widths.values())
+        kinds.append("text" if ragged else kind)
+    return kinds
+
+
+def find_heads(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> tuple[int, int | None, int | None]:
+    """Places of the first row of values, of the row of names, and of that of units; what is above them is a title."""
+    numeric = [k for k, kind in enumerate(kinds) if kind != "text"]
+
+    def find_values(row: Sequence[str]) -> set[str]:
+        return {find_kind(row[k]) for k in numeric if k < len(row)} - {""}
+
+    fits = (i for i, row in enumerate(rows) if find_values(row) and "text" not in find_values(row))
+    begin = next(fits, min(len(rows), 1)) if numeric else min(len(rows), 1)
+    words = [
+        i for i in range(begin) if not find_values(rows[i]) - {"text"} and 2 * sum(map(bool, rows[i])) > len(kinds)
+    ]
+    if not words:
+        return (1, 0, None) if begin else (0, None, None)  # names that are numbers, or none
+    last, before = words[-1], words[-2] if len(words) > 1 else None
+    if before is None or begin == len(rows) or not is_units(rows[last], rows[begin]):
+        return last + 1, last, None
+    known = sum(clean_unit(word) in UNITS for word in rows[last])
+    is_named = 2 * known < sum(map(bool, rows[last])) and any(split_time(cell)[0] for cell in rows[last])
+    return (last + 1, last, None) if is_named else (last + 1, before, last)
+
+
+def read_comment(line: str, delimiter: str, width: int) -> list[str]:
+    """Names of columns that a comment above them tells; otherwise they are called by their place."""
+    said = [cell.strip() for cell in next(csv.reader([line.lstrip("# ")], delimiter=delimiter), [])]
+    return said if len(said) == width and line.startswith("#") else [f"c{i}" for i in range(width)]
+
+
+def fit_names(path: Path, names: Sequence[str], body: Sequence[Sequence[str]], line: int) -> list[str]:
+    """Names of as many columns as rows have cells: a delimiter may end rows, or the names.
+
+    Raises:
+        InputError: if cells have no name, or names no cells.
+    """
+    width = len(body[0]) if body else len(names)
+    if any(names[width:]) or any(any(row[len(names) :]) for row in body):
+        found, expected = f"{path}, line {line}: {len(names)} cells", f"{width} cells a line, as in the lines after it"
+        raise InputError(found, expected, "complete the names, or remove the line")
+    return [*names, *[""] * width][:width]
+
+
+def part_list(cell: str) -> list[str]:
+    """The elements of a list in a cell."""
+    return re.split(r"[,;\s]+", cell.strip("[]() \t\n"))
 
 
 def open_bytes(path: Path) -> Any:  # noqa: ANN401
@@ -90,9 +208,12 @@ def open_bytes(path: Path) -> Any:  # noqa: ANN401
 
 
 def read_head(path: Path, file: Any) -> bytes:  # noqa: ANN401
-    """The beginning of a file's content."""
+    """The beginning of a file's content, with a few lines at least."""
     try:
-        return file.read(_HEAD)
+        head = file.read(_HEAD)
+        while head.count(b"\n") < _FEW and len(head) < _MOST and (more := file.read(len(head))):
+            head += more
+        return head
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise refuse_damaged(path, error) from None
 
@@ -107,36 +228,70 @@ def find_encoding(head: bytes) -> str:
     for mark, name in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8")):
         if head.startswith(mark):
             return name
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):  # of Latin letters one byte in two is zero
+        if len(head) > 3 and head[first::2].count(0) > len(head) // 4:
+            return name
     try:
         head.decode()
     except UnicodeDecodeError as error:
-        return "utf-8" if error.start > len(head) - 4 else "latin-1"
+        if error.start <= len(head) - 4:
+            return "latin-1" if re.search(rb"[\x81\x8d\x8f\x90\x9d]", head) else "cp1252"
     return "utf-8"
 
 
-def find_delimiter(rows: Sequence[str]) -> str:
-    """The delimiter that parts most rows into as many cells as the first, at least two."""
+def find_delimiter(lines: Sequence[str]) -> str:
+    """The delimiter that parts most lines into as many cells, at least two, most of which hold numbers."""
 
-    def rate(mark: str) -> tuple[float, int]:
-        counts = [len(row) for row in csv.reader(rows, delimiter=mark)]
-        same = sum(count == counts[0] for count in counts) / len(counts)
-        return (round(same, 1) if counts[0] > 1 else 0.0), counts[0]
+    def rate(mark: str) -> float:
+        rows = list(csv.reader((f"{line}\n" for line in lines), delimiter=mark))
+        width, same = Counter(len(row) for row in reversed(rows)).most_common(1)[0]
+        columns = list(zip(*(row for row in rows if len(row) == width)))
+        cells = [[cell.strip() for cell in column[-_FEW:]] for column in columns]
+        told = sum(all(is_number(cell) or DATE.fullmatch(cell) for cell in column) for column in cells) / width
+        return same / len(rows) * (0.1 + told) + 0.05 * (len(rows[0]) == width) if width > 1 else 0.0
 
     return max(";\t,| ", key=rate)  # of equals the first: semicolons part what commas are fractions of
 
 
-def is_number(cell: str, delimiter: str) -> bool:
+def find_decimal(columns: Sequence[Sequence[str]]) -> str:
+    """What fractions begin with, a dot or a comma, by the cells of columns."""
+    told = Counter[str]()
+    doubt = Counter[str]()
+    for column in columns:
+        marks = Counter[str]()
+        for cell in column:
+            if match := GROUPED.fullmatch(cell):
+                end = match.group(3) or match.group(5) or (match.group(7) or "")
+                told[end[:1]] += bool(end)
+                marks["" if end else match.group(1)[:1]] += 1
+            elif COMMA_NUMBER.fullmatch(cell):
+                told[","] += 1
+            elif "." in cell and NUMBER.fullmatch(cell):
+                told["."] += 1
+            else:
+                marks["whole"] += len(cell.lstrip("+-")) == 3 and cell.lstrip("+-").isdigit()
+        for mark, other in ((".", ","), (",", ".")):  # thousands follow hundreds, or else these are fractions
+            doubt[other if marks["whole"] else mark] += marks[mark]
+    return max(".,", key=lambda mark: (told[mark], doubt[mark]))
+
+
+def is_grouped(cell: str, decimal: str) -> bool:
+    """Whether a cell holds a number whose thousands are parted."""
+    plain = NUMBER if decimal == "." else COMMA_NUMBER
+    return bool(GROUPED.fullmatch(cell)) and not plain.fullmatch(cell)
+
+
+def is_number(cell: str) -> bool:
     """Whether a cell holds a number, or a list of them, or nothing."""
-    cell = cell.strip().strip('"')
-    if delimiter != "," and COMMA_NUMBER.fullmatch(cell):
+    if cell.isdigit() or cell in NULLS or NUMBER.fullmatch(cell) or cell.startswith(LISTS):
         return True
-    return bool(NUMBER.fullmatch(cell)) or cell.startswith(("[", "("))
+    return bool(COMMA_NUMBER.fullmatch(cell) or GROUPED.fullmatch(cell))
 
 
-def is_units(row: Sequence[str], after: Sequence[str], delimiter: str) -> bool:
+def is_units(row: Sequence[str], after: Sequence[str]) -> bool:
     """Whether a row holds units: no number where the row after it has some, and short words."""
-    numbers = [i for i, cell in enumerate(after) if cell and is_number(cell, delimiter)]
+    numbers = [i for i, cell in enumerate(after) if cell and is_number(cell)]
     words = [row[i].strip("[]()") for i in numbers if i < len(row)]
     if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _LONGEST_UNIT:
         return False
-    return not any(word and word != "1" and is_number(word, delimiter) for word in words)
+    return not any(word not in ("1", *NULLS) and is_number(word) for word in words)

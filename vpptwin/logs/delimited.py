@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import io
 import re
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,16 @@ import numpy as np
 
 from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import NANOSECONDS
-from vpptwin.logs.csv_form import DATE, NUMBER, Format, is_number, open_bytes, refuse_damaged, sniff
+from vpptwin.logs.csv_form import DATE, NULLS, NUMBER, Format, open_bytes, part_list, part_rows, refuse_damaged, sniff
 from vpptwin.logs.headings import count_ns, find_clock, guess_unit
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import Table, choose_fields
+from vpptwin.logs.tables import Table, choose_fields, find_named
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 _BLOCK = 1 << 22  # bytes of text converted at once, of which Arrow reads up to thirty ahead
+_TRIES = 3  # times that a file is read again for one column more; then for all
 _FORMS = {
     "double": ("a number", NUMBER),
     "int64": ("a whole number", re.compile(r"[-+]?\d+")),
@@ -47,38 +48,107 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
     pa = load_extra("pyarrow", path)
     form = sniff(path, notes)
     stamp = wish.stamps.get(topic)
-    clock = find_clock(path, form.names, stamp)
+    clock = find_clock(path, form.names, stamp, form.units)
     fields = choose_fields(wish, topic, form.names)
-    wanted = [name for name in form.names if name in fields or name == clock]
+    needed = {clock, *find_named(wish, topic, fields)}
+    told = [name for name, kind in zip(form.names, form.kinds) if wish.texts or kind != "text" or name in needed]
+    wanted = [name for name in told if name in fields or name == clock]
     unit = stamp.unit if stamp is not None else form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
     unit = "ns" if is_date(form, clock) else unit
-    number = 0
-    for batch in convert_batches(path, form, clock, wanted, pa):
-        columns = {name: read_column(path, form, batch.column(name), name, number, pa) for name in wanted}
+    cells, number = Cells(path, form, clock, needed, pa), 0
+    for batch in convert_batches(cells, wanted):
+        columns = {name: read_column(cells, batch.column(name), name, number) for name in wanted}
+        number += batch.num_rows
+        columns = drop_blank(cells, columns, number - batch.num_rows)
         time = columns[clock]
-        if time.dtype.kind not in "iuf":
-            line, said = find_line(path, form, number), time.reshape(len(time), -1)[0, 0]
-            found = f"{path}, line {line}: {said!r} as {clock}"
-            raise InputError(
-                found, "a number, or a date like 2026-01-31 12:00:00.5", "convert it, or name another column"
-            )
-        blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
-        if blank.any():
-            filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
-            torn = blank & np.any([np.isfinite(c).reshape(len(c), -1).any(axis=1) for c in filled], axis=0)
-            if torn.any():
-                line = find_line(path, form, number + int(np.argmax(torn)))
-                raise InputError(f"{path}, line {line}: no number as {clock}", "a time in every row", "remove the row")
-            columns = {name: column[~blank] for name, column in columns.items()}
-            time = columns[clock]
         if unit is None and len(time):
             unit = guess_unit(time)
             if unit != "s":
                 notes.append(f"{topic}: {clock} is taken to count {unit}")
-        number += batch.num_rows
         yield Table(topic, count_ns(time, unit or "s"), columns, form.units, fields)
     if not number:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
+    unread = [name for name in form.names if name in fields and name not in told]
+    notes += [f"{topic}: {note}" for note in (list_some("no numbers in", unread), cells.describe_lost()) if note]
+
+
+def list_some(what: str, names: Sequence[str]) -> str:
+    """What is so of some columns, "" if none is."""
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return f"{what} {', '.join(names[:8])}{more}, left out" if names else ""
+
+
+class CellError(Exception):
+    """A cell that is not of its column's kind."""
+
+    def __init__(self, name: str, problem: InputError) -> None:
+        self.name, self.problem = name, problem
+        super().__init__(name)
+
+
+@dataclass
+class Cells:
+    """How the cells of a CSV file are converted.
+
+    Attributes:
+        path, form: of the file.
+        clock: column of the time.
+        needed: columns in which every cell must be what the first ones are.
+        pa: Arrow.
+        loose: columns that are read as text and converted here, as some cells are no plain number.
+        lost: column → how many of its cells are left out, and the first of them.
+    """
+
+    path: Path
+    form: Format
+    clock: str
+    needed: set[str]
+    pa: Any
+    loose: set[str] = field(default_factory=set)
+    lost: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def describe_lost(self) -> str:
+        """Which cells were left out, "" if none was."""
+        said = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in self.lost.items()]
+        return list_some("cells that are not as the others in", said)
+
+    def drop(self, name: str, wrong: np.ndarray, column: Any, number: int, expected: str) -> None:  # noqa: ANN401
+        """Note cells that are `wrong`, (n,) bool, in rows behind `number` others.
+
+        Raises:
+            InputError: if all of the column are needed.
+        """
+        if not wrong.any():
+            return
+        cell = str(column[int(np.argmax(wrong))].as_py())
+        if name in self.needed:
+            line = find_line(self.path, self.form, number + int(np.argmax(wrong)))
+            raise InputError(f"{self.path}, line {line}: {cell!r} as {name}", expected, "correct the line")
+        count, first = self.lost.get(name, (0, cell))
+        self.lost[name] = count + int(np.count_nonzero(wrong)), first
+
+
+def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
+    """Columns without the rows that are empty; `number` rows came before.
+
+    Raises:
+        InputError: if the time is no number, or missing in a row with values.
+    """
+    path, form, clock, time = cells.path, cells.form, cells.clock, columns[cells.clock]
+    if time.dtype.kind not in "iuf" or time.ndim > 1:
+        line, said = find_line(path, form, number), time.reshape(len(time), -1)[0, 0]
+        expected = "a number, or a date like 2026-01-31 12:00:00.5"
+        found = f"{path}, line {line}: {said!r} as {clock}"
+        raise InputError(found, expected, "convert it, or name another column")
+    blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
+    if not blank.any():
+        return columns
+    filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
+    torn = blank & np.any([np.isfinite(c).reshape(len(c), -1).any(axis=1) for c in filled], axis=0)
+    if torn.any():
+        line = find_line(path, form, number + int(np.argmax(torn)))
+        raise InputError(f"{path}, line {line}: no number as {clock}", "a time in every row", "remove the row")
+    return {name: column[~blank] for name, column in columns.items()}
 
 
 def is_date(form: Format, clock: str) -> bool:
@@ -87,25 +157,49 @@ def is_date(form: Format, clock: str) -> bool:
     return place < len(form.first) and bool(DATE.fullmatch(form.first[place]))
 
 
-def convert_batches(
-    path: Path,
-    form: Format,
-    clock: str,
-    wanted: Sequence[str],
-    pa: Any,  # noqa: ANN401
-) -> Iterator[pa.RecordBatch]:
-    """The columns wanted as Arrow has them: numbers, except for those whose first row holds none."""
+def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """The columns wanted as Arrow has them; from the start again where one turns out to be no plain number."""
+    done, tries = 0, 0
+    cells.loose |= cells.form.grouped
+    while True:
+        seen = 0
+        try:
+            for batch in open_batches(cells, wanted):
+                seen += batch.num_rows
+                if seen > done:
+                    yield batch.slice(max(done - (seen - batch.num_rows), 0))
+                    done = seen
+            return
+        except CellError as error:
+            tries += 1
+            if error.name in cells.loose:
+                raise error.problem from None
+            cells.loose |= {error.name} if tries < _TRIES else set(wanted) - {cells.clock}
+
+
+def choose_type(cells: Cells, name: str) -> Any:  # noqa: ANN401
+    """Arrow's type of a column."""
+    place, pa = cells.form.names.index(name), cells.pa
+    cell, kind = cells.form.first[place], cells.form.kinds[place]
+    if name == cells.clock and is_date(cells.form, name):
+        return pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:]) else None)
+    if kind != "number" or name in cells.loose:
+        return pa.string()
+    whole = name == cells.clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
+    return pa.int64() if whole else pa.float64()
+
+
+def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """The columns wanted, from the start.
+
+    Raises:
+        CellError: at a cell that does not convert.
+        InputError: if a line has another number of cells.
+    """
     from pyarrow import csv as arrow_csv
 
-    types = {}
-    for place, name in enumerate(form.names):
-        cell = form.first[place] if place < len(form.first) else ""
-        number = is_number(cell, form.delimiter) and not cell.startswith(("[", "("))
-        whole = name == clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
-        zone = re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:])
-        dates = pa.timestamp("ns", "UTC" if zone else None)
-        is_dates = name == clock and is_date(form, clock)
-        types[name] = dates if is_dates else pa.int64() if whole else pa.float64() if number else pa.string()
+    path, form, pa = cells.path, cells.form, cells.pa
+    types = {name: choose_type(cells, name) for name in wanted}
     with open_bytes(path) as file:
         try:
             reader = arrow_csv.open_csv(
@@ -114,77 +208,105 @@ def convert_batches(
                     encoding=form.encoding, column_names=form.names, skip_rows=form.skip, block_size=_BLOCK,
                     use_threads=False,
                 ),
-                arrow_csv.ParseOptions(delimiter=form.delimiter),
+                arrow_csv.ParseOptions(delimiter=form.delimiter, newlines_in_values=form.is_folded),
                 arrow_csv.ConvertOptions(
-                    column_types=types, decimal_point=form.decimal, include_columns=wanted,
-                    null_values=["", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-nan"],
+                    column_types=types, decimal_point=form.decimal, include_columns=wanted, null_values=NULLS,
                 ),
             )  # fmt: skip
             yield from reader
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise refuse_damaged(path, error) from None
         except (pa.ArrowInvalid, UnicodeError) as error:
-            raise blame_line(path, form, {name: str(types[name]).partition("[")[0] for name in wanted}, error) from None
+            raise blame_line(cells, {n: str(kind).partition("[")[0] for n, kind in types.items()}, error) from None
 
 
-def blame_line(path: Path, form: Format, types: dict[str, str], error: Exception) -> InputError:
+def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Exception:
     """Which line it was that did not convert, of the columns with these types."""
-    expected = f"{len(form.names)} cells a line, each with a number where the first has one"
-    kinds = [types.get(name) for name in form.names]
+    path, form = cells.path, cells.form
+    kinds = [(place, name, types[name]) for place, name in enumerate(form.names) if types.get(name) in _FORMS]
     with open_bytes(path) as file:
-        reader = csv.reader(io.TextIOWrapper(file, form.encoding, "replace", newline=None), delimiter=form.delimiter)
-        for line, row in enumerate(reader, 1):
+        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
+        for line, row in part_rows(path, text, form.delimiter):
             if line <= form.skip or not row:
                 continue
             if len(row) != len(form.names):
-                found = f"{path}, line {reader.line_num}: {len(row)} cells"
-                return InputError(found, expected, "complete or remove the line")
-            for kind, name, cell in zip(kinds, form.names, row):
-                text = cell.strip().replace(form.decimal, ".")
-                good = NUMBER.fullmatch(text) or text.lower() in ("null", "none", "n/a", "na", "-", "-nan")
-                if kind not in _FORMS or (good if kind == "double" else _FORMS[kind][1].fullmatch(text)):
+                expected = f"{len(form.names)} cells a line, each with a number where the first has one"
+                return InputError(f"{path}, line {line}: {len(row)} cells", expected, "complete or remove the line")
+            for place, name, kind in kinds:
+                plain = row[place].strip().replace(form.decimal, ".")
+                good = NUMBER.fullmatch(plain) or plain in NULLS
+                if good if kind == "double" else _FORMS[kind][1].fullmatch(plain):
                     continue
-                found = f"{path}, line {reader.line_num}: {cell!r} as {name}"
-                return InputError(found, f"{_FORMS[kind][0]}, as in the lines before", "correct the line")
+                found, expected = f"{path}, line {line}: {row[place]!r} as {name}", _FORMS[kind][0]
+                return CellError(name, InputError(found, f"{expected}, as in the lines before", "correct the line"))
     return InputError(f"{path}: {error}", "a CSV file", "correct it")
 
 
-def read_column(path: Path, form: Format, column: Any, name: str, number: int, pa: Any) -> np.ndarray:  # noqa: ANN401
+def read_column(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
     """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
+    pa, place = cells.pa, cells.form.names.index(name)
     if pa.types.is_timestamp(column.type):
         column = column.cast(pa.int64())
     if not pa.types.is_string(column.type):
         if pa.types.is_int64(column.type) and column.null_count == 0:
             return np.asarray(column.to_numpy(zero_copy_only=False))
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
-    place = form.names.index(name)
-    if not (place < len(form.first) and form.first[place].startswith(("[", "("))):
+    kind = cells.form.kinds[place]
+    if kind == "text":
         return np.asarray(column.fill_null("").to_numpy(zero_copy_only=False))
+    if kind == "number":
+        values, wrong = read_numbers(cells, column)
+        cells.drop(name, wrong, column, number, "a number, as in the lines before")
+        return values
+    return read_lists(cells, column, name, number)
+
+
+def read_numbers(cells: Cells, column: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401
+    """Numbers of cells, whose thousands may be parted, (n,), and which cells hold something else, (n,) bool."""
     from pyarrow import compute
 
-    inner = compute.utf8_trim(column.fill_null(""), "[]() \t")
-    parts = compute.split_pattern_regex(inner, r"[,;\s]+")
+    text = compute.utf8_trim_whitespace(column)
+    point, parts = re.escape(cells.form.decimal), r"['’ \x{00a0}\x{202f}" + {".": ",]", ",": ".]"}[cells.form.decimal]
+    grouped = compute.match_substring_regex(text, rf"^[-+]?[1-9]\d{{0,2}}({parts}\d{{3}})+({point}\d+)?$")
+    text = compute.if_else(grouped, compute.replace_substring_regex(text, parts, ""), text)
+    text = compute.replace_substring(text, cells.form.decimal, ".")
+    good = compute.match_substring_regex(text, rf"(?i)^(?:{NUMBER.pattern})$")
+    told = compute.if_else(compute.and_(good, compute.not_equal(text, "")), text, None)
+    values = np.asarray(told.cast(cells.pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
+    wrong = compute.and_(compute.is_valid(column), compute.invert(good.fill_null(True)))
+    return values, np.asarray(wrong.to_numpy(zero_copy_only=False))
+
+
+def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
+    """Lists of numbers in cells, (n, k), NaN where a cell holds another number of them, or none."""
+    from pyarrow import compute
+
+    first = cells.form.first[cells.form.names.index(name)]
+    width = len(part_list(first))
+    parts = compute.split_pattern_regex(compute.utf8_trim(column.fill_null(""), "[]() \t\r\n"), r"[,;\s]+")
     widths = compute.list_value_length(parts).to_numpy(zero_copy_only=False)
-    width = len(re.split(r"[,;\s]+", form.first[place].strip("[]() \t")))
-    wrong = np.flatnonzero(widths != width)
-    if len(wrong):
-        line = find_line(path, form, number + int(wrong[0]))
-        found = f"{path}, line {line}: {widths[wrong[0]]} values in the list of {name}"
+    empty = ~np.asarray(column.is_valid().to_numpy(zero_copy_only=False))
+    wrong = (widths != width) & ~empty
+    if wrong.any() and name in cells.needed:
+        line = find_line(cells.path, cells.form, number + int(np.argmax(wrong)))
+        found = f"{cells.path}, line {line}: {widths[wrong][0]} values in the list of {name}"
         raise InputError(found, f"{width}, as in the first", "correct the line")
-    try:
-        values = compute.cast(parts.flatten(), pa.float64())
-    except pa.ArrowInvalid as error:
-        raise InputError(f"{path}: {name}: {error}", "lists of numbers", "correct the cell") from None
-    return np.asarray(values.to_numpy(zero_copy_only=False)).reshape(-1, width)
+    values = np.full((len(widths), width), np.nan)
+    good = np.flatnonzero(widths == width)
+    numbers, odd = read_numbers(cells, parts.take(cells.pa.array(good)).flatten())
+    values[good] = numbers.reshape(-1, width)
+    wrong[good] |= odd.reshape(-1, width).any(axis=1) & ~empty[good]
+    cells.drop(name, wrong, column, number, f"a list of {width} numbers")
+    return values
 
 
 def find_line(path: Path, form: Format, row: int) -> int:
     """Number of the line in which a row of values lies."""
     with open_bytes(path) as file:
-        reader = csv.reader(io.TextIOWrapper(file, form.encoding, "replace", newline=None), delimiter=form.delimiter)
-        filled = -form.skip
-        for cells in reader:
-            filled += bool(cells) or filled < 0
+        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
+        filled = 0
+        for line, cells in part_rows(path, text, form.delimiter):
+            filled += bool(cells) and line > form.skip
             if filled > row:
                 break
-        return reader.line_num
+        return line

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.tables import list_names
+from vpptwin.logs.tables import list_names, number_apart
 
 _UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
 _ENDING = re.compile(
@@ -44,18 +44,14 @@ def clean_unit(text: str) -> str:
 
 def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
     """Names without the units that some of them bring, each once; nameless ones are called by their place."""
-    parted: list[str] = []
+    firsts, said = list[str](), list[str]()
     for place, given in enumerate(names):
         match = _UNIT.fullmatch(given)
         is_index = match is not None and match.group(2).isdigit()
-        name = first = (match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}"
-        count = 1
-        while name in parted:
-            count += 1
-            name = f"{first}_{count}"
-        parted.append(name)
-        if match is not None and not is_index and match.group(2):
-            units[name] = clean_unit(match.group(2))
+        firsts.append((match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}")
+        said.append(match.group(2) if match is not None and not is_index else "")
+    parted = number_apart(firsts)
+    units |= {name: clean_unit(unit) for name, unit in zip(parted, said) if unit}
     for name in parted:
         ending = _ENDING.fullmatch(name)
         if ending and name not in units:
@@ -77,8 +73,8 @@ def split_time(name: str) -> tuple[bool, str]:
     return False, ""
 
 
-def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None) -> str:
-    """The column of the time.
+def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None, units: Mapping[str, str]) -> str:
+    """The column of the time, by its name or, where it is the only one, by its unit.
 
     Raises:
         InputError: if there is none, or none of the name that somebody gave.
@@ -87,6 +83,8 @@ def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None) -> str:
         known = [name for name in names if stamp.path in list_names(name)]
     else:
         known = sorted((n for n in names if split_time(n)[0]), key=lambda n: _rank(n))
+        timed = [name for name in names if units.get(name) in NANOSECONDS]
+        known = known or (timed if len(timed) == 1 else [])
     if not known:
         wanted = stamp.path if stamp is not None else "time, t or timestamp"
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")

@@ -38,9 +38,15 @@ def choose_fields(wish: Wish, topic: str, columns: Iterable[str]) -> dict[str, s
     paths, names = wish.fields.get(topic), name_fields(columns)
     if paths is None:
         return names
+    named = find_named(wish, topic, names)
+    return {n: names[n] for n in named} if len(named) >= len({path.split("[")[0] for path in paths}) - 1 else names
+
+
+def find_named(wish: Wish, topic: str, names: Mapping[str, str]) -> list[str]:
+    """The columns that somebody names, of those that messages call so."""
+    paths = wish.fields.get(topic, ())
     wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
-    found = {column: name for column, name in names.items() if column in wanted or name in wanted}
-    return found if len(found) >= len({path.split("[")[0] for path in paths}) - 1 else names
+    return [column for column, name in names.items() if column in wanted or name in wanted]
 
 
 def name_topic(path: Path) -> str:
@@ -82,14 +88,21 @@ def find_field(channel: RawChannel, path: str) -> str:
 
 def name_fields(columns: Iterable[str]) -> dict[str, str]:
     """Column -> a field's name of its own."""
-    names: dict[str, str] = {}
-    for column in columns:
-        name = first = list_names(column)[2]
-        count = 1
-        while name in names.values():
-            name, count = f"{first}_{count + 1}", count + 1
-        names[column] = name
-    return names
+    columns = list(columns)
+    return dict(zip(columns, number_apart(list_names(column)[2] for column in columns)))
+
+
+def number_apart(names: Iterable[str]) -> list[str]:
+    """Names as they are, each once: those that come again get a number."""
+    counts: dict[str, int] = {}
+    apart: dict[str, None] = {}
+    for first in names:
+        name = first
+        while name in apart:
+            counts[first] = counts.get(first, 1) + 1
+            name = f"{first}_{counts[first]}"
+        apart[name] = None
+    return list(apart)
 
 
 def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
