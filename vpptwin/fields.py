@@ -75,10 +75,14 @@ class FieldEntry(Entry):
 
 
 class Stamp(Entry):
-    """Where a message's time lies: a field of type Time, a number in `unit`, or the log time."""
+    """Where a message's time lies: a field of type Time, a number in `unit`, or the log time.
+
+    Of a clock that is rounded, `rate` tells how many messages come a second [Hz]; they are spaced so from the first on.
+    """
 
     path: str = "header.stamp"
     unit: Literal["s", "ms", "us", "ns"] | None = None
+    rate: float | None = Field(default=None, gt=0.0)
 
 
 FieldText = Annotated[FieldEntry, text_as("path")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, pose_bag
+from tests.logs.test_foreign import read_joint
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
+from vpptwin.logs.survey import survey
 from vpptwin.logs.timeline import order_stamps
 
 MS = 10**6  # ns
@@ -122,3 +125,46 @@ def test_two_clocks_are_refused(tmp_path: Path) -> None:
     bag.add("/imu/data", IMU, [make_imu(10**9 + k * MS) for k in range(3)])
     with pytest.raises(InputError, match=r"/mocap/pose is stamped 1699999999 s after /imu/data ends"):
         read_flight(bag.write())
+
+
+def write_rounded(path: Path, rate: float, spell: Callable[[int], str]) -> Path:
+    """Twelve seconds of rows at a rate whose clock shows whole seconds only."""
+    rows = "".join(f"{spell(int(0.4 + k / rate))},{0.01 * k}\n" for k in range(int(12 * rate)))
+    path.write_text(f"date_time,q\n{rows}")
+    return path
+
+
+@pytest.mark.parametrize(("rate", "spell"), [
+    (125.0, str), (40.0, lambda s: f"{1_700_000_000 + s}"), (50.0, lambda s: f"2026-01-31 12:00:{s:02d}"),
+])  # fmt: skip
+def test_a_clock_of_whole_seconds_is_refused_and_given_a_rate(
+    tmp_path: Path, rate: float, spell: Callable[[int], str]
+) -> None:
+    """The line says how; with it rows are that far apart, and a rate that the stamps contradict is refused."""
+    log = write_rounded(tmp_path / "log.csv", rate, spell)
+    for read in (survey, lambda path: read_joint(path, "log", position="q")):
+        with pytest.raises(InputError, match=rf"repeat a stamp.*give the rate .* `stamp: {{rate: {rate:g}}}`"):
+            read(log)
+    flight = read_joint(log, "log", position="q", stamp={"rate": rate})
+    np.testing.assert_allclose(np.diff(flight.joints["/joint_states"]["j"].time), 1 / rate)
+    assert flight.warnings == ()
+    with pytest.raises(InputError, match=rf"a rate of 25 Hz makes .* give {rate:g}"):
+        read_joint(log, "log", position="q", stamp={"rate": 25})
+
+
+def test_runs_that_follow_one_another_are_not_laid_over_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that starts again is told by `inspect` too, however large the log is; other topics are shown."""
+    log = tmp_path / "log.csv"
+    log.write_text("t,q\n" + "".join(f"{k % 400 / 100},{k}\n" for k in range(1600)))
+    with pytest.raises(InputError, match=r"log\.csv: time runs backwards on /log, message 401 of 1600"):
+        survey(log)
+    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 2000)
+    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 4000)
+    with pytest.raises(InputError, match=r"time runs backwards on /log"):
+        survey(log)
+    poses = pose_bag(tmp_path / "poses.mcap", EPOCH + 10 * MS * np.arange(50))
+    recording, signals = survey([log, poses])
+    assert {signal.topic for signal in signals} == {"/mocap/pose"}
+    assert any("time runs backwards on /log" in line and "left out" in line for line in recording.files[0].notes)

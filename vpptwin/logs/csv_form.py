@@ -197,7 +197,7 @@ def fit_names(path: Path, names: Sequence[str], body: Sequence[Sequence[str]], l
 
 def part_list(cell: str) -> list[str]:
     """The elements of a list in a cell."""
-    return re.split(r"[,;\s]+", cell.strip("[]() \t\n"))
+    return re.findall(r"[^,;\s]+", cell.strip("[]()"))
 
 
 def open_bytes(path: Path) -> Any:  # noqa: ANN401

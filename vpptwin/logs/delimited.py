@@ -53,7 +53,8 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
     needed = {clock, *find_named(wish, topic, fields)}
     told = [name for name, kind in zip(form.names, form.kinds) if wish.texts or kind != "text" or name in needed]
     wanted = [name for name in told if name in fields or name == clock]
-    unit = stamp.unit if stamp is not None else form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
+    unit = form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
+    unit = stamp.unit if stamp is not None and stamp.unit is not None else unit
     unit = "ns" if is_date(form, clock) else unit
     cells, number = Cells(path, form, clock, needed, pa), 0
     for batch in convert_batches(cells, wanted):

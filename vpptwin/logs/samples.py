@@ -15,6 +15,7 @@ from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.layout import STAMP
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
+from vpptwin.logs.timeline import space_stamps
 from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
 
 MOST_NS = 2.0**62
@@ -61,7 +62,7 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
     Raises:
         InputError: if messages do not decode, or stamps are no times.
     """
-    told = recording.is_table(topic) and clock == Stamp()
+    told = recording.is_table(topic) and clock.unit is None and clock.path != LOG_TIME
     stamp_paths = [STAMP] if told else list_stamp_fields(clock)
     parts: dict[str, list[np.ndarray]] = {path: [] for path in paths}
     numbers, stamps, log_times = [], [], []
@@ -77,6 +78,8 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
     order = find_order(numbers)
     del numbers  # logs of gigabytes leave no room for what is not needed any more
     log_time, stamp = _join(log_times, order), _join(stamps, order)
+    if clock.rate is not None:
+        log_time = stamp = space_stamps(f"{recording.path}: {topic}", stamp, clock.rate)
     log_time = stamp if np.array_equal(log_time, stamp) else log_time
     log_time, stamp = recording.times.setdefault((topic, clock), (log_time, stamp))
     return Samples(label, stamp, log_time, {path: _join(parts[path], order) for path in parts})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fie
 from vpptwin.logs.raw import RawChannel, RawFile, Wish
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
+from vpptwin.logs.timeline import check_order
 from vpptwin.logs.topic_map import LOG_TIME
 
 _WIDEST = 64  # elements of a list that are signals of their own
@@ -160,15 +162,18 @@ class Signal:
             yield f"{whole.jumps} jumps, up to {whole.highest:.3g}"
 
 
-def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
+def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]:
     """Everything that a log holds as numbers; of large logs stretch by stretch, the first of which is kept.
 
     Raises:
         InputError: if it cannot be read, or holds no numbers.
     """
+    called = os.fspath(log) if isinstance(log, str | os.PathLike) else "+".join(map(str, log))
     first: dict[tuple[str, ...], Signal] = {}
     stretches: dict[tuple[str, ...], list[Stretch]] = {}
     clocks: dict[str, np.ndarray] = {}  # how often a topic's time falls, and stands
+    latest: dict[str, np.ndarray] = {}
+    refused: dict[str, InputError] = {}
 
     def note(recording: Recording, channel: RawChannel) -> None:
         joints = is_joint_state(channel.message_type)
@@ -185,6 +190,12 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
                 odd = np.array([np.count_nonzero(last[1:] < last[:-1]), np.count_nonzero(last[1:] == last[:-1])])
                 clocks[channel.topic] = clocks.get(channel.topic, np.zeros(2, int)) + odd
                 stamp, rows = (last, rows) if rising else np.unique(last, return_index=True)
+                try:  # runs that follow one another are not laid over each other
+                    if last.any():
+                        check_order(np.append(latest.get(channel.topic, last[:0]), last), called, channel.topic)
+                except InputError as error:
+                    refused.setdefault(channel.topic, error)
+                latest[channel.topic] = last[np.argmax(last)][None]
             values = (signal.values if rising else signal.values[rows]).astype(float, copy=False)
             key = signal.topic, signal.field, signal.name
             stretches.setdefault(key, []).append(look(stamp, values))
@@ -201,6 +212,11 @@ def survey(log: PathLike) -> tuple[Recording, list[Signal]]:
     recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR, take=take))
     for channel in {c.topic: c for file in recording.files for c in file.channels if c.is_kept}.values():
         note(recording, channel)
+    for topic, error in refused.items():
+        recording.files[0].notes.append(f"{error.found}, left out: {error.action}")
+        first = {key: signal for key, signal in first.items() if key[0] != topic}
+        if not first:
+            raise error
     if not first:
         raise InputError(f"{recording.path} holds no numbers over time", "a log with signals", "check what recorded it")
     for topic, (falls, stands) in clocks.items():

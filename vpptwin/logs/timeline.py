@@ -28,8 +28,27 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[slice | np.
     _refuse_unset(stamps, f"{path}: {topic}")
     if (stamps[1:] > stamps[:-1]).all():
         return slice(None), ()
+    check_order(stamps, path, topic)
     lateness = np.maximum.accumulate(stamps) - stamps
     late = int(np.count_nonzero(lateness))
+    order = np.argsort(stamps, kind="stable")
+    repeats = np.flatnonzero(np.diff(stamps[order]) == 0) + 1
+    warnings = []
+    if late:
+        worst = lateness.max() * 1e-9
+        warnings.append(f"{late} of {len(stamps)} messages on {topic} out of order by up to {worst:.3g} s, sorted")
+    if len(repeats):
+        warnings.append(f"{len(repeats)} of {len(stamps)} messages on {topic} repeat a stamp, dropped")
+    return np.delete(order, repeats), tuple(warnings)
+
+
+def check_order(stamps: np.ndarray, path: str, topic: str) -> None:
+    """Refuse stamps, (n,) ns in record order, that run backwards, or are those of a clock that is rounded.
+
+    Raises:
+        InputError: saying where they fall, or how to give the rate.
+    """
+    lateness = np.maximum.accumulate(stamps) - stamps
     falling = int(np.count_nonzero(np.diff(stamps) < 0))
     if lateness.max() > MAX_LATE * 1e9 or (len(stamps) > 2 and falling > len(stamps) // 2):
         index = int(np.argmax(lateness))
@@ -39,18 +58,40 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[slice | np.
             f"header stamps that increase, up to {MAX_LATE} s of disorder",
             "look for a clock that was set, a recording that looped, or several recordings in one file",
         )
-    order = np.argsort(stamps, kind="stable")
-    repeats = np.flatnonzero(np.diff(stamps[order]) == 0) + 1
-    if 2 * len(repeats) > len(stamps):
-        found = f"{path}: {topic}: {len(repeats)} of {len(stamps)} messages repeat a stamp"
-        raise InputError(found, "one stamp per message", _STAMP_ADVICE)
-    warnings = []
-    if late:
-        worst = lateness.max() * 1e-9
-        warnings.append(f"{late} of {len(stamps)} messages on {topic} out of order by up to {worst:.3g} s, sorted")
-    if len(repeats):
-        warnings.append(f"{len(repeats)} of {len(stamps)} messages on {topic} repeat a stamp, dropped")
-    return np.delete(order, repeats), tuple(warnings)
+    some = np.unique(stamps)
+    if 2 * len(some) < len(stamps):
+        found = f"{path}: {topic}: {len(stamps) - len(some)} of {len(stamps)} messages repeat a stamp"
+        advice = _STAMP_ADVICE
+        if len(some) > 2:
+            rate = count_rate(stamps)
+            found += f", {len(stamps) / len(some):.3g} have each"
+            advice += f", or give the rate at which they come: `stamp: {{rate: {rate:.4g}}}` beside the topic's fields"
+        raise InputError(found, "one stamp per message", advice)
+
+
+def count_rate(stamps: np.ndarray) -> float:
+    """Messages a second of a clock that is rounded, by the stamps (n,) ns between the first and the last of them."""
+    inner = stamps[(stamps > stamps[0]) & (stamps < stamps[-1])]
+    first = int(inner.min()) if len(inner) else int(stamps[0])
+    return len(inner) / max((int(stamps[-1]) - first) * 1e-9, 1e-9)
+
+
+def space_stamps(label: str, stamps: np.ndarray, rate: float) -> np.ndarray:
+    """Stamps (n,) ns of messages that come at a rate [Hz], from the first on; those given are rounded.
+
+    Raises:
+        InputError: if they tell of another rate.
+    """
+    made = stamps[0] + np.rint(np.arange(len(stamps)) * (1e9 / rate)).astype(np.int64)
+    steps = np.diff(stamps)
+    coarse = float(steps[steps > 0].max(initial=0)) if len(steps) else 0.0
+    if np.ptp(made - stamps) > 2.0 * coarse + 0.02 * float(np.ptp(stamps)):
+        spans = (
+            f"{np.ptp(made) * 1e-9:.4g} s of {len(stamps)} messages that are stamped over {np.ptp(stamps) * 1e-9:.4g} s"
+        )
+        advice = f"give {count_rate(stamps):.3g}, or correct the stamps"
+        raise InputError(f"{label}: a rate of {rate:g} Hz makes {spans}", "the rate of the log", advice)
+    return made
 
 
 def _refuse_unset(stamps: np.ndarray, label: str) -> None:

@@ -141,7 +141,7 @@ class TopicMap:
     def list_stamps(self) -> dict[str, Stamp]:
         """Topic in the log -> where its time lies, where that is said."""
         named = {slash(route.topic): route.stamp for route in self.list_routes()}
-        return {topic: stamp for topic, stamp in named.items() if stamp.unit is not None}
+        return {topic: stamp for topic, stamp in named.items() if stamp.path not in (Stamp().path, LOG_TIME)}
 
 
 def slash(topic: str) -> str:
