@@ -21,7 +21,7 @@ TORCH_INDEX ?=
 SELECT ?= not slow
 PYTEST_ARGS ?=
 
-.PHONY: help install demo test newest check docs format lock clean distclean
+.PHONY: help install demo test night newest check docs format lock clean distclean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
@@ -51,6 +51,9 @@ demo: $(STAMP) ## diagnose the flights that ship with the project, write a repor
 # dies ends the run: with another in its place xdist 3.8 waits for ever (pytest-dev/pytest-xdist#1378).
 test: $(STAMP) ## all tests but the long sweeps (make test SELECT= runs those too)
 	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python -m pytest -n 2 --dist loadfile --max-worker-restart 0 --no-loadscope-reorder -m "$(SELECT)" $(PYTEST_ARGS)
+
+night: $(STAMP) ## the long sweeps too, with a seed drawn for this run, which pytest prints
+	$(MAKE) test SELECT= VPPTWIN_SEED=$$(od -An -N4 -tu4 /dev/urandom | tr -d ' ')
 
 newest: $(STAMP) ## tests of the engine with the newest MuJoCo of the index, if that is not the pinned one
 	OMP_NUM_THREADS=1 MPLBACKEND=Agg $(BIN)/python .ci/newest.py

@@ -51,7 +51,7 @@ def know_double(guess: Guess, quantity: str) -> str:
 
 RIGS: dict[str, tuple[str, str | None, Callable[[Guess, str], str] | None]] = {
     "so101": ("*/control.csv", None, know_so101),
-    "double_pendulum": ("*.csv", "double_pendulum/double_pendulum.xml", know_double),
+    "double_pendulum": ("design_A_*.csv", "double_pendulum/double_pendulum.xml", know_double),
     "simple_pendulum": ("*.csv", "simple_pendulum/pendulum.xml",
                         lambda guess, quantity: "torque" if quantity == "effort" else quantity),
     "antx": ("*.mcap", "antx/antx.xml", lambda guess, quantity: guess.target),

@@ -56,8 +56,6 @@ WRITING = {
     "layouts": ["layouts", "out/layouts"],
 }
 """Commands that write, on one of two inputs."""
-OPENING = re.compile(r'File "[^"]*/vpptwin/__main__\.py", line \d+, in <module>\n +import ')
-"""The frame in which the program imports what its handlers of signals need."""
 MOMENT = re.compile(rb'20\d\d-\d\d-\d\d[T ][\d:.+Z-]*|<script id="commands".*?</script>', re.DOTALL)
 """A date, or a scene with meshcat's random ids: what differs from run to run of one command."""
 INPUTS = ({"LOG": "flip", "SEED": "1", "TWIN": "nominal"}, {"LOG": "steps", "SEED": "2", "TWIN": "typical"})
@@ -114,7 +112,7 @@ class Ended:
 
 @dataclass(frozen=True)
 class Kill:
-    """A signal and when it comes: so long after the start [s], or after the command began to write."""
+    """A signal and when it comes: so long [s] after the program heeds signals, or after the command began to write."""
 
     how: signal.Signals
     after: float
@@ -123,6 +121,8 @@ class Kill:
     def wait(self, child: subprocess.Popen[bytes], out: Path) -> None:
         """Until it is time, or the command has ended."""
         until = time.monotonic() + HANG
+        while not is_ready(child.pid) and child.poll() is None and time.monotonic() < until:
+            time.sleep(0.0005)
         while self.writing and child.poll() is None and time.monotonic() < until:
             with suppress(OSError):  # which come and go
                 if any(path.is_file() for drafts in out.rglob(".vpptwin.*") for path in drafts.glob("*")):
@@ -130,6 +130,17 @@ class Kill:
             time.sleep(0.0005)
         with suppress(subprocess.TimeoutExpired):
             child.wait(self.after)
+
+
+def is_ready(pid: int) -> bool:
+    """Whether a process catches SIGTERM, as vpptwin does from the moment on in which it promises how it ends.
+
+    Before that Python itself is starting, and what a signal does then is Python's affair.
+    """
+    with suppress(OSError):  # which has ended
+        caught = re.search(r"^SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
+        return caught is not None and bool(int(caught[1], 16) >> (signal.SIGTERM - 1) & 1)
+    return False
 
 
 def start(arguments: list[str], folder: Path, name: str = "") -> subprocess.Popen[bytes]:
@@ -157,13 +168,10 @@ def finish(child: subprocess.Popen[bytes], folder: Path, kill: Kill | None = Non
     if peak > before and peak > MOST_MB * 1024:
         ended.problems.append(f"{peak / 1024:.0f} MB")
     said = ended.said = (folder / f"{name}stderr").read_text(errors="replace")
-    trace = "Traceback" in said or "Exception ignored" in said
-    ours = f"{ROOT}/vpptwin/" in OPENING.sub("", said.replace(f"{ROOT}/vpptwin/__init__.py", ""))
-    starting = kill is not None and trace and not ours and "ignored" not in said  # Python itself, importing us
-    if trace and not starting:
+    if "Traceback" in said or "Exception ignored" in said:
         ended.problems.append(said[-1500:])
     allowed = {None, 0, 2} | ({SIGNALS[kill.how], -kill.how} if kill else set())
-    if ended.code not in allowed and not (starting and ended.code == 1):
+    if ended.code not in allowed:
         ended.problems.append(f"exit code {ended.code}: {said[-300:]}")
     lines = [line for line in re.split(r"[\r\n]", said) if line.startswith("vpptwin: ")]
     if ended.code == 2 and len(lines) != 1:

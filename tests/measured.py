@@ -1,4 +1,4 @@
-"""A command run as a user does, with what it cost: time, peak memory, and whom it left behind."""
+"""A command run as a user does, with what it cost: processor time and peak memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Cost:
-    """Exit code, what was printed, time [s] and peak memory [MB]."""
+    """Exit code, what was printed, processor time [s] and peak memory [MB]."""
 
     code: int
     out: str
@@ -37,15 +37,17 @@ def run_measured(*arguments: object, folder: Path, extra: Mapping[str, str] | No
     """Run `vpptwin ARGUMENTS` in a folder, where its output stays out of the way."""
     out, err = folder / ".out", folder / ".err"
     command = [sys.executable, "-m", "vpptwin", *map(str, arguments)]
-    began = time.perf_counter()
     with out.open("w") as to_out, err.open("w") as to_err:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **(extra or {})}
         child = subprocess.Popen(command, stdout=to_out, stderr=to_err, cwd=folder, env=environment)
-        peak = 0.0
-        while child.poll() is None:  # `ru_maxrss` would count what this process held when it forked
+        peak, ended = 0.0, 0
+        while not ended:  # `ru_maxrss` would count what this process held when it forked
             peak = max(peak, read_peak(child.pid))
             time.sleep(0.005)
-    cost = Cost(child.returncode, out.read_text(), err.read_text(), time.perf_counter() - began, peak)
+            ended, status, usage = os.wait4(child.pid, os.WNOHANG)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    seconds = usage.ru_utime + usage.ru_stime
+    cost = Cost(child.returncode, out.read_text(), err.read_text(), seconds, peak)
     out.unlink()
     err.unlink()
     return cost

@@ -1,7 +1,7 @@
 """Sessions with something hidden: three flights of one rig, what the diagnosis makes of them, what is wrong with that.
 
-The flights come from tests/reality, which shares no physics with vpptwin. What is hidden is drawn from a fresh seed in
-every run, which pytest prints first; a failure prints how to repeat it (`VPPTWIN_SEED=... pytest ...`).
+The flights come from tests/reality, which shares no physics with vpptwin. What is hidden is drawn from one seed, fixed
+in `make test` and fresh in `make night`; a failure prints how to repeat it (`VPPTWIN_SEED=... pytest ...`).
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ FAMILIES = {
 
 
 def read_seed() -> int:
-    """The seed of this run (tests/conftest.py draws it)."""
+    """The seed of this run (tests/conftest.py fixes it)."""
     return int(os.environ["VPPTWIN_SEED"])
 
 

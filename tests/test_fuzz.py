@@ -61,12 +61,12 @@ def use(kind: str, path: Path) -> str:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [pytest.param("25", marks=pytest.mark.slow), os.environ.get("VPPTWIN_SEED", "0")])
+@pytest.mark.parametrize("seed", [pytest.param("25", marks=pytest.mark.slow), os.environ["VPPTWIN_SEED"]])
 @pytest.mark.parametrize("kind", DRAW)
 def test_spoilt_files_are_refused_or_work(
     kind: str, seed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Forty of each kind from a fresh seed; those of a fixed one are `slow`."""
+    """Forty of each kind from the seed of this run; those of another one are `slow`."""
     monkeypatch.chdir(tmp_path)
     lines = []
     for number in range(ROUNDS):

@@ -4,17 +4,18 @@ import time
 
 import pytest
 
-from vpptwin import progress
 from vpptwin.progress import open_bar, tell_stage, tell_wait
 
 
 def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a hundred steps in half a second few are told, the last among them, and the stage that was named between."""
-    monkeypatch.setattr(progress, "QUIET_S", 0.2)
+    """Of a hundred steps of a second each few are told, the last among them, and the stage that was named between."""
+    now = 0.0
     with open_bar(desc="diagnose") as bar:
+        monkeypatch.setattr(bar, "_time", lambda: now)
+        bar.start_t = bar.last_print_t = now
         for step in range(100):
+            now += 1.0
             bar.update()
-            time.sleep(0.005)
             if step == 50:
                 tell_stage(bar, "refitting")
     told = [line for line in capfd.readouterr().err.split("\r") if line.strip()]

@@ -17,6 +17,7 @@ from tests.reality import (
     true_size,
 )
 from tests.reality.rig import draw_tolerances
+from tests.sessions import read_seed
 
 ALL = (*CORE, *EXTENDED)
 
@@ -24,7 +25,7 @@ ALL = (*CORE, *EXTENDED)
 @pytest.mark.parametrize("effect", ALL)
 def test_strength_tells_faint_from_ordinary(effect: str) -> None:
     """What is drawn has a strength of 1 or more, what is drawn as faint one between the least asked for and 1."""
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(read_seed())
     for _ in range(20):
         assert measure_strength(effect, draw_effect(rng, (effect,))[effect]) > 1 - 1e-3
         assert measure_strength(effect, draw_effect(rng, (effect,), least=0.5)[effect]) > 1 + 1e-3
@@ -47,7 +48,7 @@ def test_strength_is_that_of_the_faint_end(effect: str, values: dict[str, float]
 
 def test_effects_drawn_together_are_no_look_alikes() -> None:
     """Three effects hidden at once are three, and no two stand in one group of look-alikes."""
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(read_seed())
     for _ in range(50):
         hidden = set(draw_together(rng, 3, ALL))
         assert len(hidden) == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -28,6 +29,8 @@ def run() -> int:
         return main()
     except KeyboardInterrupt:  # that came as the command ended
         stop(signal.SIGINT)
+    finally:
+        gc.freeze()  # the search for cycles at the end takes a second where torch is loaded, and frees what ends anyway
 
 
 if __name__ == "__main__":

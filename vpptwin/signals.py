@@ -24,6 +24,21 @@ PATIENCE = 3.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, or a terminal that was closed: unlike Ctrl-C it is no usual way to leave a command that runs on."""
+
+
+@contextlib.contextmanager
+def until_interrupted() -> Iterator[None]:
+    """A block that Ctrl-C leaves, and whose command goes on; other signals end the command."""
+    try:
+        yield
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        pass
+
+
 def end(code: int, line: str = "stopped") -> NoReturn:
     """End the process at once, without drafts left behind."""
     discard_all()
@@ -55,7 +70,7 @@ def heed_signals() -> Iterator[list[int]]:
             if is_importing(frame):
                 end(128 + number)
             heard.append(number)
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
     def watch() -> None:
         while number := os.read(reader, 1):

@@ -1,8 +1,10 @@
-"""benchmarks/soak.py finds nothing in a few commands of a fresh seed, and finds what ends badly."""
+"""benchmarks/soak.py finds nothing in a few commands, and finds what ends badly."""
 
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -16,7 +18,7 @@ import soak
 def test_a_few_commands_end_well(tmp_path: Path) -> None:
     """No traceback, no hang, no process, no file left behind."""
     (tmp_path / "out").mkdir()
-    seed = int(os.environ.get("VPPTWIN_SEED", "1"))
+    seed = int(os.environ["VPPTWIN_SEED"])
     for number in range(2):
         name, problems = soak.run_one(np.random.default_rng([seed, number]), tmp_path)
         assert problems == [], name
@@ -52,10 +54,19 @@ def test_commands_that_end_badly_are_told(
     assert problems
 
 
+def test_kills_wait_until_signals_are_heeded(tmp_path: Path) -> None:
+    """However slowly Python starts: a program that takes two seconds to catch SIGTERM gets it after that."""
+    program = "import signal, sys, time\ntime.sleep(2)\nsignal.signal(signal.SIGTERM, lambda *_: sys.exit(7))\n"
+    with subprocess.Popen([sys.executable, "-c", program + "time.sleep(100)"]) as child:
+        soak.Kill(signal.SIGTERM, 0.0).wait(child, tmp_path)
+        child.send_signal(signal.SIGTERM)
+    assert child.returncode == 7
+
+
 @pytest.mark.parametrize(("name", "kills"), [("layouts", 30), pytest.param("compare", 4, marks=pytest.mark.slow)])
 def test_what_is_killed_full_or_shared_stays_whole(tmp_path: Path, name: str, kills: int) -> None:
     """Kills, two processes in one place, disks that are full: the benchmark has the other commands."""
-    rng = np.random.default_rng(int(os.environ.get("VPPTWIN_SEED", "1")))
+    rng = np.random.default_rng(int(os.environ["VPPTWIN_SEED"]))
     assert soak.try_kills(name, rng, tmp_path, kills) == []
     assert soak.try_pair(name, tmp_path) == []
     assert soak.try_disks(name, tmp_path) == []
@@ -66,7 +77,8 @@ def test_halves_and_mixtures_are_told(tmp_path: Path, monkeypatch: pytest.Monkey
     """A command that writes in place: half a file after a kill, those of two runs after two at once."""
     (tmp_path / "vpptwin").mkdir()
     (tmp_path / "vpptwin" / "__init__.py").touch()
-    program = """import sys, time
+    program = """import signal, sys, time
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
 for name in ("ab" if sys.argv[1] == "1" else "ba"):
     with open(f"out/{name}", "w") as file:
         print(sys.argv[1], file=file, flush=True)

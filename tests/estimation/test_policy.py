@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
-
 import numpy as np
 import pytest
 
@@ -39,14 +37,6 @@ def test_it_is_the_inner_loop_itself() -> None:
     ]
     np.testing.assert_allclose(pitch, expected, atol=1e-15)
     np.testing.assert_array_equal(time, gyro[0])
-
-
-def test_a_minute_takes_less_than_a_second() -> None:
-    """60 000 steps are fast enough for logs of ten minutes."""
-    policy, gyro = draw_inputs(60.0)
-    begin = clock.perf_counter()
-    reconstruct_commands(VEHICLE, policy, gyro)
-    assert clock.perf_counter() - begin < 1.0  # 0.03 s on an idle machine
 
 
 def test_slow_gyros_are_read_between_samples() -> None:

@@ -36,7 +36,7 @@ MESSAGE = struct.pack("<BQHIQQ", 5, 22, 1, 0, EPOCH, EPOCH)  # an empty one
 
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> float:
-    """What refusing a file that is missing takes, all of it Python's imports, on a machine as busy as now [s]."""
+    """What refusing a file that is missing takes, all of it Python's imports [s of processor time]."""
     folder = tmp_path_factory.mktemp("usual")
     return run_measured("play", "missing.mcap", "--html", "page.html", folder=folder).seconds
 
@@ -77,7 +77,7 @@ BOMBS: dict[str, Callable[[], list[Chunk]]] = {
     "name", [name if name in ("zstd", "messages") else pytest.param(name, marks=pytest.mark.slow) for name in BOMBS]
 )
 def test_chunks_that_unpack_to_gigabytes_are_refused(tmp_path: Path, name: str, usual: float) -> None:
-    """Before they are unpacked: a line, under 2 s, under 1 GB."""
+    """Before they are unpacked: a line, under 2 s of processor time, under 1 GB."""
     path = write_chunks(tmp_path / "bomb.mcap", BOMBS[name]())
     cost = run_measured("play", path, "--html", tmp_path / "page.html", folder=tmp_path)
     cost.check_refused("bomb.mcap", "holds a broken chunk" if "little" in name else "unpacks to", "expected")
@@ -123,7 +123,7 @@ def test_milliseconds_called_seconds_are_asked_for_their_unit(tmp_path: Path) ->
 
 
 def test_a_clock_set_forward_costs_nothing(tmp_path: Path, usual: float) -> None:
-    """A line under 2 s and 1 GB, where a grid of 10 ms over the leap took all memory."""
+    """A line under 2 s of processor time and 1 GB, where a grid of 10 ms over the leap took all memory."""
     joints = [
         {"header": stamp_header(EPOCH + (k + 10**9 * (k == 999)) * 10**7), "name": ["slide"], "position": [0.1 * k]}
         for k in range(1000)

@@ -156,8 +156,8 @@ def count_arrows(browser: Browser) -> tuple[int, int]:
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    """Until it holds, half a minute at most."""
-    deadline = time.monotonic() + 30.0
+    """Until it holds, two minutes at most."""
+    deadline = time.monotonic() + 120.0
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.2)

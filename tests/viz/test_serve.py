@@ -12,7 +12,7 @@ import sys
 import time
 import urllib.request
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -250,10 +250,80 @@ def test_nothing_is_left_running(command: str, how: str, tmp_path: Path) -> None
     assert ask(address) == 200
     every = [psutil.Process(started.pid), *psutil.Process(started.pid).children(recursive=True)]
     started.send_signal(signal.SIGKILL if how == "parent" else signal.Signals[how])
-    started.wait(20)
-    _, alive = psutil.wait_procs(every, timeout=20)
+    started.wait(120)
+    _, alive = psutil.wait_procs(every, timeout=120)
     assert alive == []
     with pytest.raises(OSError, match="refused"):
         socket.create_connection((str(urlsplit(address).hostname), int(urlsplit(address).port or 0)), timeout=5.0)
+    if how in ("SIGTERM", "SIGHUP"):
+        assert started.returncode == 128 + signal.Signals[how]
+        assert (tmp_path / "out").read_text().endswith("vpptwin: stopped\n")
     if how == "SIGINT":
         assert started.returncode == 0
+
+
+def connect(server: Server) -> socket.socket:
+    """A viewer that never reads: a socket that has asked for the scene."""
+    reader = socket.create_connection((server.host, server.port), timeout=10.0)
+    lines = (
+        f"GET /{server.secret}/socket HTTP/1.1", f"Host: {server.host}:{server.port}", "Upgrade: websocket",
+        "Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", "", "",
+    )  # fmt: skip
+    reader.sendall("\r\n".join(lines).encode())
+    return reader
+
+
+def test_viewers_that_do_not_read_hold_one_scene() -> None:
+    """Of a thousand pictures nothing piles up for them, and who reads sees the last one."""
+    server, paths = Server(), [ScenePath(("meshcat", f"part {i}", "x" * 500)) for i in range(20)]
+    idle = [connect(server) for _ in range(30)]
+    wait_for(lambda: len(server._viewers) == 30)
+    for picture in range(1000):
+        for path in paths:
+            server.send(SetTransform(picture * np.eye(4), path))
+    seen = watch(server, len(paths))
+    assert all(command["matrix"][0] == 999.0 for command in seen)  # type: ignore[index]
+    waiting = [viewer.ws_connection.stream._write_buffer for viewer in server._viewers if viewer.ws_connection]
+    assert len(waiting) >= 30
+    assert max(len(buffer) for buffer in waiting) <= len(paths) * len(umsgpack.packb(seen[0])) * 1.1
+    for reader in idle:
+        reader.close()
+    server.close()
+
+
+def test_viewers_that_read_nothing_for_long_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they hold is let go; the others go on."""
+    monkeypatch.setattr("vpptwin.viz.serve.LONGEST_WRITE", 0.2)
+    server = Server()
+    reader = connect(server)
+    wait_for(lambda: len(server._viewers) == 1)
+    for i in range(40):
+        server.send(SetProperty("visible", "x" * 10**6, ScenePath(("meshcat", f"{i}"))))
+    wait_for(lambda: not server._viewers)
+    assert ask(server.address, path="scene/") == 200
+    reader.close()
+    server.close()
+
+
+def test_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One more than there may be is closed at once; when one goes, another may come."""
+    monkeypatch.setattr("vpptwin.viz.serve.MOST_CONNECTIONS", 3)
+    server = Server()
+    idle = [connect(server) for _ in range(3)]
+    wait_for(lambda: len(server._viewers) == 3)
+    with connect(server) as late, suppress(ConnectionResetError):
+        assert late.recv(100) == b""
+    idle[0].close()
+    wait_for(lambda: len(server._viewers) == 2)
+    assert ask(server.address, path="scene/") == 200
+    for reader in idle:
+        reader.close()
+    server.close()
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Wait until something is so; two minutes at most, so that a hang is a failure."""
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)

@@ -6,6 +6,7 @@ import copy
 import json
 import time
 from collections.abc import Iterable
+from contextlib import closing
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust, max_thrust
+from vpptwin.signals import until_interrupted
 from vpptwin.vehicle import Vehicle
 from vpptwin.viz import rotors
 from vpptwin.viz.browse import tell_address
@@ -137,7 +139,7 @@ def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
     """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
     env, vehicle = flight.env, flight.env.twin.vehicle
     panel = Panel(flight.commands, host)
-    try:
+    with until_interrupted(), closing(panel):
         stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
         tell_address(panel.server, about)
@@ -161,7 +163,3 @@ def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
                 time.sleep(due - now)
             elif now - due > 0.5:
                 due = now  # a machine too slow for real time does not hurry afterwards
-    except KeyboardInterrupt:
-        pass
-    finally:
-        panel.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from meshcat import Visualizer
 from meshcat.commands import SetAnimation
 
 from vpptwin.files import write_whole
+from vpptwin.signals import until_interrupted
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.viz.browse import tell_address
 from vpptwin.viz.page import Recorder, describe_show, render_page
@@ -80,11 +82,7 @@ def play_live(
     """
     page = draw_page(flight, prediction, spec or load_twin()).encode()
     server = Server(host, {"": lambda body: ("text/html; charset=utf-8", page)})
-    try:
+    with until_interrupted(), closing(server):
         tell_address(server, "shows the flight. Ctrl-C here to end.")
         for _ in keep_going():
             time.sleep(0.5)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.close()

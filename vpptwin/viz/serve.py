@@ -14,7 +14,7 @@ from typing import Any
 
 import umsgpack
 from tornado.httpserver import HTTPServer
-from tornado.iostream import StreamClosedError
+from tornado.iostream import IOStream, StreamClosedError
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
@@ -25,8 +25,13 @@ from vpptwin.viz.page import TEMPLATES, VIEWER, Command
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1000
 """Longest request taken [bytes]."""
-MOST_WAITING = 20_000
-"""Messages that a viewer may lag behind before it is cut off: 25 s of a flight."""
+MOST_CONNECTIONS = 400
+"""Connections held at once; more are closed as they come, before the process runs out of file descriptors."""
+LONGEST_WRITE = 25.0
+"""A viewer that takes nothing for so long is cut off [s]."""
+SEND_BUFFER = 1 << 16
+"""What the kernel may hold for one viewer [bytes]: a viewer that reads nothing costs no more."""
+Key = tuple[object, ...]
 Answer = Callable[[bytes], tuple[str, bytes]]
 """From the body of a request to the type and content of what is answered; ValueError refuses it."""
 
@@ -61,8 +66,8 @@ class Server:
             **(gets or {}),
         }
         answers = {"GET": shown, "POST": dict(posts or {})}
-        self._kept: dict[tuple[object, ...], bytes] = {}
-        self._viewers: dict[Any, int] = {}
+        self._kept: dict[Key, bytes] = {}
+        self._viewers: dict[Any, _Outbox] = {}
         self._invitations: set[str] = set()
         kept, viewers = self._kept, self._viewers
 
@@ -86,9 +91,10 @@ class Server:
             server = self
 
             def open(self, *args: str) -> None:
-                viewers[self] = 0
-                for message in list(kept.values()):
-                    _push(viewers, self, message)
+                if (stream := find_stream(self)) is not None:
+                    stream.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+                viewers[self] = _Outbox(self, kept)
+                viewers[self].start()
 
             def on_close(self) -> None:
                 viewers.pop(self, None)
@@ -139,17 +145,15 @@ class Server:
         self._loop.call_soon_threadsafe(self._loop.stop)
 
     def _show(self, key: tuple[object, ...], message: bytes) -> None:
-        if key[0] == "delete":
-            path = str(key[1]).rstrip("/")
-            for other in [k for k in self._kept if f"{k[1]}/".startswith(f"{path}/")]:
-                del self._kept[other]
-        self._kept[key] = message
-        for viewer in list(self._viewers):
-            _push(self._viewers, viewer, message)
+        _keep(self._kept, key, message)
+        for outbox in self._viewers.values():
+            outbox.put(key, message)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        server = HTTPServer(self._app, max_body_size=MOST_BODY, max_header_size=1 << 14, idle_connection_timeout=60.0)
+        server = _LimitedServer(
+            self._app, max_body_size=MOST_BODY, max_header_size=1 << 14, idle_connection_timeout=60.0
+        )
         server.add_sockets(self._sockets)
         self._loop.call_soon(self._ready.set)
         self._loop.run_forever()
@@ -192,23 +196,70 @@ class _Guarded(RequestHandler):
         self.finish()
 
 
-def _push(viewers: dict[Any, int], viewer: Any, message: bytes) -> None:  # noqa: ANN401
-    """Send a message to a viewer; one that has long stopped listening is cut off, or its messages would pile up."""
-    if viewers.get(viewer, MOST_WAITING) >= MOST_WAITING:
-        viewer.close()
-        return
-    viewers[viewer] += 1
+class _LimitedServer(HTTPServer):
+    """Holds `MOST_CONNECTIONS` at once."""
 
-    async def write() -> None:
+    _streams: tuple[IOStream, ...] = ()
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        self._streams = tuple(held for held in self._streams if not held.closed())
+        if len(self._streams) >= MOST_CONNECTIONS:
+            stream.close()
+            return
+        self._streams += (stream,)
+        super().handle_stream(stream, address)
+
+
+class _Outbox:
+    """What one viewer has yet to be sent: the last command of each kind.
+
+    One batch is under way at a time, and commands that come meanwhile replace each other. A viewer that reads slowly
+    skips pictures; one that reads nothing holds no more than one scene, and costs no time.
+    """
+
+    def __init__(self, viewer: WebSocketHandler, kept: Mapping[Key, bytes]) -> None:
+        self._viewer, self._due, self._busy = viewer, dict(kept), False
+
+    def put(self, key: Key, message: bytes) -> None:
+        """Send a command, or have it wait for the batch that is under way."""
+        self._due.pop(key, None)  # what comes later is sent later
+        _keep(self._due, key, message)
+        self.start()
+
+    def start(self) -> None:
+        """Send what is due, unless a batch is under way."""
+        if self._due and not self._busy:
+            self._busy = True
+            self._task = asyncio.ensure_future(self._drain())
+
+    async def _drain(self) -> None:
         try:
-            await viewer.write_message(message, binary=True)
+            while self._due:
+                batch, self._due = self._due, {}
+                writes = [self._viewer.write_message(message, binary=True) for message in batch.values()]
+                await asyncio.wait_for(asyncio.gather(*writes), LONGEST_WRITE)
         except (WebSocketClosedError, StreamClosedError):
             pass
+        except TimeoutError:
+            if (stream := find_stream(self._viewer)) is not None:
+                stream.close()  # a closing handshake would wait behind what nobody reads
         finally:
-            if viewer in viewers:
-                viewers[viewer] -= 1
+            self._busy = False
 
-    asyncio.ensure_future(write())  # noqa: RUF006 - the loop keeps it until its first wait, the socket from there on
+
+def find_stream(viewer: WebSocketHandler) -> IOStream | None:
+    """The connection of a viewer, while it is there."""
+    protocol = viewer.ws_connection
+    return None if protocol is None else getattr(protocol, "stream", None)
+
+
+def _keep(kept: dict[Key, bytes], key: Key, message: bytes) -> None:
+    """Keep the last command of a kind; one that deletes takes what lies below its path along."""
+    if key[0] == "delete":
+        path = str(key[1]).rstrip("/")
+        for other in [k for k in kept if f"{k[1]}/".startswith(f"{path}/")]:
+            del kept[other]
+    kept[key] = message
 
 
 def keep_going() -> Iterator[None]:

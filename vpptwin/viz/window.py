@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.errors import InputError
+from vpptwin.signals import until_interrupted
 from vpptwin.twin.model import specify_model
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.browse import has_screen
@@ -91,7 +93,7 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
     data, ghost = mujoco.MjData(show.model), mujoco.MjData(show.model)
     clock = Clock(float(show.time[-1]))
     handle = open_viewer(show.model, data, clock)
-    try:
+    with until_interrupted(), closing(handle):
         with handle.lock():
             aim(handle.cam, show)
         print(f"{flight.path.name} in MuJoCo's viewer. {KEYS}; close it or Ctrl-C here to end.", flush=True)
@@ -106,10 +108,6 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
                 place(show, clock.time, data, ghost, handle.user_scn)
             handle.sync()
             time.sleep(max(PERIOD - (time.perf_counter() - now), 0.0))
-    except KeyboardInterrupt:
-        pass
-    finally:
-        handle.close()
 
 
 def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: Clock) -> Any:  # noqa: ANN401
