@@ -12,6 +12,7 @@ from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.frames import look_up, turn_rates_to_body
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
+from vpptwin.estimation.held import find_held
 from vpptwin.estimation.initial import choose_span
 from vpptwin.estimation.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
@@ -61,6 +62,7 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     for each in spec.robot.tracked:
         if kinds[each.joint] == FREE and not each.led:
             vet_pushes(spec, flight, each, measurements)
+    told += [f"{line}; no force is found of that" for _, line in find_held(spec, measurements)]
     return replace(measurements, warnings=(*found.warnings, *told, *tell_cut(spans), *tell_gaps(measurements)))
 
 

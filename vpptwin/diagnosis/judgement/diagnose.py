@@ -37,6 +37,7 @@ from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
+from vpptwin.estimation.held import refuse_held
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
@@ -157,6 +158,7 @@ def prepare(
     spec = turn_as_logged(spec, flights, criteria)
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
+    refuse_held(spec, measurements)
     spec, measurements = choose_window(spec, measurements)
     spec = scale_twin(spec, measurements)
     blows = None

@@ -1,0 +1,189 @@
+"""Free bodies that something holds or drives which the model lacks: a floor, a hand, commands that nobody logged."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+
+import mujoco
+import numpy as np
+
+from vpptwin.errors import InputError
+from vpptwin.estimation.frames import BEND, FEWEST, look_up
+from vpptwin.estimation.noise import find_spread
+from vpptwin.estimation.series import Measurements
+from vpptwin.twin.manifold import difference_attitudes
+from vpptwin.twin.model import find_free, find_meeting
+from vpptwin.twin.spec import TwinSpec
+
+SLOW = 0.25
+"""Forces that are looked at for what a fluid makes of them are means over this time before and after [s]."""
+BORNE, HELD = (0.5, 1.5), 0.6
+"""Shares of its weight by which a body is held, and of the time from which on it does not fall."""
+DEPTH, PASSIVE, ROUGH = 0.05, 0.5, 1.5
+"""What rises or sinks by more [m] may be borne by a fluid, if its drag leaves less than this share of how forces vary
+(as an amplitude), or no more than so many times their noise."""
+LIQUID = 100.0
+"""Density of a medium [kg/m³] that may bear what is in it."""
+BOUNCE, GAIN, GAINS = 0.5, 0.25, 3
+"""Energy that comes back within so long [s] was a contact's; what gains this share of all that it ever has so often is
+driven: a hand throws once."""
+
+
+def refuse_held(spec: TwinSpec, measurements: Sequence[Measurements]) -> None:
+    """Refuse logs of free bodies that something holds or drives which the twin lacks: it would be found as a force.
+
+    Raises:
+        InputError: naming the first.
+    """
+    for log in measurements:
+        for body, told in find_held(spec, log):
+            raise InputError(
+                f"{log.name}: {told}", "the commands of what drives it, and what holds it in the MJCF",
+                "log the commands and list them under `actuators`, give the MJCF the floor, or whatever holds it, or "
+                f"list {body} under `driven`, so that it follows its log",
+            )  # fmt: skip
+
+
+def find_held(spec: TwinSpec, log: Measurements) -> list[tuple[str, str]]:
+    """Free bodies of which `tell_held` says something, and what."""
+    found, model = [], spec.model
+    for joint in find_free(model):
+        dof, name = int(model.jnt_dofadr[joint]), model.body(int(model.jnt_bodyid[joint])).name
+        if dof not in log.positions or dof + 3 not in log.attitudes or f"{name}.wind" in spec.effects:
+            continue
+        track, turned = [log.positions[dof + axis] for axis in range(3)], log.attitudes[dof + 3]
+        time = track[0].time
+        inside = (time >= log.start) & (time <= log.end)
+        pose = np.column_stack([*(series.value for series in track), look_up(time, turned.time, turned.value)])
+        told = tell_held(model, joint, spec.robot.signals.actuators, time[inside], pose[inside])
+        found += [(name, told)] * bool(told)
+    return found
+
+
+def tell_held(
+    model: mujoco.MjModel, joint: int, actuators: Container[str], time: np.ndarray, pose: np.ndarray
+) -> str:  # fmt: skip
+    """That a free body does not fall though nothing in the model holds it, or gains energy that nothing gives; or "".
+
+    What sinks or rises as if a fluid bore it is left alone: drag, and a steady force, are effects.
+
+    Args:
+        model: of the rig.
+        joint: of the body.
+        actuators: those whose inputs are known.
+        time: of poses (n,) s.
+        pose: position and attitude w, x, y, z, (n, 7).
+    """
+    body, strength = int(model.jnt_bodyid[joint]), float(np.linalg.norm(model.opt.gravity))
+    own, dof = model.body_treeid == model.body_treeid[body], int(model.jnt_dofadr[joint])
+    tied = model.neq or model.tendon_stiffness.any() or model.tendon_limited.any() or model.body_gravcomp[own].any()
+    if tied or len(time) < FEWEST:
+        return ""
+    name, pushes = model.body(body).name, list_pushes(model, actuators)
+    idle = not pushes[:, own[model.dof_bodyid]].any()
+    lacking = "no commands of what drives it are mapped" if idle else "its commands do not either"
+    if strength and not pushes[:, dof : dof + 3].any() and not may_be_borne(model, own):
+        held = is_held(model, time, pose[:, :3])
+        weight = float(model.body_subtreemass[body]) * strength
+        if held:
+            told = f"{name} does not fall: something bears its weight of {weight:.3g} N for {held:.0%} of the time"
+            return f"{told}; nothing in the MJCF does, and {lacking}"
+    alone = own[model.dof_bodyid].all() and not model.opt.wind.any()
+    gains = count_gains(model, joint, time, pose) if idle and alone else 0
+    return f"{name} gains energy {gains} times: something drives it, and {lacking}" if gains >= GAINS else ""
+
+
+def list_pushes(model: mujoco.MjModel, actuators: Container[str]) -> np.ndarray:
+    """What each actuator with a known input pushes by more for an input of one, (n, nv)."""
+    data, found = mujoco.MjData(model), [np.zeros(model.nv)]
+    mujoco.mj_forward(model, data)
+    still = data.qfrc_actuator.copy()
+    for i in (i for i in range(model.nu) if model.actuator(i).name in actuators):
+        data.ctrl[:] = np.arange(model.nu) == i
+        mujoco.mj_forward(model, data)
+        found.append(data.qfrc_actuator - still)
+    return np.array(found)
+
+
+def may_be_borne(model: mujoco.MjModel, own: np.ndarray) -> bool:
+    """Whether a fluid, or what they may touch, may bear bodies, `own` (nbody,) bool."""
+    if model.opt.density > LIQUID or (model.opt.density > 0.0 and model.geom_fluid[:, 0].any()):
+        return True
+    geoms = own[model.geom_bodyid]
+    return bool(find_meeting(model)[np.ix_(geoms, ~geoms)].any())
+
+
+def is_held(model: mujoco.MjModel, time: np.ndarray, place: np.ndarray) -> float:
+    """Share of the time in which a body's weight is borne, if it does not fall, nor sink as in a fluid; else 0."""
+    gravity = model.opt.gravity
+    strength = float(np.linalg.norm(gravity))
+    force, _ = differentiate(time, place, BEND, gravity)
+    share = -(force @ gravity) / strength**2
+    held = float(np.mean((share > BORNE[0]) & (share < BORNE[1]))) if len(share) >= FEWEST else 0.0
+    sinks = np.ptp(place @ gravity) > DEPTH * strength
+    passive = sinks and is_passive(
+        *differentiate(time, place, SLOW, gravity), np.sqrt(6.0) * find_noise(place) / SLOW**2
+    )
+    return 0.0 if held < HELD or passive else held
+
+
+def differentiate(
+    time: np.ndarray, place: np.ndarray, reach: float, gravity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Force by mass besides weight, and velocity, every `BEND`, from places (n, 3) `reach` [s] before and after."""
+    at = np.arange(time[0] + reach, time[-1] - reach, BEND)
+    ahead = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+    at = at[time[ahead] - time[ahead - 1] < BEND]  # no motion is read off a gap
+    before, now, after = (look_up(at + late, time, place) for late in (-reach, 0.0, reach))
+    return (before - 2.0 * now + after) / reach**2 - gravity, 0.5 * (after - before) / reach
+
+
+def find_noise(place: np.ndarray) -> float:
+    """Noise of places (n, 3) of the noisiest axis, 1 sigma [m]."""
+    return max(find_spread(column) for column in place.T)
+
+
+def is_passive(force: np.ndarray, velocity: np.ndarray, noise: float) -> bool:
+    """Whether forces (n, 3) are steady but for a drag, linear and quadratic in velocities (n, 3), and their noise."""
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    columns = np.stack([(law - law.mean(axis=0)).ravel() for law in (velocity, speed * velocity)], axis=1)
+    told = (force - force.mean(axis=0)).ravel()
+    left = told - columns @ np.linalg.lstsq(columns, told, rcond=None)[0]
+    return bool(np.std(left) < max(PASSIVE * np.std(told), ROUGH * noise))
+
+
+def count_gains(model: mujoco.MjModel, joint: int, time: np.ndarray, pose: np.ndarray) -> int:
+    """How often a free body gained a good part of all the energy that it ever had, kinetic and of its weight."""
+    at = np.arange(time[0] + BEND, time[-1] - BEND, BEND)
+    if len(at) < FEWEST:
+        return 0
+    before, now, after = (look_up(at + late, time, pose) for late in (-BEND, 0.0, BEND))
+    moved = 0.5 * (after - before)[:, :3] / BEND
+    turned = 0.5 * difference_attitudes(before[:, 3:], after[:, 3:]) / BEND
+    energy = measure_energy(model, joint, now, np.column_stack([moved, turned]))
+    width = round(BOUNCE / BEND)
+    energy = np.array([energy[max(i - width, 0) : i + width + 1].max() for i in range(len(energy))])
+    mass = float(model.body_subtreemass[model.jnt_bodyid[joint]])
+    rough = (
+        10.0 * mass * float(np.linalg.norm(moved, axis=1).max()) * find_noise(pose[:, :3]) / BEND
+    )  # what noise of velocities makes
+    gain, gains, turn, rising = max(GAIN * float(np.ptp(energy)), rough), 0, energy[0], False
+    for value in energy:
+        turn = max(turn, value) if rising else min(turn, value)
+        if abs(value - turn) > gain:
+            gains, turn, rising = gains + (not rising), value, not rising
+    return gains
+
+
+def measure_energy(model: mujoco.MjModel, joint: int, pose: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Energy of motion and weight (n,) J of a free body with poses (n, 7) and velocities (n, 6), others at rest."""
+    data, q, dof = mujoco.MjData(model), int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    energy = np.zeros(len(pose))
+    for i in range(len(pose)):
+        data.qpos[q : q + 7], data.qvel[dof : dof + 6] = pose[i], velocity[i]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_energyPos(model, data)
+        mujoco.mj_energyVel(model, data)
+        energy[i] = data.energy.sum()
+    return energy
