@@ -77,12 +77,13 @@ def tell_held(
     body, strength = int(model.jnt_bodyid[joint]), float(np.linalg.norm(model.opt.gravity))
     own, dof = model.body_treeid == model.body_treeid[body], int(model.jnt_dofadr[joint])
     tied = model.neq or model.tendon_stiffness.any() or model.tendon_limited.any() or model.body_gravcomp[own].any()
-    if tied or len(time) < FEWEST:
+    afloat = model.opt.density > LIQUID or (model.opt.density > 0.0 and model.geom_fluid[:, 0].any())
+    if tied or afloat or len(time) < FEWEST:
         return ""
     name, pushes = model.body(body).name, list_pushes(model, actuators)
     idle = not pushes[:, own[model.dof_bodyid]].any()
     lacking = "no commands of what drives it are mapped" if idle else "its commands do not either"
-    if strength and not pushes[:, dof : dof + 3].any() and not may_be_borne(model, own):
+    if strength and not pushes[:, dof : dof + 3].any() and not touches(model, own):
         held = is_held(model, time, pose[:, :3])
         weight = float(model.body_subtreemass[body]) * strength
         if held:
@@ -105,10 +106,8 @@ def list_pushes(model: mujoco.MjModel, actuators: Container[str]) -> np.ndarray:
     return np.array(found)
 
 
-def may_be_borne(model: mujoco.MjModel, own: np.ndarray) -> bool:
-    """Whether a fluid, or what they may touch, may bear bodies, `own` (nbody,) bool."""
-    if model.opt.density > LIQUID or (model.opt.density > 0.0 and model.geom_fluid[:, 0].any()):
-        return True
+def touches(model: mujoco.MjModel, own: np.ndarray) -> bool:
+    """Whether some bodies, `own` (nbody,) bool, may touch others."""
     geoms = own[model.geom_bodyid]
     return bool(find_meeting(model)[np.ix_(geoms, ~geoms)].any())
 

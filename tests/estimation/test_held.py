@@ -1,0 +1,137 @@
+"""Free bodies that a floor, a hand or motors without commands move: said, and never found as a force."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vpptwin.diagnosis.judgement.diagnose import diagnose
+from vpptwin.diagnosis.report.compare import score_twin
+from vpptwin.errors import InputError
+from vpptwin.estimation.held import find_held
+from vpptwin.estimation.measurements import read_measurements
+from vpptwin.logs.flight import Flight, Stream
+from vpptwin.logs.samples import turn_by_angles
+from vpptwin.twin import TwinSpec, load_twin
+
+TIME = np.arange(0.0, 20.0, 0.02)
+FLOOR = '<geom name="floor" type="plane" size="9 9 1"/>'
+MODEL = """<mujoco><option timestep="0.002"{option}/><worldbody>{floor}<body name="robot"><freejoint/>
+<geom type="box" size="0.2 0.15 0.05" mass="17"/><site name="imu"/>{wheel}</body></worldbody>{motors}</mujoco>"""
+WHEEL = '<body pos="0 0.2 0"><joint name="wheel" axis="0 1 0"/><geom type="cylinder" size="0.05 0.01" mass="1"/></body>'
+MOTOR = '<actuator><motor name="motor" joint="wheel"/></actuator>'
+
+
+def make_spec(
+    folder: Path, floor: str = "", option: str = "", wheel: str = "", motors: str = "", signals: str = ""
+) -> TwinSpec:
+    """A robot of 17 kg."""
+    (folder / "robot.xml").write_text(MODEL.format(floor=floor, option=option, wheel=wheel, motors=motors))
+    (folder / "twin.yaml").write_text(f"model: robot.xml\nsignals:\n  bodies: {{robot: /odom}}\n{signals}")
+    return load_twin(folder / "twin.yaml")
+
+
+def make_log(time: np.ndarray, place: np.ndarray, yaw: np.ndarray | None = None, noise: float = 5e-4) -> Flight:
+    """Its odometry, noisy."""
+    rng, yaw = np.random.default_rng(1), 0.0 * time if yaw is None else yaw
+    attitude = turn_by_angles(np.column_stack([0.0 * yaw, 0.0 * yaw, yaw + noise * rng.standard_normal(len(yaw))]))
+    pose = {"position": place + noise * rng.standard_normal(place.shape), "attitude": attitude}
+    wheel = {"wheel": Stream(time, {"position": 20.0 * place[:, 0]})}
+    inputs = {"motor": Stream(time, {"effort": np.sin(time)})}
+    joints = {"/joint_states": wheel, "/actuator_command": inputs}
+    return Flight(Path("drive.mcap"), 0, {}, joints, spatial={"/odom": Stream(time, pose)})
+
+
+def drive(height: float = 0.0) -> Flight:
+    """It drives about on a floor, or over hills, faster and slower."""
+    yaw, speed = 0.8 * np.sin(0.5 * TIME), 0.6 + 0.5 * np.sin(1.3 * TIME)
+    x, y = (np.cumsum(speed * way(yaw)) * 0.02 for way in (np.cos, np.sin))
+    return make_log(TIME, np.column_stack([x, y, 0.05 + height * np.sin(x)]), yaw)
+
+
+def throw(seconds: float, drag: float = 0.0, bounce: bool = False) -> Flight:
+    """It is thrown up and falls, in a medium, or onto a floor from which it hops; by steps of 1 ms."""
+    place, velocity, track = np.zeros(3), np.array([0.5, 0.2, 1.0]), []
+    for _ in range(round(seconds / 1e-3)):
+        velocity = velocity + 1e-3 * (np.array([0.0, 0.0, -9.81]) - drag * velocity)
+        place = place + 1e-3 * velocity
+        if bounce and place[2] < 0.0:
+            velocity = velocity * [0.9, 0.9, -0.8]
+            place[2] = -place[2]
+        track.append(place.copy())
+    return make_log(1e-2 * np.arange(len(track[::10])), np.array(track)[::10])
+
+
+def carry() -> Flight:
+    """Somebody walks about with it, as a sum of slow swings."""
+    rng = np.random.default_rng(3)
+    waves = [rng.uniform(0.05, 0.25, 3) * np.sin(rng.uniform(0.7, 4.0, 3) * TIME[:, None] + i) for i in range(6)]
+    return make_log(TIME, np.sum(waves, axis=0))
+
+
+@pytest.mark.parametrize("log", [drive(), drive(0.3), carry()], ids=["floor", "hills", "hand"])
+def test_what_holds_a_body_is_not_found_as_a_force(tmp_path: Path, log: Flight) -> None:
+    """Diagnose and compare say in a line that nothing holds it, and that commands lack; the log itself can be seen."""
+    spec = make_spec(tmp_path)
+    line = (
+        r"robot does not fall: something bears its weight of 167 N .* no commands of what drives it are mapped; .*floor"
+    )
+    with pytest.raises(InputError, match=line):
+        diagnose(spec, [log])
+    with pytest.raises(InputError, match=line):
+        score_twin(spec, [log], progress=False)
+    assert any("no force is found of that" in warning for warning in read_measurements(spec, log).warnings)
+
+
+def test_on_a_floor_without_commands_it_is_driven(tmp_path: Path) -> None:
+    """With a floor in the MJCF, or seen from above without gravity: it gains energy again and again."""
+    for given in ({"floor": FLOOR}, {"option": ' gravity="0 0 0"'}):
+        spec = make_spec(tmp_path, **given)
+        ((body, told),) = find_held(spec, read_measurements(spec, drive()))
+        assert body == "robot"
+        assert "gains energy" in told
+        assert "no commands of what drives it are mapped" in told
+
+
+def test_motors_on_wheels_do_not_hold_it_up(tmp_path: Path) -> None:
+    """With commands on wheels, but no floor, that is what the line says; with a floor all is there."""
+    signals = "  joints: {wheel: /joint_states}\n  actuators: {motor: /actuator_command}\n"
+    lacking = make_spec(tmp_path, wheel=WHEEL, motors=MOTOR, signals=signals)
+    ((_, told),) = find_held(lacking, read_measurements(lacking, drive()))
+    assert "nothing in the MJCF does" in told
+    assert "commands do not" in told
+    whole = make_spec(tmp_path, FLOOR, wheel=WHEEL, motors=MOTOR, signals=signals)
+    assert not find_held(whole, read_measurements(whole, drive()))
+
+
+@pytest.mark.parametrize(
+    ("given", "log"),
+    [
+        ({}, throw(1.5)),
+        ({}, throw(8.0, drag=4.0)),
+        ({}, throw(8.0, drag=20.0)),
+        ({"floor": FLOOR}, throw(6.0, bounce=True)),
+        ({"option": ' density="1000" viscosity="0.001"'}, drive()),
+        ({"option": ' gravity="0 0 0"'}, make_log(TIME, 0.5 * np.exp(-TIME)[:, None] * [1.0, 2.0, 0.0])),
+    ],
+    ids=["falls", "sinks", "sinks slowly", "hops", "in water", "puck"],
+)  # fmt: skip
+def test_what_falls_sinks_or_hops_is_diagnosed(tmp_path: Path, given: dict[str, str], log: Flight) -> None:
+    """Nothing is said of what its model has, or of what drag explains."""
+    spec = make_spec(tmp_path, **given)
+    assert not find_held(spec, read_measurements(spec, log))
+
+
+def test_tosses_of_a_real_cube_are_not_held(shared_data: Path, tmp_path: Path) -> None:
+    """With a table or without: they are short, and thrown."""
+    (tmp_path / "robot.xml").write_text(MODEL.format(floor=FLOOR, option="", wheel="", motors=""))
+    (tmp_path / "twin.yaml").write_text("model: robot.xml\nsignals: {bodies: {robot: /cube}}\n")
+    spec = load_twin(tmp_path / "twin.yaml")
+    for path in sorted((shared_data / "cube").glob("*.csv"))[:6]:
+        rows = np.genfromtxt(path, delimiter=",", names=True)
+        pose = {"position": np.column_stack([rows[c] for c in "xyz"]),
+                "attitude": np.column_stack([rows[f"q{c}"] for c in "wxyz"])}  # fmt: skip
+        log = Flight(path, 0, {}, {}, spatial={"/cube": Stream(rows["time"], pose)})
+        assert not find_held(spec, read_measurements(spec, log))
