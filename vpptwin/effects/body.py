@@ -10,6 +10,10 @@ from vpptwin.effects.base import Body, Constants, Effect, Site, Stage
 from vpptwin.effects.parameter import Parameter, Prior
 
 AXES = ("x", "y", "z")
+WEIGHT = 9.81
+"""By which a force tells how much mass it carries [m/s²]."""
+MASSES = 10.0
+"""Factor at most on bounds of masses before a log: models tell these better than forces."""
 BODY_SHOWS = ("/pose", "/imu")
 """Signals in which they show: a body's pose and its IMU."""
 
@@ -26,6 +30,7 @@ class FreeBody:
         force, torque: that typically drive, accelerate or weigh on it [N], [N m].
         speed: that it typically reaches [m/s].
         shift: of its centre of mass that would show [m]; 0 for a share of its size.
+        room: factor on bounds, as `Place` has it.
     """
 
     name: str
@@ -36,6 +41,7 @@ class FreeBody:
     torque: float
     speed: float
     shift: float = 0.0
+    room: float = 1.0
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
@@ -99,7 +105,8 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
         )  # fmt: skip
 
     mass = Parameter(
-        name="mass", unit="kg", off=0.0, low=-0.8 * body.mass, high=4.0 * body.mass, size=0.05 * body.mass,
+        name="mass", unit="kg", off=0.0, low=-0.8 * body.mass, size=0.05 * body.mass,
+        high=4.0 * max(body.mass, body.force / WEIGHT) * min(body.room, MASSES),
         tolerance=0.0025 * body.mass, prior=Prior("normal", 0.0, 0.1 * body.mass), source=source,
     )  # fmt: skip
     moments = tuple(
@@ -107,9 +114,9 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
                   prior=Prior("normal", 1.0, 0.2), source=source)
         for axis in AXES
     )  # fmt: skip
-    damping = body.force / body.speed
+    damping, windy, twisted = body.force / body.speed, *(2.0 * body.room * each for each in (body.force, body.torque))
     drag = tuple(
-        Parameter(name=way, unit="N s/m", off=0.0, low=0.0, high=2.0 * damping, size=0.02 * damping,
+        Parameter(name=way, unit="N s/m", off=0.0, low=0.0, high=2.0 * damping * body.room, size=0.02 * damping,
                   tolerance=0.001 * damping, prior=Prior("halfnormal", 0.0, 0.05 * damping), source=source)
         for way in ("along", "across")
     )  # fmt: skip
@@ -123,7 +130,7 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
         add("drag", "drag of the air on", "-(along v_z + across v_xy) in its axes", drag, ("wind",), "velocity",
             apply_drag),
         add("wind", "a steady force on", "+(x, y, z) in the world's axes",
-            along_axes("N", 0.0, 2.0 * body.force, 0.02 * body.force), ("mass", "drag"), "position", apply_wind),
+            along_axes("N", 0.0, windy, 0.02 * body.force), ("mass", "drag"), "position", apply_wind),
         add("twist", "a steady torque on", "+(x, y, z) about its axes",
-            along_axes("N m", 0.0, 2.0 * body.torque, 0.02 * body.torque), ("com",), "position", apply_twist),
+            along_axes("N m", 0.0, twisted, 0.02 * body.torque), ("com",), "position", apply_twist),
     )  # fmt: skip

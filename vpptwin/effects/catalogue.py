@@ -108,8 +108,11 @@ GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
 GENERIC_SIZE = 0.02
 """Secant size there, as a share of a joint's typical force: a free pivot's friction is far below what moves it."""
-GENERIC_ROOM = 100.0
-"""Factor on bounds of forces where no log has told yet what a joint's typical force is."""
+GENERIC_ROOM = 1e4
+"""Factor on bounds where no log has told yet what is typical: of the largest force on any joint of the rig.
+
+They tell what a twin may have from what none can, such as values in another unit. A search keeps within them, so that
+whatever it finds is a twin."""
 INPUT_ROOM = 1e6
 """The same of control inputs, whose unit nobody knows."""
 

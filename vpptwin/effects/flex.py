@@ -58,7 +58,7 @@ def lugre(
     size = give / place.scale
     parameter = Parameter(
         name="compliance", unit=f"{length}/({unit})" if place.rotary else f"{length}/{unit}", off=0.0, low=0.0,
-        high=10.0 * size * place.room**2, prior=Prior("halfnormal", 0.0, 0.5 * size), size=size, tolerance=0.1 * size,
+        high=10.0 * size * place.room, prior=Prior("halfnormal", 0.0, 0.5 * size), size=size, tolerance=0.1 * size,
         source="assumption: gives 0.5 mm (10 mrad) under the typical force",
     )  # fmt: skip
     return Effect(

@@ -57,11 +57,12 @@ def coulomb(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Breakaway friction on a joint, with the Stribeck curve that leads down to sliding friction F_c."""
     unit, speed, typical = ("N m", "rad/s", 0.2) if place.rotary else ("N", "m/s", 0.05)
+    most = 10.0 * typical * place.room
     force = place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
     force = replace(force, tolerance=BREAKAWAY * force.tolerance)
     velocity = Parameter(
-        name="velocity", unit=speed, off=typical, low=0.1 * typical, high=10.0 * typical,
-        prior=Prior("normal", typical, 0.2 * typical), size=0.4 * typical, tolerance=10.0 * typical,
+        name="velocity", unit=speed, off=typical, low=0.1 * typical / place.room, high=most,
+        prior=Prior("normal", typical, 0.2 * typical), size=0.4 * typical, tolerance=most,
         source="assumption: breakaway is over at a slow creep",
     )  # fmt: skip
     return Effect(

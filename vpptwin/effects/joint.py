@@ -34,7 +34,7 @@ class Place:
         travel: how far from its `middle` it gets; 0 for not known [m, rad].
         middle: position midway along its travel [m, rad].
         carried: mass or moment of inertia that it moves; 0 for what `scale` would accelerate typically [kg, kg m²].
-        room: factor on bounds of forces: what a YAML may say has more room than what a diagnosis looks through.
+        room: factor on bounds: what a YAML may say has more room than what a diagnosis looks through.
         driven: whether an actuator acts on it.
         dof: its degree of freedom.
         stepped: inertia that the engine's step seems to add [kg, kg m²].
@@ -146,11 +146,11 @@ def bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Elastic force on a joint."""
     unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
-    travel = place.travel or 1.0
+    travel, most = place.travel or 1.0, place.room * max(reach, abs(place.middle) + 2.0 * place.travel)
     stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3), travel)
     rest = Parameter(
-        name="rest", unit=length, off=0.0, low=-reach, high=reach, prior=Prior("normal", 0.0, 0.1 * reach),
-        size=0.1 * reach, tolerance=reach, source="assumption: anywhere a joint gets to, mostly midway",
+        name="rest", unit=length, off=0.0, low=-most, high=most, prior=Prior("normal", 0.0, 0.1 * reach),
+        size=0.1 * reach, tolerance=most, source="assumption: anywhere a joint gets to, mostly midway",
     )  # fmt: skip
     return Effect(
         f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
@@ -196,9 +196,10 @@ def fade(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def inertia(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Mass or moment of inertia that a joint moves besides what the model says."""
     kind, unit = ("moment of inertia", "kg m^2") if place.rotary else ("mass", "kg")
-    carried = place.carried or place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
+    driven = place.scale / (HINGE_ACCELERATION if place.rotary else SLIDE_ACCELERATION)
+    carried = place.carried or driven
     parameter = Parameter(
-        name="inertia", unit=unit, off=0.0, low=-0.8 * carried, high=20.0 * carried,
+        name="inertia", unit=unit, off=0.0, low=-0.8 * carried, high=20.0 * max(carried, driven) * place.room,
         prior=Prior("normal", 0.0, 0.2 * carried), size=0.05 * carried,
         tolerance=0.005 * carried + place.stepped, source="assumption: shares of what the joint carries, 20 % likely",
     )  # fmt: skip

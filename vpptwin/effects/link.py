@@ -28,6 +28,9 @@ class Link:
     ways: str = ""  # axes of the body along which it shows where its centre of mass is, such as "xz"
     lever: float = 0.1  # at which its weight is what typically drives its hinge [m]
     hinge: str = ""  # that turns it
+    load: float = 0.0  # that the joints may carry there, by the mass of the whole arm and what drives it [kg]
+    span: float = 0.1  # half of how far the longest body of the arm gets from its joint [m]
+    room: float = 1.0  # factor on bounds of masses
 
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
@@ -93,8 +96,8 @@ def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
     for link in links:
         source, size = "assumption: shares of what the model has", 0.05 * link.mass
         mass = Parameter(
-            name="mass", unit="kg", off=0.0, low=-0.8 * link.mass, high=4.0 * link.mass, size=size,
-            tolerance=0.05 * size, prior=Prior("normal", 0.0, 2.0 * size), source=source,
+            name="mass", unit="kg", off=0.0, low=-0.8 * link.mass, high=link.room * max(4.0 * link.mass, link.load),
+            size=size, tolerance=0.05 * size, prior=Prior("normal", 0.0, 2.0 * size), source=source,
         )  # fmt: skip
         kinds = ("mass", *(("com",) if link.ways else ()), *(("payload",) if link.tip else ()))
         alike = {kind: tuple(f"{link.name}.{other}" for other in kinds if other != kind) for kind in kinds}
@@ -107,12 +110,13 @@ def effects_for_links(links: Iterable[Link]) -> tuple[Effect, ...]:
         if link.tip is None:
             continue
         held = Parameter(
-            name="mass", unit="kg", off=0.0, low=0.0, high=10.0 * link.mass, size=size, tolerance=0.05 * size,
-            prior=Prior("halfnormal", 0.0, 4.0 * size), source=source,
+            name="mass", unit="kg", off=0.0, low=0.0, high=link.room * max(10.0 * link.mass, link.load), size=size,
+            tolerance=0.05 * size, prior=Prior("halfnormal", 0.0, 4.0 * size), source=source,
         )  # fmt: skip
+        far = 2.0 * max(link.reach, link.span)  # a tool may be longer than what holds it
         place = tuple(
-            Parameter(name=f"place_{axis}", unit="m", off=at, low=at - 2.0 * link.reach, high=at + 2.0 * link.reach,
-                      size=0.3 * link.reach, tolerance=8.0 * link.reach, prior=Prior("normal", at, 0.3 * link.reach),
+            Parameter(name=f"place_{axis}", unit="m", off=at, low=at - far, high=at + far,
+                      size=0.3 * link.reach, tolerance=4.0 * far, prior=Prior("normal", at, 0.3 * link.reach),
                       source="assumption: at the far end of the link")
             for axis, at in zip(AXES, link.tip)
         )  # fmt: skip

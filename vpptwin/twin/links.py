@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 
 from vpptwin.effects import Link
+from vpptwin.effects.body import WEIGHT
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.model import HINGE
 
-WEIGHT = 9.81
-"""By which a force on a hinge is told as where a weight pulls [m/s²]."""
 
-
-def list_links(model: mujoco.MjModel, forces: np.ndarray, led: np.ndarray, apart: Container[str]) -> list[Link]:
+def list_links(
+    model: mujoco.MjModel, forces: np.ndarray, led: np.ndarray, apart: Container[str], room: float = 1.0
+) -> list[Link]:  # fmt: skip
     """The bodies whose mass and its place show, and where the last ones of a chain may carry something.
 
     Args:
@@ -24,6 +24,7 @@ def list_links(model: mujoco.MjModel, forces: np.ndarray, led: np.ndarray, apart
         forces: typical of every degree of freedom, (nv,) N, N m.
         led: degrees of freedom that follow their log.
         apart: names of bodies that fly or turn freely, whose centres of mass have effects of their own.
+        room: factor on bounds of masses.
     """
     found = []
     for body in list_swung(model, led):
@@ -41,8 +42,24 @@ def list_links(model: mujoco.MjModel, forces: np.ndarray, led: np.ndarray, apart
             balanced = list_balanced(model, body, 0.1 * reach, led)
             ways = "".join(axis for axis, nothing in zip("xyz", balanced) if not nothing)
         lever = float(forces[model.jnt_dofadr[joint]]) / (WEIGHT * mass)
-        found.append(Link(name, mass, tip, reach, ways, min(lever, reach), str(model.joint(joint).name)))
+        load, span = measure_load(model, body, forces)
+        turned = str(model.joint(joint).name)
+        found.append(Link(name, mass, tip, reach, ways, min(lever, reach), turned, load, span, room))
     return found
+
+
+def measure_load(model: mujoco.MjModel, body: int, forces: np.ndarray) -> tuple[float, float]:
+    """What the joints of a body's tree may carry [kg], and half of how far its longest body reaches [m].
+
+    Twice the tree's mass, or what the forces on its hinges (nv,) hold up level; the body itself may be but a flange.
+    """
+    tree = np.flatnonzero(model.body_treeid == model.body_treeid[body])
+    reach = {int(each): measure_reach(model, int(each)) or 0.1 for each in tree}
+    held = [
+        float(forces[model.jnt_dofadr[joint]]) / (WEIGHT * reach[int(model.jnt_bodyid[joint])])
+        for joint in np.flatnonzero(np.isin(model.jnt_bodyid, tree) & (model.jnt_type == HINGE))
+    ]
+    return max(2.0 * float(model.body_mass[tree].sum()), *held, 0.0), max(reach.values())
 
 
 def list_swung(model: mujoco.MjModel, led: np.ndarray) -> list[int]:

@@ -269,6 +269,23 @@ def typical_forces(model: mujoco.MjModel) -> np.ndarray:
     return np.asarray(np.diag(inertia_at_rest(model)) * typical)
 
 
+def strongest_forces(model: mujoco.MjModel) -> np.ndarray:
+    """What any joint of a degree of freedom's kind, or any limited drive, may exert at most, (nv,) N, N m.
+
+    A wrist that weighs nothing bears what the arm before it, or a tool on it, does.
+    """
+    typical, rotary, gain = typical_forces(model), tell_rotary(model), model.actuator_gainprm[:, :1]
+    limits = [
+        np.where(np.array(limited, bool)[:, None], np.abs(given), 0.0).max(axis=1, initial=0.0)
+        for limited, given in (
+            (model.actuator_forcelimited, model.actuator_forcerange),
+            (model.actuator_ctrllimited, gain * model.actuator_ctrlrange),
+        )
+    ]
+    drives = float((np.abs(model.actuator_gear).max(axis=1, initial=0.0) * np.max(limits, axis=0)).max(initial=0.0))
+    return np.array([max(typical[rotary == kind].max(), drives) for kind in rotary])
+
+
 def hold_joints(model: mujoco.MjModel, dofs: np.ndarray) -> mujoco.MjModel:
     """A copy of the model whose degrees of freedom `dofs` are so heavy that only what is meant to lead moves them."""
     held = copy.copy(model)

@@ -27,6 +27,7 @@ from vpptwin.effects import (
     sensing,
 )
 from vpptwin.effects.actuator import list_loop_effects
+from vpptwin.effects.body import MASSES
 from vpptwin.effects.catalogue import GENERIC_ROOM, INPUT_ROOM, tie_alike
 from vpptwin.effects.contact import effects_for_contacts
 from vpptwin.effects.joint import JOINT_SHOWS
@@ -48,6 +49,7 @@ from vpptwin.twin.model import (
     find_floating,
     find_free,
     find_meeting,
+    strongest_forces,
     tell_rotary,
     tells_mount,
     typical_forces,
@@ -268,14 +270,14 @@ class Robot:
         apart += self.list_misread()
         about = {name: self.list_loop(i) for i, name in enumerate(names)}
         whole = tuple(name for name in names if name in self.signals.actuators)
-        links = list_links(model, self.forces, self.driven, {body.name for body in free.values()})
+        told = {body.name for body in free.values()}
+        links = list_links(model, self.forces, self.driven, told, MASSES if loads is None else 1.0)
         more = about, group_rotors(model), links, tells_mount(model), self.list_contacts(), whole, group_drives(model)
         if loads is None:
-            unit = {name: 1.0 for name in names if name}
-            places = [
-                generic_place(*joint, driven=is_geared(model, joint[0]), dof=self.find_dof(joint[0]))
-                for joint in joints
-            ]
+            unit, places = {name: 1.0 for name in names if name}, []
+            for name, rotary, typical in joints:
+                dof, driven = self.find_dof(name), is_geared(model, name)
+                places.append(generic_place(name, rotary, typical, room=self.find_room(dof), driven=driven, dof=dof))
             return self.tie_signals((*effects_for_rig(places, unit, INPUT_ROOM, *more), *apart))
         places, stepped = [], step_inertia(model)
         for name, rotary, _ in joints:
@@ -303,6 +305,15 @@ class Robot:
         if effect.target in self.signals.turned:
             return effect.id.rsplit(".", 1)[1] in (*TURNING, "misalignment")
         return effect.target in sites or any(effect.target in group for group in groups)
+
+    def find_room(self, dof: int) -> float:
+        """Factor on the bounds of effects on a degree of freedom: 1 once logs tell how large they may be."""
+        return 1.0 if self.loads else GENERIC_ROOM * float(self.strongest[dof] / self.forces[dof])
+
+    @cached_property
+    def strongest(self) -> np.ndarray:
+        """Largest force that anything like a degree of freedom may bear, (nv,) N, N m."""
+        return strongest_forces(self.model)
 
     def find_dof(self, joint: str) -> int:
         """Degree of freedom of a joint."""
@@ -389,7 +400,7 @@ class Robot:
             weight = mass * float(np.linalg.norm(model.opt.gravity))
             hangs = model.jnt_type[joint] != FREE and weight > 0.0  # its weight turns it, were it not balanced
             shift = min(0.05 * size, 0.02 * twist / weight) if hangs else 0.0
-            found[joint] = FreeBody(name, mass, inertia, size, push, twist, speed, shift)
+            found[joint] = FreeBody(name, mass, inertia, size, push, twist, speed, shift, self.find_room(turn))
         return found
 
     def list_of_body(self, joint: int, body: FreeBody) -> list[Effect]:
@@ -402,8 +413,7 @@ class Robot:
         if not name:
             return held
         speed = 1.0 if self.loads is None else float(self.loads.speed[dof : dof + 3].max())
-        told = ("", GENERIC_ROOM) if self.loads is None else ("the log", 1.0)
-        place = generic_place(name, True, body.torque, *told, speed=speed)
+        place = generic_place(name, True, body.torque, "the log" if self.loads else "", body.room, speed=speed)
         return [*effects_for_ball(place, tuple(self.name_dof(dof + i) for i in range(3))), *held]
 
     def name_dof(self, dof: int) -> str:
