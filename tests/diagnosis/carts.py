@@ -10,6 +10,7 @@ import numpy as np
 from tests.diagnosis.rigs import CARTS, LOG_EVERY, STEP, Track, write_rig
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
+from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import list_unknowns
@@ -45,7 +46,8 @@ def cut(spec: TwinSpec, flight: Measurements, starts: Sequence[float] | np.ndarr
 
 
 def open_search(spec: TwinSpec, flight: Measurements) -> Search:
-    """A search on the windows that are fitted."""
+    """A search on the windows that are fitted, within the bounds that the flight asks for."""
+    spec = scale_twin(spec, [flight])
     return Search(cut(spec, flight, FITTED), list_unknowns(spec))
 
 

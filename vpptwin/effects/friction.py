@@ -57,12 +57,12 @@ def coulomb(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def stiction(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Breakaway friction on a joint, with the Stribeck curve that leads down to sliding friction F_c."""
     unit, speed, typical = ("N m", "rad/s", 0.2) if place.rotary else ("N", "m/s", 0.05)
-    most = 10.0 * typical * place.room
     force = place.parameter("force", unit, 0.0, 2.0, Prior("halfnormal", 0.0, 0.1))
     force = replace(force, tolerance=BREAKAWAY * force.tolerance)
     velocity = Parameter(
-        name="velocity", unit=speed, off=typical, low=0.1 * typical / place.room, high=most,
-        prior=Prior("normal", typical, 0.2 * typical), size=0.4 * typical, tolerance=most,
+        name="velocity", unit=speed, off=typical, low=0.1 * typical / place.room,
+        high=10.0 * typical * place.room,
+        prior=Prior("normal", typical, 0.2 * typical), size=0.4 * typical, tolerance=10.0 * typical,
         source="assumption: breakaway is over at a slow creep",
     )  # fmt: skip
     return Effect(
@@ -107,10 +107,10 @@ def tight_spot(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
         (
             place.parameter("force", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.1)),
             Parameter(name="place", unit=length, off=at, low=at - 2.0 * reach * room, high=at + 2.0 * reach * room,
-                      prior=Prior("normal", at, 0.5 * reach), size=0.05 * reach, tolerance=2.0 * reach * room,
+                      prior=Prior("normal", at, 0.5 * reach), size=0.05 * reach, tolerance=2.0 * reach,
                       source="assumption: anywhere, most likely halfway along"),
             Parameter(name="width", unit=length, off=0.1 * reach, low=0.02 * reach / room, high=0.5 * reach * room,
-                      prior=Prior("normal", 0.1 * reach, 0.02 * reach), size=0.03 * reach, tolerance=0.5 * reach * room,
+                      prior=Prior("normal", 0.1 * reach, 0.02 * reach), size=0.03 * reach, tolerance=0.5 * reach,
                       source="assumption: a tenth of half the travel"),
         ),
         Stage.FRICTION, apply_tight_spot, JOINT_SHOWS, look_alikes, (), place.joint, dissipative=True,

@@ -146,11 +146,12 @@ def bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
 def spring(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     """Elastic force on a joint."""
     unit, reach, length = ("N m/rad", 3.2, "rad") if place.rotary else ("N/m", 2.0, "m")
-    travel, most = place.travel or 1.0, place.room * max(reach, abs(place.middle) + 2.0 * place.travel)
+    travel, most = place.travel or 1.0, max(reach, abs(place.middle) + 2.0 * place.travel)
     stiffness = place.parameter("stiffness", unit, 0.0, 5.0, Prior("halfnormal", 0.0, 0.3), travel)
     rest = Parameter(
-        name="rest", unit=length, off=0.0, low=-most, high=most, prior=Prior("normal", 0.0, 0.1 * reach),
-        size=0.1 * reach, tolerance=most, source="assumption: anywhere a joint gets to, mostly midway",
+        name="rest", unit=length, off=0.0, low=-most * place.room, high=most * place.room,
+        prior=Prior("normal", 0.0, 0.1 * reach), size=0.1 * reach, tolerance=most,
+        source="assumption: anywhere a joint gets to, mostly midway",
     )  # fmt: skip
     return Effect(
         f"{place.joint}.spring", f"an elastic force {place.where}", "-stiffness (q - rest)", (stiffness, rest),
@@ -164,7 +165,7 @@ def cogging(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
     waves = Parameter(
         name="waves", unit=per, off=3.0 / reach, low=0.4 / reach / place.room,
         high=15.0 / reach * place.room,
-        prior=Prior("normal", 3.0 / reach, 1.0 / reach), size=0.05 / reach, tolerance=15.0 / reach * place.room,
+        prior=Prior("normal", 3.0 / reach, 1.0 / reach), size=0.05 / reach, tolerance=15.0 / reach,
         source="assumption: a handful of teeth along the way",
     )  # fmt: skip
     phase = Parameter(

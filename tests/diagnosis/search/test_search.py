@@ -150,15 +150,15 @@ def test_nothing_is_missed_beside_it(rubbing: Search, step: Step) -> None:
 
 
 def test_friction_is_judged_by_its_own_response(rubbing: Search) -> None:
-    """What sticks hardly feels where it started: its own response or a far likelier one; damping keeps the old."""
+    """What sticks hardly feels where it started: its own response or a far likelier one; a bias keeps the old."""
     start = rubbing.start
-    force, damping = {("slide.coulomb", "force"): FRICTION}, {("slide.viscous", "damping"): 1.5}
+    force, bias = {("slide.coulomb", "force"): FRICTION}, {("slide.bias", "force"): 0.1}
     stuck = rubbing.fit(frozenset({"slide.coulomb"}), force, start.about)
     alone = rubbing.judge_alone(stuck)
     assert alone.likelihood.response.push is not start.likelihood.response.push or alone.evidence_against(stuck) >= 0.0
     assert alone.evidence_against(stuck) > -CRITERIA.yielding
-    damped = rubbing.fit(frozenset({"slide.viscous"}), damping, start.about)
-    assert rubbing.judge_alone(damped).likelihood.response.push is start.likelihood.response.push
+    pushed = rubbing.fit(frozenset({"slide.bias"}), bias, start.about)
+    assert rubbing.judge_alone(pushed).likelihood.response.push is start.likelihood.response.push
 
 
 def test_fits_go_downhill(rubbing: Search) -> None:

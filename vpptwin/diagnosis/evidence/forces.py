@@ -127,7 +127,12 @@ def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec
     """The twin with sizes, bounds and disturbances of effects that suit what the logs show of its rig."""
     if spec.robot.disturbance.known:  # and its scales with it
         return spec
-    robot = spec.robot.scale(measure_loads(spec, measure_forces(spec, measurements)))
+    return scale_to(spec, measure_loads(spec, measure_forces(spec, measurements)))
+
+
+def scale_to(spec: TwinSpec, loads: Loads) -> TwinSpec:
+    """The twin with sizes, bounds and disturbances of effects by the scales of a rig."""
+    robot = spec.robot.scale(loads)
     scaled = {effect.id: effect for effect in robot.list_effects()}
     catalogue = []
     for effect in spec.catalogue:

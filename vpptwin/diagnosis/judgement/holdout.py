@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from vpptwin.covariance import logdet, solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation, keep_last
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
@@ -133,8 +134,8 @@ class HeldOut:
         for _ in range(REWEIGHTED):
             weighed = moved * self._temper(left - np.tensordot(step, moved, 1))[1][:, None]
             hessian = np.eye(len(axes)) + np.einsum("ikm,jkm->ij", weighed, moved)
-            step = np.linalg.solve(hessian, np.einsum("ikm,km->i", weighed, left))
-        price, away = float(np.linalg.slogdet(hessian)[1]), float(step @ step)
+            step = solve(hessian, np.einsum("ikm,km->i", weighed, left))
+        price, away = float(logdet(hessian)), float(step @ step)
         found = shift_track(bench, self._move(fit, axes @ step), likelihood.response)
         there = likelihood.whiten(likelihood.response.restore(*found)) / unit
         better = self._temper(there)[0].sum() + away < self._temper(left)[0].sum()

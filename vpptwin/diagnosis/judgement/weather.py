@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.signal import lombscargle
 
+from vpptwin.covariance import factor, solve
 from vpptwin.diagnosis.criteria import Criteria
 
 FOLDS = 4
@@ -51,8 +52,8 @@ class Gusts:
     def whiten(self, rows: np.ndarray) -> np.ndarray:
         """What acts on the innovations as rows (n, m) act on the force."""
         white = np.empty_like(rows)
-        for pulses, factor in self.factors:
-            white[pulses] = solve_triangular(factor, rows[pulses], lower=True, check_finite=False)
+        for pulses, root in self.factors:
+            white[pulses] = solve_triangular(root, rows[pulses], lower=True, check_finite=False)
         return white
 
 
@@ -65,7 +66,7 @@ def fit_gusts(force: np.ndarray, time: np.ndarray, flight: np.ndarray, longest: 
             for name in np.unique(flight):
                 pulses = np.flatnonzero(flight == name)
                 alike = np.exp(-np.abs(time[pulses, None] - time[pulses]) / memory)
-                factors.append((pulses, np.linalg.cholesky(alike + roughness * np.eye(len(pulses)))))
+                factors.append((pulses, factor(alike + roughness * np.eye(len(pulses)))))
                 surprise += 2.0 * float(np.log(np.diag(factors[-1][1])).sum())
             raw = Gusts(float(memory), factors, force)
             white = raw.whiten(force[:, None])[:, 0]
@@ -109,7 +110,7 @@ def foretell(gusts: Gusts, quantity: np.ndarray, bins: int, fold: np.ndarray) ->
         learnt = rows[fold != i]
         gram = learnt.T @ learnt
         gram += np.eye(bins) * np.trace(gram) / bins / SHRUNK
-        predicted[fold == i] = rows[fold == i] @ np.linalg.solve(gram, learnt.T @ gusts.innovations[fold != i])
+        predicted[fold == i] = rows[fold == i] @ solve(gram, learnt.T @ gusts.innovations[fold != i])
     total = float((gusts.innovations**2).sum())
     return 1.0 - float(((gusts.innovations - predicted) ** 2).sum()) / total if total > 0.0 else 0.0
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vpptwin.covariance import solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
@@ -39,7 +40,7 @@ def missing_wrench(bench: Bench, response: Response, residual: np.ndarray) -> np
     white = response.sensors.apply(residual)
     columns = response.sensors.apply(np.moveaxis(response.push, 2, 0))
     gram = np.einsum("pkm,qkm->kpq", columns, columns) + np.eye(len(columns)) / bench.criteria.missing_force**2
-    share = np.linalg.solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
+    share = solve(gram, np.einsum("pkm,km->kp", columns, white)[..., None])[..., 0]
     return share.reshape(len(residual), bench.segments, -1) * gust_std(bench)
 
 

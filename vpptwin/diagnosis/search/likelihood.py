@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
 from vpptwin.cores import in_parts, map_rows
+from vpptwin.covariance import factor, invert, logdet
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
 
@@ -168,8 +169,8 @@ class Likelihood:
     def _stretched(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Stretches of as many windows each, side by side: windows (n, w), inverses of the factors (n, w G, w G)."""
         alike = defaultdict[int, list[tuple[np.ndarray, np.ndarray]]](list)
-        for windows, factor in self.stretches:
-            alike[len(windows)].append((windows, factor))
+        for windows, root in self.stretches:
+            alike[len(windows)].append((windows, root))
         pairs = [tuple(map(np.stack, zip(*each))) for each in alike.values()]
         return [(windows, invert_factors(factors)) for windows, factors in pairs]
 
@@ -232,9 +233,9 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
     """
     size = response.triangles.shape[1]
     time, stretches = middles_of_segments(bench), list_stretches(bench)
-    factors, logdet = [np.empty(0)] * len(stretches), response.sensors.logdet.copy()
+    factors, sizes = [np.empty(0)] * len(stretches), response.sensors.logdet.copy()
     if storm is not None:
-        logdet += price_of_storm(storm, size, bench.criteria.tails)
+        sizes += price_of_storm(storm, size, bench.criteria.tails)
 
     def couple(begin: int, end: int) -> None:
         for number, part in enumerate(stretches[begin:end], begin):
@@ -245,11 +246,11 @@ def couple_gusts(bench: Bench, response: Response, gust: np.ndarray, storm: np.n
             rows = np.zeros((len(part) * size, len(part) * size))
             for i, k in enumerate(part):
                 rows[i * size : (i + 1) * size, i * size : (i + 1) * size] = response.triangles[k]
-            factors[number] = np.linalg.cholesky(np.eye(len(rows)) + rows @ prior @ rows.T)
-            logdet[part] += 2.0 * np.log(np.diag(factors[number])).reshape(len(part), -1).sum(axis=1)
+            factors[number] = factor(np.eye(len(rows)) + rows @ prior @ rows.T)
+            sizes[part] += 2.0 * np.log(np.diag(factors[number])).reshape(len(part), -1).sum(axis=1)
 
     in_parts(couple, len(stretches), least=max(MUCH // size**3, 1))
-    return Likelihood(response, gust, list(zip(stretches, factors)), logdet, storm)
+    return Likelihood(response, gust, list(zip(stretches, factors)), sizes, storm)
 
 
 def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: float = 1.0) -> np.ndarray:
@@ -273,7 +274,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         variance = np.exp(2.0 * log_gust)
         blown = (variance * spread).reshape(count, size, -1)
         covariance = np.eye(size) + blown @ np.swapaxes(response.triangles, 1, 2)
-        inverse = map_rows(np.linalg.inv, covariance, least=least)
+        inverse = map_rows(invert, covariance, least=least)
         white = np.einsum("kgf,kf->kg", inverse, along)
         square = (white * along).sum(axis=1) / scale
         # Student's t: a window that goes astray must not make a storm.
@@ -283,7 +284,7 @@ def tune_gust(bench: Bench, response: Response, residual: np.ndarray, scale: flo
         asked = np.einsum("kgia,kgia->a", (inverse @ response.triangles).reshape(pulses.shape), spread)
         slope = 2.0 * variance * (asked - np.einsum("kia,kia,k->a", pushed, shared, weight))
         doubt = log_gust / criteria.gust_doubt
-        total = heavy.sum() + np.linalg.slogdet(covariance)[1].sum() + (doubt**2).sum()
+        total = heavy.sum() + logdet(covariance).sum() + (doubt**2).sum()
         return float(total), slope + 2.0 * doubt / criteria.gust_doubt
 
     low, high = np.log(criteria.least_gust), np.log(bench.spec.robot.disturbance.most)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vpptwin.covariance import factor, solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track
 from vpptwin.diagnosis.search.likelihood import (
@@ -25,8 +26,6 @@ BRIEFLY, STRIDES, ENOUGH = 3, 3, 0.01
 whose drop is enough to go on."""
 SHIFTED = 3
 """Times at most that a track is shifted to another twin's."""
-ROUNDING = 1e-12
-"""Share of the largest entry that is added to a matrix that is not regular to rounding."""
 
 
 def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:
@@ -37,7 +36,7 @@ def spread_gusts(bench: Bench, gust: np.ndarray) -> np.ndarray:
         gust: strength of the pulses as a multiple of what is assumed, (nv,).
     """
     alike = likeness_of_gusts(bench, middles_of_segments(bench))
-    root = np.linalg.cholesky(alike + 1e-9 * np.eye(bench.segments))
+    root = factor(alike + 1e-9 * np.eye(bench.segments))
     size = bench.segments * bench.spec.model.nv
     return np.einsum("kij,ab->kiajb", root, np.diag(gust)).reshape(len(alike), size, size)
 
@@ -78,11 +77,7 @@ class Path:
         gram = turned @ columns + (1.0 + held[..., None]) * np.eye(columns.shape[2])
         target = turned @ (missed / self.bench.std)[..., None]
         goal = target + (held * at)[..., None]
-        try:
-            return np.linalg.solve(gram, goal)[..., 0]
-        except np.linalg.LinAlgError:  # a twin that runs away leaves nothing of the prior beside its own rounding
-            most = np.abs(gram).max(axis=(1, 2), keepdims=True)
-            return np.linalg.solve(gram + ROUNDING * most * np.eye(gram.shape[1]), goal)[..., 0]
+        return solve(gram, goal)[..., 0]  # of a twin that runs away rounding leaves nothing of the prior
 
     def cost(self, missed: np.ndarray, found: np.ndarray) -> np.ndarray:
         """Square of what is missed about a path, (K, M), and of the path, both in units of their prior, (K,)."""

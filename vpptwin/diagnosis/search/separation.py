@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from vpptwin.covariance import solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.search.likelihood import build_likelihood
@@ -75,7 +76,7 @@ def refit_misfit(misfit: np.ndarray, columns: np.ndarray, width: np.ndarray, sha
     scaled = columns * width[:, None]
     along = share * scaled @ misfit
     hessian = np.eye(len(width)) + share * scaled @ scaled.T
-    return max(float(share * misfit @ misfit - along @ np.linalg.solve(hessian, along)), 0.0)
+    return max(float(share * misfit @ misfit - along @ solve(hessian, along)), 0.0)
 
 
 def relate(hypotheses: Sequence[Hypothesis], unknowns: Sequence[Unknown]) -> set[str]:

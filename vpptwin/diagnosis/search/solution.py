@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 from scipy.optimize import lsq_linear
 
+from vpptwin.covariance import factor, invert, invert_mended, logdet
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.suspects import Unknown
@@ -43,7 +44,7 @@ class Solution:
         """Of all parameters, (P, P), 0 for those that stay."""
         moving, result = self.unit > 0.0, np.zeros((len(self.unit), len(self.unit)))
         unit = self.unit[moving]
-        result[np.ix_(moving, moving)] = np.linalg.inv(self.hessian) * unit[:, None] * unit
+        result[np.ix_(moving, moving)] = invert(self.hessian) * unit[:, None] * unit
         return result
 
 
@@ -104,9 +105,6 @@ def solve_bounded(
         target: (n,).
         bounds: lower and upper ones, (n,) each.
         held: which are believed to lie at their bounds; None for none.
-
-    Raises:
-        numpy.linalg.LinAlgError: if `hessian` is not positive definite.
     """
     low, high = bounds
     size = np.abs(hessian)
@@ -116,9 +114,11 @@ def solve_bounded(
         free = ~(below | above)
         x = np.where(below, low, np.where(above, high, 0.0))
         pulled = target - hessian @ x
-        x[free], failed = dposv(hessian[free][:, free], pulled[free])[1:] if free.any() else (0.0, 0)
-        if failed:
-            raise np.linalg.LinAlgError(f"order {failed} of the matrix is not positive definite")
+        if free.any():
+            part = hessian[free][:, free]
+            x[free], failed = dposv(part, pulled[free])[1:]
+            if failed:
+                x[free] = invert_mended(part) @ pulled[free]
         uphill, rounding = hessian @ x - target, ROUNDING * (size @ np.abs(x) + np.abs(target))
         wrong = (x < low) & free | (below & (uphill < -rounding)), (x > high) & free | (above & (uphill > rounding))
         number = int(np.count_nonzero(wrong[0] | wrong[1]))
@@ -129,12 +129,12 @@ def solve_bounded(
             last = np.arange(len(target)) == np.flatnonzero(wrong[0] | wrong[1])[-1]
             wrong = wrong[0] & last, wrong[1] & last
         below, above = below ^ wrong[0], above ^ wrong[1]
-    factor = np.linalg.cholesky(hessian)
-    wanted = np.linalg.solve(factor, target)
+    root = factor(hessian)
+    wanted = np.linalg.solve(root, target)
     try:
-        found = lsq_linear(factor.T, wanted, bounds=bounds, method="bvls", max_iter=MOST)
+        found = lsq_linear(root.T, wanted, bounds=bounds, method="bvls", max_iter=MOST)
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer gives up on rare well-conditioned matrices
-        found = lsq_linear(factor.T, wanted, bounds=bounds, method="trf")
+        found = lsq_linear(root.T, wanted, bounds=bounds, method="trf")
     return np.asarray(found.x), (found.active_mask < 0, found.active_mask > 0)
 
 
@@ -145,7 +145,7 @@ def price_of_freedom(solution: Solution, unknowns: tuple[Unknown, ...], freed: f
         return 0.0
     width = np.array([unknowns[i].width for i in free])
     share = solution.covariance[np.ix_(free, free)] / width[:, None] / width
-    return float(-np.linalg.slogdet(share + 1e-12 * np.eye(len(free)))[1])
+    return float(-logdet(share + 1e-12 * np.eye(len(free))))
 
 
 def scatter_by_stretch(about: Linearisation, solution: Solution, bench: Bench) -> np.ndarray:
