@@ -28,7 +28,7 @@ from tests.logs.bags import (
     stamp_header,
 )
 from vpptwin.errors import InputError
-from vpptwin.logs import read_flight
+from vpptwin.logs import FlightWriter, read_flight
 from vpptwin.logs.messages import compose_definition
 
 MS = 10**6  # ns
@@ -234,6 +234,26 @@ def test_other_values_that_cannot_be_right_are_refused(
 ) -> None:
     """Units are told by values that no rig reaches."""
     refuse(Bag(tmp_path / "log.mcap").add(topic, kind, stamped(9, **values)).write(), f"log.mcap: {topic}", part)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e200, 1e18])
+@pytest.mark.parametrize("column", ["position", "velocity", "effort"])
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_all_measure_are_left_out_or_refused(tmp_path: Path, value: float, column: str) -> None:
+    """Of a joint: one of 200 goes with a warning, every other one is refused, and no square of it overflows."""
+    for every, name in ((150, "few.mcap"), (2, "many.mcap")):
+        with FlightWriter(tmp_path / name) as writer:
+            for i in range(200):
+                told = dict.fromkeys(("position", "velocity", "effort"), float(np.sin(0.1 * i)))
+                told[column] = value if i % every == 1 else told[column]
+                writer.write_joints("/joint_states", 0.01 * i, {"arm": told})
+    flight = read_flight(tmp_path / "few.mcap")
+    assert np.abs(flight.joints["/joint_states"]["arm"][column]).max() <= 1.0
+    assert (
+        "2 of 200 messages on /joint_states arm hold impossible values, left out, first at 0.010 s" in flight.warnings
+    )
+    with pytest.raises(InputError, match=f"{column} reaches 1e.*, beyond 1e.12 in 100 of 200 messages, first at 0.010"):
+        read_flight(tmp_path / "many.mcap")
 
 
 @pytest.mark.parametrize(

@@ -128,6 +128,10 @@ BAD = {
         spoil(lambda lines: lines.__setitem__(slice(1, None), lines[:0:-1])), "stamps",
     ),
     "time that stands still": (compose("time,q", "1.0,{q}"), "stamp"),
+    "a time without end": (spoil(lambda lines: lines.__setitem__(9, "-inf,4.0")), "line 10: no number as time"),
+    "a number beyond all measure": (
+        spoil(lambda lines: lines.__setitem__(9, "0.08,1e200")), "position reaches 1e+200, beyond 1e+12 in 1 of 40",
+    ),
     "infinity": (spoil(lambda lines: lines.__setitem__(9, "0.08,inf")), "position is an infinity"),
 }  # fmt: skip
 

@@ -17,6 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from vpptwin.errors import InputError
 from vpptwin.logs import FlightWriter, Stream, read_flight, write_flight
 from vpptwin.logs.channels import CHANNELS
+from vpptwin.logs.check import HUGE
 
 NANOSECONDS = st.lists(st.integers(0, 20 * 10**9), min_size=1, max_size=12, unique=True).map(sorted)
 # float32 in BatteryState; angles step by less than half a turn, as unwrapping assumes
@@ -34,7 +35,7 @@ def draw_stream(draw: st.DrawFn, topic: str, start_ns: int) -> Stream:
     values = {}
     for column in CHANNELS[topic].columns:
         shape = len(stamps) if column.width == 1 else (len(stamps), column.width)
-        limit = min(column.limit, 1e300)
+        limit = min(column.limit, HUGE)
         plain = hnp.arrays(float, shape, elements=st.floats(-limit, limit))
         values[column.name] = draw(SPECIAL[column.name](len(stamps)) if column.name in SPECIAL else plain)
     return Stream(stamps / 1e9, values)
@@ -73,7 +74,7 @@ def test_joints_come_back_bit_equal(data: st.DataObject) -> None:
     )
     columns = data.draw(st.lists(st.sampled_from(["position", "velocity", "effort"]), min_size=1, unique=True))
     stamps = data.draw(NANOSECONDS)
-    value = st.floats(allow_nan=False, allow_infinity=False)
+    value = st.floats(-HUGE, HUGE)
     rows = [{name: {column: data.draw(value) for column in columns} for name in names} for _ in stamps]
     with tempfile.TemporaryDirectory() as folder:
         with FlightWriter(f"{folder}/log.mcap") as writer:

@@ -105,7 +105,9 @@ def measure_counter(time: np.ndarray, position: np.ndarray) -> float:
         return 0.0
     steps, span = np.diff(position), float(np.ptp(position))
     far = np.flatnonzero(np.abs(steps) > (1.0 - WIDE) * span)
-    if len(far) < 2 or far[-1] - far[0] <= 2 * AROUND or np.abs(np.delete(steps, far)).max() > 0.5 * span:
+    if len(far) < 2 or far[-1] - far[0] <= 2 * AROUND or len(far) > OUTSIDE * len(steps) + 2 * AROUND:
+        return 0.0
+    if np.abs(np.delete(steps, far)).max(initial=0.0) > 0.5 * span:
         return 0.0
     beside = np.interp(far, np.delete(np.arange(len(steps)), far), np.delete(steps, far))
     sizes = np.abs(steps[far] - beside)

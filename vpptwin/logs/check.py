@@ -14,6 +14,7 @@ MAX_NORM_ERROR = 0.01  # of a quaternion that was meant to be a rotation
 MAX_TILT = 0.15  # rad out of the plane; a well set up tracker stays within a few degrees
 MIN_TURN = 0.5  # rad of rotation below which a gyro cannot be judged
 GYRO_STEP = 0.1  # s over which it is compared, long against delays and against the noise of a tracker
+HUGE = 1e12  # SI units that nothing measured reaches, and of which no square or sum overflows
 RARE = 0.01  # share of messages up to which impossible values are outliers rather than a wrong unit
 SLOWEST, FASTEST = 0.6, 1.6  # rate over turning beyond which a scale is wrong: `gyro.scale` reaches from 0.7 to 1.3
 MIN_LIKENESS = 0.8  # squared correlation from which on gyro and tracker show one motion
@@ -34,6 +35,23 @@ def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) ->
             "finite numbers",
             "publish nothing while a value is unknown, or cut these messages out of the log",
         )
+
+
+def find_huge(label: str, time: np.ndarray, name: str, values: np.ndarray) -> np.ndarray:
+    """Rare messages, (n,) bool, whose values (n,) or (n, k) are beyond what anything measures; time (n,) s.
+
+    Raises:
+        InputError: if there are many.
+    """
+    rows = _any_component(np.abs(values) > HUGE)
+    if (count := np.count_nonzero(rows)) > RARE * len(values):
+        raise InputError(
+            f"{label}: {name} reaches {float(np.abs(values).max()):.4g}, beyond {HUGE:g} in {count} of {len(values)} "
+            f"messages, first at {time[np.argmax(rows)]:.3f} s",
+            "a quantity that something measured, in SI units",
+            "look for what fills it in where a value is unknown, or correct its `scale`",
+        )
+    return rows
 
 
 def find_wild(label: str, column: Column, values: np.ndarray) -> np.ndarray:
@@ -163,7 +181,7 @@ def compare_steps(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
 def _compare(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """Factor from one to the other by least squares, and how much of the other it explains, 0 to 1."""
     product, own, others = float(one @ other), float(one @ one), float(other @ other)
-    return product / (own + 1e-300), product**2 / (own * others + 1e-300)
+    return product / (own + 1e-300), product * product / (own * others + 1e-300)
 
 
 def _any_component(bad: np.ndarray) -> np.ndarray:

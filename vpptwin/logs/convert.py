@@ -34,14 +34,15 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
         values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
     else:
         values = read_angle(np.stack([fields[path] for path in list_fields(source)], axis=-1), source.axis)
-    if source.voltage:
-        path, nominal = source.voltage
-        values = values * np.asarray(fields[path], dtype=float) / nominal
-    if source.polynomial:
-        values = np.polynomial.polynomial.polyval(values, source.polynomial)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
-    values = values * scale if (scale != 1.0).any() else values
-    return values + source.offset if source.offset else values
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused like any other
+        if source.voltage:
+            path, nominal = source.voltage
+            values = values * np.asarray(fields[path], dtype=float) / nominal
+        if source.polynomial:
+            values = np.polynomial.polynomial.polyval(values, source.polynomial)
+        values = values * scale if (scale != 1.0).any() else values
+        return values + source.offset if source.offset else values
 
 
 def read_angle(quaternion: np.ndarray, axis: str) -> np.ndarray:

@@ -141,7 +141,7 @@ def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dic
         expected = "a number, or a date like 2026-01-31 12:00:00.5"
         found = f"{path}, line {line}: {said!r} as {clock}"
         raise InputError(found, expected, "convert it, or name another column")
-    blank = np.isnan(time) if time.dtype.kind == "f" else np.zeros(len(time), dtype=bool)
+    blank = ~np.isfinite(time)
     if not blank.any():
         return columns
     filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]

@@ -164,7 +164,7 @@ def _assemble_flight(
     streams = {topic: build_stream(item, times[id(item.stamp)], path, warnings) for topic, item in samples.items()}
     streams = {topic: stream for topic, stream in streams.items() if stream.values}
     built = {
-        topic: {name: build_joint_stream(item, times[id(item.stamp)], path) for name, item in names.items()}
+        topic: {name: build_joint_stream(item, times[id(item.stamp)], path, warnings) for name, item in names.items()}
         for topic, names in joints.items()
     }
     pose, imu = streams.get("/mocap/pose"), streams.get("/imu/data")
@@ -172,7 +172,7 @@ def _assemble_flight(
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
     _add_new(warnings, _list_gaps(streams, built))
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
-    placed = {topic: build_joint_stream(item, times[id(item.stamp)], path) for topic, item in spatial.items()}
+    placed = {topic: build_joint_stream(item, times[id(item.stamp)], path, warnings) for topic, item in spatial.items()}
     return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.logs.channels import Column
-from vpptwin.logs.check import check_finite, find_broken, find_wild
+from vpptwin.logs.check import check_finite, find_broken, find_huge, find_wild
 from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.samples import Samples
@@ -32,27 +32,35 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
             continue
         values[column.name], bad = _build_column(label, time, column, fields)
         wild |= bad
-    if wild.any():
-        first = time[np.argmax(wild)]
-        warnings.append(
-            f"{np.count_nonzero(wild)} of {len(wild)} messages on {samples.label} hold impossible values, left out, "
-            f"first at {first:.3f} s"
-        )
-        time, values = time[~wild], {name: data[~wild] for name, data in values.items()}
-    if "theta" in values:
-        values["theta"] = np.unwrap(values["theta"])
-    return Stream(time, values)
+    stream = leave_out(Stream(time, values), wild, samples.label, warnings)
+    if "theta" in stream.values:
+        stream.values["theta"] = np.unwrap(stream.values["theta"])
+    return stream
 
 
-def build_joint_stream(samples: Samples, time: np.ndarray, path: str) -> Stream:
-    """Stream of one joint, from samples in order of time, (n,) s.
+def build_joint_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[str]) -> Stream:
+    """Stream of one joint, from samples in order of time, (n,) s. Warnings found are appended to `warnings`.
 
     Raises:
-        InputError: if values are not finite.
+        InputError: if values are not finite, or beyond all measure.
     """
+    label, wild = f"{path}: {samples.label}", np.zeros(len(time), dtype=bool)
     for column, data in samples.fields.items():
-        check_finite(f"{path}: {samples.label}", time, column, data)
-    return Stream(time, samples.fields)
+        check_finite(label, time, column, data)
+        wild |= find_huge(label, time, column, data)
+    return leave_out(Stream(time, samples.fields), wild, samples.label, warnings)
+
+
+def leave_out(stream: Stream, wild: np.ndarray, label: str, warnings: list[str]) -> Stream:
+    """A stream without impossible samples, (n,) bool, of which a warning tells."""
+    if not wild.any():
+        return stream
+    first = stream.time[np.argmax(wild)]
+    warnings.append(
+        f"{np.count_nonzero(wild)} of {len(wild)} messages on {label} hold impossible values, left out, "
+        f"first at {first:.3f} s"
+    )
+    return Stream(stream.time[~wild], {name: data[~wild] for name, data in stream.values.items()})
 
 
 def measure_time(stamp: np.ndarray, start_ns: int) -> np.ndarray:
@@ -80,4 +88,4 @@ def _build_column(
             f"{column.width} for {column.name}",
             "name single fields or array elements in the topic map",
         )
-    return values, bad | find_wild(label, column, values)
+    return values, bad | find_wild(label, column, values) | find_huge(label, time, column.name, values)
