@@ -57,7 +57,8 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
         return []
     path = find_model(model)
     compiled = compile_model(path)
-    guesses = [*guess_signals(compiled, first), *guess_bodies(compiled, first)]
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all measure, which reading leaves out
+        guesses = [*guess_signals(compiled, first), *guess_bodies(compiled, first)]
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
     print_guesses(guesses)
     target = out or Path(f"{path.stem}_twin.yaml")
