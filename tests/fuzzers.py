@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import copy
 import io
+import json
+import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
+import yaml
+from pyarrow import parquet
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELS = ROOT / "models"
@@ -212,4 +218,160 @@ def draw_checkpoint(rng: np.random.Generator, folder: Path) -> Path:
     return path
 
 
-DRAW: dict[str, Draw] = {"log": draw_log, "twin": draw_twin, "model": draw_model, "checkpoint": draw_checkpoint}
+TEMPLATES = (
+    "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+    "data/{chunk_index:0999999999d}.parquet", "data/{chunk_index.__class__.__mro__}.parquet", "{x}", "{", "}{", "{}",
+    "{chunk_index!r}", "{chunk_index:>{file_index}}", "/etc/passwd", "../../{chunk_index}", "data/../../x.parquet",
+    "/dev/zero", "pipe.parquet", "data", "data/\0.parquet", "{chunk_index}" * 500, "meta/info.json", "loop.parquet",
+)  # fmt: skip
+"""Where a LeRobot data set may say that its rows lie."""
+INFO: dict[str, object] = {
+    "codebase_version": "v3.0", "fps": 50, "total_episodes": 2, "chunks_size": 1000,
+    "features": {"observation.state": {"dtype": "float32", "shape": [2], "names": ["a.pos", "b.pos"]},
+                 "action": {"dtype": "float32", "shape": [2], "names": {"motors": ["a", "b"]}}},
+    "data_path": TEMPLATES[0],
+}  # fmt: skip
+PLACES: tuple[object, ...] = (0, 1, -1, 10**6, 2**62, None, "0", "../..", 0.5, float("nan"), True, [0], {"a": 0})
+"""What may stand in the place of a chunk's number."""
+
+
+def spoil_file(rng: np.random.Generator, path: Path) -> None:
+    """A file lost, cut, or replaced by a pipe, a folder, a device, or a link to itself or to somebody's file."""
+    content = path.read_bytes()
+    path.unlink()
+    kind = rng.integers(7)
+    if kind == 0:
+        os.mkfifo(path)
+    elif kind == 1:
+        path.mkdir()
+    elif kind < 5:
+        path.symlink_to((path.name, "/etc/passwd", "/dev/zero")[kind - 2])
+    elif kind == 5:
+        path.write_bytes(spoil_bytes(rng, content))
+
+
+def clear_folder(path: Path) -> Path:
+    """A folder without what was there."""
+    shutil.rmtree(path, ignore_errors=True)
+    path.mkdir()
+    os.mkfifo(path / "pipe.parquet")
+    (path / "loop.parquet").symlink_to("loop.parquet")
+    return path
+
+
+def draw_set(rng: np.random.Generator, folder: Path) -> Path:
+    """A LeRobot data set of version 2 or 3 with two episodes, spoilt."""
+    path = clear_folder(folder / f"fuzz_{rng.integers(1 << 30)}")
+    old = rng.random() < 0.3
+    place = [PLACES[rng.integers(len(PLACES))] if rng.random() < 0.2 else 0 for _ in range(3)]
+    for part in ("meta/episodes/chunk-000", "data/chunk-000"):
+        (path / part).mkdir(parents=True)
+    frames = 2 * list(range(60))
+    rows: dict[str, Any] = {
+        "observation.state": [[0.01 * k, -0.5] for k in frames], "action": [[0.01 * k, -0.4] for k in frames],
+        "timestamp": [k / 50 for k in frames], "episode_index": [k // 60 for k in range(120)],
+    }  # fmt: skip
+    if rng.random() < 0.2:
+        name = list(rows)[rng.integers(len(rows))]
+        rows[name] = [(None, "x", [1.0], {"a": 1.0}, True)[rng.integers(5)]] * 120
+    files = [path / f"data/chunk-000/{'episode_000000' if old else 'file-000'}.parquet"]
+    parquet.write_table(pa.table(rows), files[0])
+    if not old:
+        index = {"episode_index": [0, 1], "data/chunk_index": 2 * [place[0]], "data/file_index": 2 * [place[1]]}
+        files.append(path / "meta/episodes/chunk-000/file-000.parquet")
+        parquet.write_table(pa.table(index), files[1])
+    info = dict(INFO)
+    if rng.random() < 0.5:
+        info["data_path"] = TEMPLATES[rng.integers(len(TEMPLATES))]
+    if rng.random() < 0.3:
+        info["total_episodes"] = (3 * 10**6, 10**18, 0, -1, True, "2", 2.0, None, [2])[rng.integers(9)]
+    if rng.random() < 0.4:
+        info = spoil_plain(rng, info)
+    try:
+        text = json.dumps(info)
+    except RecursionError:
+        text = "[" * 3000
+    if rng.random() < 0.1:
+        text = ("[" * 100_000, '{"features": ' * 100_000, "[]", "nul", '{"total_episodes": ' + "9" * 5000)[
+            rng.integers(5)
+        ]
+    (path / "meta/info.json").write_text(text)
+    files.append(path / "meta/info.json")
+    if rng.random() < 0.25:
+        spoil_file(rng, files[rng.integers(len(files))])
+    return path
+
+
+def draw_bag(rng: np.random.Generator, folder: Path) -> Path:
+    """A folder of rosbag2 whose metadata names files that it should not."""
+    path = clear_folder(folder / f"fuzz_{rng.integers(1 << 30)}")
+    shutil.copy(ROOT / "demo" / "flights" / "flip.mcap", path / "bag_0.mcap")
+    names: list[object] = ["bag_0.mcap"]
+    odd = ("/etc/passwd", "../../etc/passwd", "../outside.csv", "/dev/zero", "/dev/stdin", "pipe.parquet", "loop.parquet",
+           ".", "", "bag_0.mcap/", "a" * 5000, "\0", "metadata.yaml", f"{path.name}/bag_0.mcap", "bag_0.mcap@0-2", "x#0",
+           "bag_0.mcap+/etc/passwd", "*", None, 3, ["bag_0.mcap"], {"a": "b"}, "~/.bashrc", "nowhere.mcap")  # fmt: skip
+    for _ in range(rng.integers(0, 3)):
+        names.insert(int(rng.integers(len(names) + 1)), odd[rng.integers(len(odd))])
+    (folder / "outside.csv").write_text("time,q\n" + "".join(f"{k / 50},{k}\n" for k in range(500)))
+    about: Any = {"rosbag2_bagfile_information": {"version": 5, "relative_file_paths": names, "files": []}}
+    if rng.random() < 0.3:
+        about = spoil_plain(rng, about)
+    try:
+        text = yaml.safe_dump(about)
+    except RecursionError:
+        text = "[" * 3000
+    (path / "metadata.yaml").write_text(spoil_text(rng, text) if rng.random() < 0.2 else text)
+    if rng.random() < 0.25:
+        spoil_file(rng, path / ("bag_0.mcap", "metadata.yaml")[rng.integers(2)])
+    return path
+
+
+NAMED = (
+    "fuzz_pipe", "/etc/passwd", "/dev/zero", "/dev/stdin", "/proc/kmsg", "../../../etc/passwd", "spoilt.xml", "part.xml",
+    "other.xml", "nowhere.xml", ".", "", "cube.obj", "part.stl", "a" * 5000, "loop.xml", "file:///etc/passwd",
+)  # fmt: skip
+"""Files that an MJCF may name."""
+NAMING = (
+    '<include file="{}"/>', '<worldbody><include file="{}"/></worldbody>', '<asset><model name="m{n}" file="{}"/></asset>',
+    '<asset><model name="m{n}" file="{}"/></asset><worldbody><frame pos="0 0 1"><attach model="m{n}" body="part" prefix="p{n}"/>'
+    "</frame></worldbody>",
+    '<asset><mesh name="h{n}" file="{}"/></asset>', '<asset><texture name="t{n}" type="2d" file="{}"/></asset>',
+    '<asset><mesh name="h{n}" file="{}" content_type="model/obj"/></asset>',
+    '<asset><texture name="t{n}" type="skybox" fileup="{}" filedown="{}"/></asset>',
+    '<asset><hfield name="f{n}" file="{}" size="1 1 1 1"/></asset>', '<asset><skin name="s{n}" file="{}"/></asset>',
+    '<worldbody><body><flexcomp name="x{n}" type="mesh" file="{}"/></body></worldbody>', '<compiler meshdir="{}"/>',
+    '<compiler assetdir="{}"/>', '<asset><material name="a{n}"><layer role="rgb" texture="{}"/></material></asset>',
+)  # fmt: skip
+"""How an MJCF names files."""
+
+
+def name_file(rng: np.random.Generator) -> str:
+    """An element that names a file."""
+    name = NAMED[rng.integers(len(NAMED))]
+    return NAMING[rng.integers(len(NAMING))].replace("{n}", str(rng.integers(1000))).replace("{}", name)
+
+
+def draw_parts(rng: np.random.Generator, folder: Path) -> Path:
+    """An MJCF or URDF that names files: its own parts, itself, pipes, devices, somebody's."""
+    for name in ("fuzz_pipe", "part.stl"):
+        if not (folder / name).exists():
+            os.mkfifo(folder / name)
+    if not (folder / "loop.xml").is_symlink():
+        (folder / "loop.xml").symlink_to("loop.xml")
+    (folder / "cube.obj").write_text("".join(f"v {i & 1} {i >> 1 & 1} {i >> 2}\n" for i in range(8)) + "f 1 2 3\n")
+    body = '<worldbody><body name="part"><joint name="{0}" axis="0 1 0"/><geom size=".1" mass="1"/></body></worldbody>'
+    for name in ("part", "other"):
+        inside = name_file(rng) if rng.random() < 0.6 else ""
+        (folder / f"{name}.xml").write_text(f"<mujoco>{body.format(name)}{inside}</mujoco>")
+    inside = "".join(name_file(rng) for _ in range(rng.integers(1, 3)))
+    text = f"<mujoco>{body.format('slide')}{inside}</mujoco>"
+    (folder / "spoilt.xml").write_text(spoil_text(rng, text) if rng.random() < 0.1 else text)
+    path = folder / f"fuzz_{rng.integers(1 << 30)}.yaml"
+    path.write_text("model: spoilt.xml\nsignals: {joints: {slide: /joint_states}}\n")
+    return path
+
+
+DRAW: dict[str, Draw] = {
+    "log": draw_log, "twin": draw_twin, "model": draw_model, "checkpoint": draw_checkpoint,
+    "set": draw_set, "bag": draw_bag, "parts": draw_parts,
+}  # fmt: skip
