@@ -71,6 +71,7 @@ def draw_command(rng: np.random.Generator, folder: Path) -> list[str]:
     log = pick("log", str(DEMO / f"{flights[rng.integers(4)]}.mcap"))
     twin = pick("twin", "nominal", 0.6) if rng.random() < 0.7 else pick("model", "nominal", 0.3)
     policy = pick("checkpoint", "flip")
+    parts = pick("parts", "nominal", 0.2)
     commands = (
         ["diagnose", log, "--twin", twin, "--out", "out"],
         ["compare", log, "--twin", twin, "--json", "out/compare.json"],
@@ -82,6 +83,9 @@ def draw_command(rng: np.random.Generator, folder: Path) -> list[str]:
         ["export", policy, "--format", "c", "--out", "out/c"],
         ["export", policy, "--format", "onnx", "--out", "out/policy.onnx"],
         ["effects", "--twin", twin],
+        ["effects", "--twin", parts],
+        ["inspect", pick("set", log, 0.2)],
+        ["convert", pick("bag", log, 0.2), "out/converted.mcap"],
     )
     weights = np.array([1.0, *(len(commands) - 1) * [3.0]])
     return commands[rng.choice(len(commands), p=weights / weights.sum())]
@@ -348,7 +352,7 @@ def main() -> int:
             counted[name] += 1
             problems += [f"{number}: {problem}" for problem in found]
             for path in Path(folder).glob("fuzz_*"):
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
             number += 1
             print(f"\r{number} commands, {len(problems)} problems", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)

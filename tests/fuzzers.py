@@ -274,12 +274,14 @@ def draw_set(rng: np.random.Generator, folder: Path) -> Path:
     if rng.random() < 0.2:
         name = list(rows)[rng.integers(len(rows))]
         rows[name] = [(None, "x", [1.0], {"a": 1.0}, True)[rng.integers(5)]] * 120
-    files = [path / f"data/chunk-000/{'episode_000000' if old else 'file-000'}.parquet"]
-    parquet.write_table(pa.table(rows), files[0])
+    names = ["episode_000000", "episode_000001"] if old else ["file-000"]
+    files = [path / f"data/chunk-000/{name}.parquet" for name in names]
+    for file in files:
+        parquet.write_table(pa.table(rows), file)
     if not old:
         index = {"episode_index": [0, 1], "data/chunk_index": 2 * [place[0]], "data/file_index": 2 * [place[1]]}
         files.append(path / "meta/episodes/chunk-000/file-000.parquet")
-        parquet.write_table(pa.table(index), files[1])
+        parquet.write_table(pa.table(index), files[-1])
     info = dict(INFO)
     if rng.random() < 0.5:
         info["data_path"] = TEMPLATES[rng.integers(len(TEMPLATES))]
@@ -307,9 +309,9 @@ def draw_bag(rng: np.random.Generator, folder: Path) -> Path:
     path = clear_folder(folder / f"fuzz_{rng.integers(1 << 30)}")
     shutil.copy(ROOT / "demo" / "flights" / "flip.mcap", path / "bag_0.mcap")
     names: list[object] = ["bag_0.mcap"]
-    odd = ("/etc/passwd", "../../etc/passwd", "../outside.csv", "/dev/zero", "/dev/stdin", "pipe.parquet", "loop.parquet",
-           ".", "", "bag_0.mcap/", "a" * 5000, "\0", "metadata.yaml", f"{path.name}/bag_0.mcap", "bag_0.mcap@0-2", "x#0",
-           "bag_0.mcap+/etc/passwd", "*", None, 3, ["bag_0.mcap"], {"a": "b"}, "~/.bashrc", "nowhere.mcap")  # fmt: skip
+    odd = ("/etc/passwd", "../../etc/passwd", "../outside.csv", "/dev/zero", "/dev/stdin", "pipe.parquet", ".", "",
+           "loop.parquet", "bag_0.mcap/", "a" * 5000, "\0", "metadata.yaml", f"{path.name}/bag_0.mcap", "x#0",
+           "bag_0.mcap@0-2", "bag_0.mcap+/etc/passwd", "*", None, 3, ["bag_0.mcap"], {"a": "b"})  # fmt: skip
     for _ in range(rng.integers(0, 3)):
         names.insert(int(rng.integers(len(names) + 1)), odd[rng.integers(len(odd))])
     (folder / "outside.csv").write_text("time,q\n" + "".join(f"{k / 50},{k}\n" for k in range(500)))
@@ -327,14 +329,15 @@ def draw_bag(rng: np.random.Generator, folder: Path) -> Path:
 
 
 NAMED = (
-    "fuzz_pipe", "/etc/passwd", "/dev/zero", "/dev/stdin", "/proc/kmsg", "../../../etc/passwd", "spoilt.xml", "part.xml",
-    "other.xml", "nowhere.xml", ".", "", "cube.obj", "part.stl", "a" * 5000, "loop.xml", "file:///etc/passwd",
+    "fuzz_pipe", "/etc/passwd", "/dev/zero", "/dev/stdin", "../../../etc/passwd", "spoilt.xml", "part.xml", "other.xml",
+    "nowhere.xml", ".", "", "cube.obj", "part.stl", "a" * 5000, "loop.xml", "file:///etc/passwd",
 )  # fmt: skip
 """Files that an MJCF may name."""
 NAMING = (
-    '<include file="{}"/>', '<worldbody><include file="{}"/></worldbody>', '<asset><model name="m{n}" file="{}"/></asset>',
-    '<asset><model name="m{n}" file="{}"/></asset><worldbody><frame pos="0 0 1"><attach model="m{n}" body="part" prefix="p{n}"/>'
-    "</frame></worldbody>",
+    '<include file="{}"/>', '<worldbody><include file="{}"/></worldbody>',
+    '<asset><model name="m{n}" file="{}"/></asset>',
+    '<asset><model name="m{n}" content_type="text/xml" file="{}"/></asset>'
+    '<worldbody><frame pos="0 0 1"><attach model="m{n}" body="part" prefix="p{n}"/></frame></worldbody>',
     '<asset><mesh name="h{n}" file="{}"/></asset>', '<asset><texture name="t{n}" type="2d" file="{}"/></asset>',
     '<asset><mesh name="h{n}" file="{}" content_type="model/obj"/></asset>',
     '<asset><texture name="t{n}" type="skybox" fileup="{}" filedown="{}"/></asset>',

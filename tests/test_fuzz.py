@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,8 @@ from tests.fuzzers import DRAW
 from tests.measured import read_peak
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
+from vpptwin.logs.recording import list_flights
+from vpptwin.logs.survey import survey
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.evaluate import Conditions, evaluate
 from vpptwin.twin import Twin, load_twin
@@ -37,8 +40,15 @@ def fly_checkpoint(path: Path) -> None:
         evaluate(path, Conditions(tracks=1, twin="nominal"))
 
 
+def look(path: Path) -> None:
+    """Look at all flights of a folder."""
+    for flight in list_flights(path):
+        survey(flight)
+
+
 USES: dict[str, Callable[[Path], object]] = {
-    "log": read_flight, "twin": fly_twin, "model": fly_twin, "checkpoint": fly_checkpoint
+    "log": read_flight, "twin": fly_twin, "model": fly_twin, "checkpoint": fly_checkpoint,
+    "set": look, "bag": read_flight, "parts": fly_twin,
 }  # fmt: skip
 
 
@@ -72,6 +82,7 @@ def test_spoilt_files_are_refused_or_work(
     for number in range(ROUNDS):
         path = DRAW[kind](np.random.default_rng([int(seed), number]), tmp_path)
         lines.append(use(kind, path))
-        path.unlink()
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert sum(map(bool, lines)) > ROUNDS / 4  # most of them are of no use
     assert "this ran" not in "".join(lines)
+    assert "root:x:" not in "".join(lines)  # somebody's file

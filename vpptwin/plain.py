@@ -1,9 +1,13 @@
-"""YAML of anyone's, read within bounds: no code, no gigabytes, no endless references."""
+"""YAML and JSON of anyone's, read within bounds: no code, no gigabytes, no endless references, no pipe that waits."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+import json
+import os
+import stat
+from errno import EINVAL, EISDIR
+from pathlib import Path, PurePosixPath
+from typing import Any, BinaryIO
 
 import yaml
 
@@ -11,6 +15,43 @@ MOST_BYTES = 1 << 18
 """Longest file [bytes], which takes a second or two; a twin has 1 kB, metadata of a bag 100."""
 MOST_NODES = 50_000
 """Values in it, those behind an alias counted as often as they are named."""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file to read; a pipe, on which opening would wait, a device and a folder are refused.
+
+    Raises:
+        OSError: if there is no file, or it is none.
+    """
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    kind = os.fstat(number).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(number)
+        raise OSError(EISDIR, "Is a directory") if stat.S_ISDIR(kind) else OSError(EINVAL, "No regular file")
+    return os.fdopen(number, "rb")
+
+
+def is_within(name: str) -> bool:
+    """Whether a name that a file gives leads to somewhere in the folder that it starts from."""
+    parts = PurePosixPath(name).parts
+    return bool(parts) and parts[0] != "/" and ".." not in parts and name.isprintable()
+
+
+def read_json(path: Path) -> Any:  # noqa: ANN401
+    """What a JSON file holds.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is no JSON, or longer or deeper than one that describes anything.
+    """
+    with open_regular(path) as file:
+        text = file.read(MOST_BYTES + 1)
+    if len(text) > MOST_BYTES:
+        raise ValueError(f"longer than {MOST_BYTES} bytes")
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
 
 
 def read_yaml(path: Path) -> Any:  # noqa: ANN401
@@ -21,7 +62,7 @@ def read_yaml(path: Path) -> Any:  # noqa: ANN401
         UnicodeDecodeError: if it is no text.
         yaml.YAMLError: if it is no YAML, longer, deeper or more often referred to than one that describes anything.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         text = file.read(MOST_BYTES + 1).decode()
     if len(text) > MOST_BYTES:
         raise yaml.YAMLError(f"longer than {MOST_BYTES} bytes")
@@ -35,6 +76,9 @@ def read_yaml(path: Path) -> Any:  # noqa: ANN401
         return loader.construct_document(node)
     except RecursionError:
         raise yaml.YAMLError("nested too deeply, or in itself") from None
+    except yaml.MarkedYAMLError as error:  # whose own words show the line, which may be of any file
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise yaml.YAMLError(f"{line}{error.problem}") from None
     except (ValueError, OverflowError, TypeError) as error:  # of dates and numbers that are none
         raise yaml.YAMLError(str(error)) from None
     finally:

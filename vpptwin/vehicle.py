@@ -185,7 +185,9 @@ def load_vehicle(path: Path | str | None = None) -> Vehicle:
 def describe_problem(error: ValidationError) -> tuple[str, str]:
     """What the first problem is, the key first, and what was expected there."""
     first = error.errors()[0]
-    key = ".".join(map(str, first["loc"])) or "the whole file"
+    key = ".".join(map(str, first["loc"]))
+    if not key:  # some other file, whose content is nobody's business
+        return "no YAML mapping", "keys and values"
     if first["type"] == "missing":
         return f"{key} is missing", "a value for it"
     if first["type"] == "extra_forbidden":

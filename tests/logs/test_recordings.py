@@ -85,6 +85,16 @@ def test_folders_hold_what_their_metadata_name(tmp_path: Path, named: str) -> No
         read_flight(folder)
 
 
+def test_metadata_that_wait_or_repeat_are_nothing_to_go_by(tmp_path: Path) -> None:
+    """A pipe in the place of metadata is not opened: the folder's files are read; one that is named often, once."""
+    split_bag(tmp_path)
+    os.mkfifo(tmp_path / "metadata.yaml")
+    assert len(read_flight(tmp_path).streams["/mocap/pose"]) == 50
+    (tmp_path / "metadata.yaml").unlink()
+    (tmp_path / "metadata.yaml").write_text(OLD.format(", ".join(["bag_1.mcap"] * 20_000)))
+    assert len(read_flight(tmp_path).streams["/mocap/pose"]) == 20
+
+
 def test_files_compressed_as_a_whole_are_read(tmp_path: Path) -> None:
     """By zstd, in several frames too; what is cut or unpacks to far too much is refused by its own name."""
     log = pose_bag(tmp_path / "log.mcap", EPOCH + MS * np.arange(50)).read_bytes()

@@ -49,7 +49,7 @@ def test_aliases_are_taken_where_they_are_few(tmp_path: Path) -> None:
 
 ABSURD = {
     0: "<hfield", 1: "Could not allocate memory", 2: "a model of 944 MB", 3: "<texture", 5: "<replicate",
-    11: "nesting is too deep", 13: "allocate", 14: "no decoder", 15: "plugin", 16: "exceeds maximum",
+    11: "nesting is too deep", 13: "allocate", 14: "no regular file", 15: "plugin", 16: "exceeds maximum",
 }  # fmt: skip
 
 

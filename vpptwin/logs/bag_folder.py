@@ -29,7 +29,7 @@ def list_bag(folder: Path) -> list[Path]:
     named = read_metadata(folder)
     if not named:
         raise InputError(f"{folder} with a {_METADATA} that names none of its files", "a rosbag2 folder", "remove it")
-    return [find_file(folder, name) for name in named]
+    return [find_file(folder, name) for name in dict.fromkeys(named)]
 
 
 def read_metadata(folder: Path) -> list[str]:

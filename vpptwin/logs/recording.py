@@ -16,10 +16,11 @@ from vpptwin.fields import Stamp
 from vpptwin.logs.arrays import read_mat, read_npz
 from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
 from vpptwin.logs.bags import read_bag
-from vpptwin.logs.columnar import is_lerobot, list_episodes, read_lerobot, read_parquet, split_episode
+from vpptwin.logs.columnar import read_parquet
 from vpptwin.logs.container import list_channels, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
+from vpptwin.logs.lerobot import is_lerobot, list_episodes, read_lerobot, split_episode
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
@@ -258,7 +259,7 @@ def list_flights(path: PathLike) -> list[Path]:
 def is_episode(path: Path) -> bool:
     """Whether a path is FOLDER#EPISODE of a LeRobot data set."""
     folder, mark, number = str(path).rpartition("#")
-    return bool(mark) and number.isdigit() and not path.exists() and is_lerobot(Path(folder))
+    return bool(mark) and number.isdecimal() and len(number) < 10 and not path.exists() and is_lerobot(Path(folder))
 
 
 def read_start(path: Path) -> bytes:

@@ -14,8 +14,10 @@ from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, left_alone
 from vpptwin.errors import InputError
 from vpptwin.twin.actuation import BIASES, GAINS, simplify_actuators
-from vpptwin.twin.bounds import bound_memory, check_claims, check_size
+from vpptwin.twin.bounds import MOST_BYTES, bound_memory, check_claims, check_size
 from vpptwin.twin.manifold import BALL, FREE
+from vpptwin.twin.parts import read_parts
+from vpptwin.twin.trial import try_model
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -44,7 +46,9 @@ def compile_model(
     Raises:
         InputError: if MuJoCo or `check` refuses it, or the model is one that a twin can't step (`check_engine`).
     """
-    check_claims(path)
+    elements = read_parts(path)
+    check_claims(path, elements)
+    try_model(path, elements, MOST_BYTES)
     try:
         with bound_memory(), left_alone():  # a callback in Python would fail there
             model = specify_model(path, adapt).compile()
