@@ -21,6 +21,9 @@ UNITS: dict[str, tuple[str, float]] = {
 }  # fmt: skip
 """Unit → that of the SI which it measures in, and how many of those it is."""
 
+UNSAID = "unsaid"
+"""Unit of a column of a LeRobot data set, which may have radians, degrees or -100 to 100 of the calibrated travel."""
+
 BODIES, SITES, TURNS = "/bodies/", "/sites/", "/turns/"
 """Roots of the topics that bodies, IMUs and ball joints out of fields are read as, one for each name."""
 FRAMES = ("body", "world", "euler")

@@ -9,17 +9,9 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.guess import (
-    CLOSE,
-    SLOPE,
-    Guess,
-    compare_lag,
-    compare_slope,
-    is_commanded,
-    is_derived,
-    resample,
-    split_words,
-)
+from vpptwin.estimation.alike import compare_lag, compare_slope, resample
+from vpptwin.estimation.guess import CLOSE, SLOPE, Guess
+from vpptwin.estimation.words import TRACKED, is_commanded, part_index, rank_source, split_words
 from vpptwin.fields import UNITS
 from vpptwin.logs.channels import EULER, SPATIAL
 from vpptwin.logs.samples import turn_by_angles
@@ -32,8 +24,12 @@ REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
 ROS_POSITIONS = [f"{columns['position']}." for columns in SPATIAL.values() if "position" in columns]
 """What vectors of positions are called in messages of poses."""
-NAMED = {"p", "pos", "position", "pose"}
+RATES = {"p": "v", "pos": "vel", "position": "velocity"}
+"""Word in names of positions → in those of the velocities beside them."""
+NAMED = {*RATES, "pose"}
 """Words in names of positions besides the body's."""
+ORDERS = {"w, x, y, z": (0, 1, 2, 3), "x, y, z, w": (3, 0, 1, 2)}
+"""In which order people number an attitude → where w, x, y, z are then; PX4, ArduPilot and MuJoCo have the first."""
 BESIDE = ("q", "q_", "quat_", "orientation_")
 """What the name of an attitude has beyond that of a position beside it."""
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
@@ -66,9 +62,13 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess
         sites = [model.site(i).name for i in range(model.nsite) if model.site_bodyid[i] == index]
         imus = [name for name in sites if "imu" in split_words(name)] or sites[: len(sites) == 1]
         body = Guess(body_name, "bodies")
-        take(body, [each for each in told if each.quantity in wanted])
+        take(body, [each for each in told if each.quantity in wanted], wanted)
         missing = set(wanted) - set(body.vectors)
-        body.doubts += [f"no {kind} in the log looks like its" for kind in sorted(missing)]
+        for kind in sorted(missing):
+            own = {signals[0].topic for signals in body.vectors.values()}
+            beside = sorted({each.signals[0].topic for each in told if each.quantity == kind} - own)
+            far = f", only in {' and '.join(beside)}: one topic has to have both" if beside and own else ""
+            body.doubts.append(f"no {kind} in {' '.join(own) or 'the log'} looks like its{far}")
         guesses.append(body)
         for name in imus[:1]:
             guess = Guess(name, "sites")
@@ -80,10 +80,15 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess
     return guesses
 
 
-def take(guess: Guess, told: Sequence[Told]) -> None:
-    """Give a body or an IMU the likeliest of what its signals may be, all from one topic."""
-    ranked = sorted(told, key=lambda each: (not each.sure, any(is_derived(signal) for signal in each.signals)))
-    for each in ranked:
+def take(guess: Guess, told: Sequence[Told], wanted: Sequence[str] = ()) -> None:
+    """Give a body or an IMU the likeliest of what its signals may be, all from the topic that has most of it."""
+
+    def rank(each: Told) -> tuple[int, bool, int]:
+        topic = each.signals[0].topic
+        beside = {other.quantity for other in told if other.signals[0].topic == topic}
+        return -len(beside & set(wanted)), not each.sure, max(map(rank_source, each.signals))
+
+    for each in sorted(told, key=rank):
         topics = {signals[0].topic for signals in guess.vectors.values()}
         if each.quantity in guess.vectors or topics - {each.signals[0].topic}:
             continue
@@ -109,17 +114,56 @@ def find_groups(signals: Sequence[Signal], axes: Sequence[str], end: str = "") -
     return {stem: [group[axis] for axis in axes] for stem, group in groups.items() if len(group) == len(axes)}
 
 
+def number_groups(signals: Sequence[Signal], count: int) -> dict[str, list[Signal]]:
+    """Vectors of so many numbered signals, `q[0]` to `q[3]` or `Q1` to `Q4`, by the topic and name that they share."""
+    groups: dict[str, dict[int, Signal]] = {}
+    for signal in signals:
+        stem, index = part_index(signal)
+        if index is not None and re.search(r"\d\]?$", signal.label):
+            groups.setdefault(stem, {})[index] = signal
+    runs = tuple(range(count)), tuple(range(1, count + 1))
+    return {stem: [group[i] for i in sorted(group)] for stem, group in groups.items() if tuple(sorted(group)) in runs}
+
+
+def tell_numbered(signals: Sequence[Signal]) -> Iterator[Told]:
+    """Attitudes as four numbers; which of them is w is sure if a gyro turns so and not otherwise."""
+    gyros = [group for stem, group in number_groups(signals, 3).items() if is_gyro(stem)]
+    gyros += [group for stem, group in find_groups(signals, AXES).items() if is_gyro(stem)]
+    for stem, group in number_groups(signals, 4).items():
+        norms = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
+        if np.nanmax(np.abs(norms - 1.0)) >= 0.02 or all(signal.is_constant for signal in group):
+            continue
+        orders = {name: tuple(group[place] for place in places) for name, places in ORDERS.items()}
+        turned = [name for name, (w, *xyz) in orders.items() if gyros and tell_gyro("", gyros[0], [*xyz, w]).sure]
+        name = turned[0] if len(turned) == 1 else next(iter(ORDERS))
+        text = f"attitude: {stem} of four numbers is a quaternion (norm 1)"
+        if len(turned) == 1:
+            yield Told("attitude", f"{text}, {name} as the gyro turns", True, orders[name])
+        else:
+            yield Told("attitude", f"{text}: {name}, or {' or '.join([*ORDERS][1:])}?", False, orders[name])
+
+
+def is_gyro(stem: str) -> bool:
+    """Whether what three signals share says that they are rates of an IMU."""
+    words = set(split_words(stem.split(" ", 1)[1]))
+    return bool(words & {"gyro", "gyr"}) or words in ({"angular", "velocity"}, {"angular", "velocity", "xyz"})
+
+
 def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
     """What a body's signals are: position, attitude and rate, and, without a quantity, what shows the same."""
-    attitudes = {}
-    for stem, group in find_groups([s for s in signals if not is_commanded(s)], (*AXES, "w")).items():
+    attitudes: dict[str, list[Signal]] = {}
+    measured = [signal for signal in signals if not is_commanded(signal)]
+    for each in tell_numbered(measured):
+        attitudes[each.text.split(" ", 1)[1].split(" of four")[0]] = [*each.signals[1:], each.signals[0]]
+        yield each
+    for stem, group in find_groups(measured, (*AXES, "w")).items():
         norms = np.sqrt(np.sum([signal.values**2 for signal in group], axis=0))
         off = float(np.nanmax(np.abs(norms - 1.0)))
         if off < 0.02 and not all(signal.is_constant for signal in group):
             attitudes[stem] = group
             text = f"attitude: {stem}x, y, z, w is a quaternion (norm within {off:.1g} of 1)"
             yield Told("attitude", text, True, (group[3], *group[:3]))
-    angles = {} if attitudes else find_groups([s for s in signals if not is_commanded(s)], EULER, UNIT_AT_END)
+    angles = {} if attitudes else find_groups(measured, EULER, UNIT_AT_END)
     for stem, group in angles.items():
         if not all(signal.is_constant for signal in group):
             unit = group[0].unit
@@ -128,7 +172,7 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
             attitudes[stem] = turn_signals(group, dict(ANGLES)[unit])
             text = f"attitude: {stem}roll, pitch, yaw in {unit}{'' if told else ' by how far they go'}"
             yield Told("attitude", text, False, tuple(group), "" if unit == "rad" else unit)
-    triples = find_groups([s for s in signals if not is_commanded(s)], AXES)
+    triples = {**number_groups(measured, 3), **find_groups(measured, AXES)}
     places = {stem: group for stem, group in triples.items() if angles or stem not in attitudes}
     yield from tell_positions(places, body, attitudes)
     for stem, group in find_groups(signals, EULER).items():
@@ -136,7 +180,7 @@ def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:
             yield tell_angles(stem, group, next(iter(attitudes.values())))
     for stem, group in triples.items():
         words = set(split_words(stem.split(" ", 1)[1]))
-        if (words & {"gyro", "gyr"} or words == {"angular", "velocity"}) and attitudes:
+        if is_gyro(stem) and attitudes:
             yield tell_gyro(stem, group, next(iter(attitudes.values())))
         elif words & {"acc", "accel", "acceleration"} and words & {"imu", "accel", "accelerometer"}:
             yield tell_gravity(stem, group)
@@ -146,30 +190,31 @@ def tell_positions(triples: Mapping[str, list[Signal]], body: str, attitudes: Co
     """Positions, by the name of the message, the body or its attitude, or each with the velocity that is its slope."""
     for stem, group in triples.items():
         topic, _, name = stem.partition(" ")
-        if name.rstrip("._") and any(f"{stem}{turned}" in attitudes for turned in BESIDE):
-            yield Told("position", f"position: {stem}x, y, z: called as its attitude", True, tuple(group))
+        axes = f"{stem} of three numbers" if group[0].label[-1:] in "0123]" else f"{stem}x, y, z"
+        bare = name.rstrip("._")
+        if bare and any(f"{stem}{turned}" in attitudes for turned in BESIDE):
+            yield Told("position", f"position: {axes}: called as its attitude", True, tuple(group))
             continue
         if name in ROS_POSITIONS:
-            yield Told("position", f"position: {stem}x, y, z, of a message of poses", True, tuple(group))
-        if split_words(body) == [word for word in split_words(name) if word not in NAMED]:
-            yield Told("position", f"position: {stem}x, y, z: its name", True, tuple(group))
+            yield Told("position", f"position: {axes}, of a message of poses", True, tuple(group))
+        words = [word for word in split_words(name) if word not in NAMED]
+        if words and (words == split_words(body) or set(words) <= TRACKED):
+            yield Told("position", f"position: {axes}: its name", True, tuple(group))
             continue
-        if (
-            name.rstrip("._")
-            and not re.fullmatch(r"(.*[._])?p", name)
-            and not name.endswith(("state", "estimate.", "estimate_"))
-        ):
+        place = re.fullmatch(r"(|.*[._])(p|pos|position)([._]?)", name)
+        if place is None and bare and not bare.endswith(("state", "estimate")):
             continue
-        base = name[:-1] if name.endswith("p") else name
-        velocity = triples.get(f"{topic} {base}v")
+        base = place.group(1) + RATES[place.group(2)] + place.group(3) if place else f"{name}v"
+        velocity = triples.get(f"{topic} {base}")
         if velocity is None:
-            yield Told("position", f"position: {stem}x, y, z by name alone", False, tuple(group))
+            yield Told("position", f"position: {axes} by name alone", False, tuple(group))
             continue
         tests = [compare_slope(p, v) for p, v in zip(group, velocity)]
         shares = [share for r, share in tests if np.isfinite(r) and r > SLOPE]
         good = len(shares) >= 2 and all(CLOSE[0] < share < CLOSE[1] for share in shares)
         numbers = ", ".join(f"{share:.2f} (r {r:.2f})" for r, share in tests)
-        text = f"position: {stem}x, y, z, velocity {base}vx, vy, vz; shares of the slope {numbers}"
+        beside = base if axes.endswith("numbers") else f"{base}x, vy, vz" if base.endswith("v") else f"{base}x, y, z"
+        text = f"position: {axes}, velocity {beside}; shares of the slope {numbers}"
         yield Told("position", text, good, tuple(group))
 
 

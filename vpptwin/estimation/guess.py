@@ -2,44 +2,39 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.turns import TURN, follow_turns, unwrap_turns
-from vpptwin.fields import UNITS
-from vpptwin.logs.flight import Stream
+from vpptwin.estimation.alike import compare_lag, compare_slope, measure_roughness, straighten
+from vpptwin.estimation.normalised import TRAVEL, Position, tell_normalised
+from vpptwin.estimation.turns import TURN, follow_turns
+from vpptwin.estimation.words import (
+    COMMANDED,
+    PLACES,
+    is_commanded,
+    is_derived,
+    is_slope_of,
+    is_spin,
+    names_it,
+    part_index,
+    split_words,
+    tell_quantity,
+)
+from vpptwin.fields import UNITS, UNSAID
 from vpptwin.logs.survey import Signal
 from vpptwin.twin.actuation import tell_control
 
-WORDS = {
-    "acceleration": "acc accel acceleration ax ay az ddot",
-    "velocity": "vel velocity velocities qd dq qdot qvel speed omega rate dot gyro vx vy vz wx wy wz",
-    "effort": "tau torque torques effort efforts force forces moment moments thrust thrusts current",
-    "position": "pos position positions q qpos angle angles theta phi psi alpha beta gamma state",
-    "drive": "pwm throttle duty voltage volt volts u motor motors rotor rotors",
-}
-"""Quantity → words in names that tell it, the first that matches."""
-MEASURED = {"rad": "position", "m": "position", "rad/s": "velocity", "m/s": "velocity", "m/s^2": "acceleration",
-            "N": "effort", "N m": "effort", "A": "effort", "V": "drive"}  # fmt: skip
-"""What a signal is whose name tells nothing, by its unit."""
-PLACES = {"m": {"x", "y", "z", "pos", "position"}, "rad": {"theta", "phi", "psi", "alpha", "beta", "gamma", "angle"}}
-"""Unit of a slide or hinge → words that tell positions of that kind."""
-COMMANDED = {
-    "control", "controller", "cmd", "command", "commands", "target", "setpoint", "sp", "des", "desired", "ref",
-    "reference", "goal", "action", "con", "ctrl",
-}  # fmt: skip
-DERIVED = {"filt", "filtered", "smooth", "fric", "friction", "comp", "err", "error", "ff", "diff", "est"}
-UNIT_WORDS = {"deg", "degs", "degps", "dps", "rad", "rads", "radps", "m", "mm", "cm", "mps", "s", "sec", "per"}
-"""Words at the end of names that tell a unit."""
 SLOPE = 0.8
 """Correlation of a velocity with the slope of its position below which they are strangers."""
+ALIKE = 0.95
+"""That of two columns at some lag from which on they are one motion, asked for and measured."""
+ROUGHER = 1.5
+"""How much rougher than another a signal is of which that may be a filtered copy."""
 CLOSE = 0.6, 1.6
 """What a velocity may be of the slope: those of `docs/logs.md`."""
-STILL = 1e-9
 FAR = {"rad": 2.0 * np.pi, "m": 5.0}
 """Travel without a said unit that may be in a smaller one."""
 
@@ -58,52 +53,8 @@ class Guess:
     reasons: list[str] = field(default_factory=list)  # what speaks for it, with numbers
     doubts: list[str] = field(default_factory=list)  # what speaks against it, or what else it may be
     motion: Signal | None = None  # the position, if it is a joint's, as it goes on beyond a turn [m, rad]
-
-
-def split_words(text: str) -> list[str]:
-    """Small words of a name; digits part from letters."""
-    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
-    return re.findall(r"[a-z]+|\d+", parted.lower())
-
-
-def strip_unit(text: str) -> list[str]:
-    """Small words of a name without those of a unit at its end."""
-    words = split_words(text)
-    while len(words) > 1 and words[-1] in UNIT_WORDS:
-        words.pop()
-    return words
-
-
-def tell_quantity(signal: Signal) -> str:
-    """position, velocity, effort, acceleration, or "" where the name tells nothing."""
-    if signal.name:
-        return signal.field
-    words = split_words(signal.label)
-    if words[:1] == ["data"]:  # of an array without names: its topic tells what it is
-        words = split_words(signal.topic)
-    places = {*WORDS["position"].split(), *PLACES["m"]}
-    rates = {f"d{word}" for word in places} | {f"{word}dot" for word in places}
-    if rates & set(words):
-        return "velocity"
-    told = next((kind for kind, known in WORDS.items() if set(words) & set(known.split())), "")
-    return told or MEASURED.get(UNITS.get(signal.unit, ("",))[0], "")
-
-
-def is_commanded(signal: Signal) -> bool:
-    """Whether a signal's name says that it was asked for, not measured; or its topic's, where it is one of several."""
-    return bool(COMMANDED & {*split_words(signal.label), *([] if signal.alone else split_words(signal.topic))})
-
-
-def is_derived(signal: Signal) -> bool:
-    """Whether it was made of another signal."""
-    return bool(DERIVED & set(split_words(signal.label)))
-
-
-def part_index(signal: Signal) -> tuple[str, int | None]:
-    """Topic and name without the index in it, and the index."""
-    match = re.fullmatch(r"(.*?)[_\[]?(\d+)\]?", signal.label)
-    stem, index = (match.group(1), int(match.group(2))) if match else (signal.label, None)
-    return f"{signal.topic} {stem}", index
+    leading: list[Signal] = field(default_factory=list)  # what the position of a joint follows
+    rivals: list[Signal] = field(default_factory=list)  # what else its position may be
 
 
 def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Guess]:
@@ -115,11 +66,12 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
     joints = [model.joint(i) for i in range(model.njnt) if model.jnt_type[i] in plain]
     names = [joint.name for joint in joints]
     measured = [signal for signal in signals if not is_commanded(signal)]
-    guesses = [Guess(name, "joints") for name in names]
+    guesses, spelled = [Guess(name, "joints") for name in names], {name.lower() for name in names}
     for quantity in ("position", "velocity"):
         pool = [signal for signal in measured if tell_quantity(signal) == quantity]
         if quantity == "position":  # a column that is called like a joint, and nothing more
-            pool += [s for s in measured if not tell_quantity(s) and split_words(s.label) in map(split_words, names)]
+            bare = [s for s in measured if not tell_quantity(s)]
+            pool += [s for s in bare if {s.label.lower(), part_index(s)[0].split(" ", 1)[1].lower()} & spelled]
         assign(guesses, names, pool, quantity)
         if quantity == "position":
             for length, kind in zip(PLACES, plain):
@@ -133,10 +85,11 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         check_joint(guess, model, int(joint.id))
     motors = [model.actuator(i).name for i in range(model.nu)]
     commands = [Guess(name, "actuators") for name in motors]
-    taken = [signal for guess in guesses for signal in guess.fields.values()]
+    taken = [signal for guess in guesses for signal in (*guess.fields.values(), *guess.rivals)]
     bare = [s for s in signals if not tell_quantity(s) and s not in taken and not s.name]
-    for asked in ("position", "velocity", "effort"):
-        chosen = [guess for i, guess in enumerate(commands) if tell_control(model, i) == asked]
+    kinds = [tell_drive(model, i) for i in range(model.nu)]
+    for asked in ("position", "velocity", "effort", "lift"):
+        chosen = [guess for guess, kind in zip(commands, kinds) if kind == asked]
         pool = [s for s in signals if is_control(s, asked)]
         # As of joints: a column that is called like one of them, and nothing more but that it was asked for.
         called = [split_words(guess.target) for guess in chosen]
@@ -147,20 +100,43 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
             own = [s for s in pool if [w for w in split_words(s.label) if w not in COMMANDED] == joint_words]
             settle(guess, "effort", own, "the name of the joint that it moves")
     for i, guess in enumerate(commands):
-        driven = find_moved(model, i)
-        moved = next((g.motion for g in guesses if g.target == driven), None)
-        check_actuator(guess, model, i, moved)
+        driven = next((g for g in guesses if g.target == find_moved(model, i)), Guess("", "joints"))
+        if kinds[i] == "position" and not guess.fields:
+            settle(guess, "effort", driven.leading, f"comes before what {driven.target} does")
+        check_actuator(guess, model, i, driven.motion)
+        check_copy(guess, driven)
     for guess in guesses if not any(command.fields for command in commands) else ():
         position = guess.fields.get("position")
         if position is not None and position.alone and COMMANDED & set(split_words(position.topic)):
             guess.doubts.append(f"the log is called {position.topic}: was {position.label} measured, or asked for?")
             guess.sure = False
+    doubt_travel(model, guesses, commands)
     return [*guesses, *commands]
 
 
+def doubt_travel(model: mujoco.MjModel, guesses: Sequence[Guess], commands: Sequence[Guess]) -> None:
+    """Doubt the unit of positions, and of targets of them, that are held where per cents of a travel end."""
+    owners, positions = dict[str, Guess](), list[Position]()
+    for guess in (*guesses, *(c for c in commands if tell_control(model, model.actuator(c.target).id) == "position")):
+        joint = guess.target if guess.group == "joints" else find_moved(model, model.actuator(guess.target).id)
+        signal = guess.fields.get("position" if guess.group == "joints" else "effort")
+        if signal is not None and joint:
+            low, high = model.joint(joint).range if model.jnt_limited[model.joint(joint).id] else (-np.inf, np.inf)
+            size = UNITS[
+                name_length(model, model.joint(joint).id) if not guess.units else next(iter(guess.units.values()))
+            ][1]
+            positions.append(Position(signal.title, signal.values, (low / size, high / size)))
+            owners[signal.title] = guess
+    for ends in tell_normalised(positions):
+        owners[ends.name].doubts.append(f"{ends.told}: {TRAVEL}?")
+        owners[ends.name].sure = False
+
+
 def is_control(signal: Signal, kind: str) -> bool:
-    """Whether a signal may be what a servo is asked for, or what a motor is driven by."""
-    if kind == "effort":
+    """Whether a signal may be what a servo is asked for, or what a motor is driven by; a rotor lifts as it turns."""
+    if kind in ("effort", "lift") and is_spin(signal):
+        return kind == "lift"
+    if kind in ("effort", "lift"):
         return signal.field == "effort" if signal.name else tell_quantity(signal) in ("effort", "drive")
     if signal.name:
         return signal.field == (kind if is_commanded(signal) else "effort")
@@ -170,6 +146,12 @@ def is_control(signal: Signal, kind: str) -> bool:
 def find_moved(model: mujoco.MjModel, actuator: int) -> str:
     """Name of the joint that an actuator acts on itself; "" for none."""
     return str(model.joint(model.actuator_trnid[actuator, 0]).name) if model.actuator_trntype[actuator] == 0 else ""
+
+
+def tell_drive(model: mujoco.MjModel, actuator: int) -> str:
+    """Which quantity its control input is, "lift" for the effort of what acts on no joint alone, as rotors do."""
+    kind = tell_control(model, actuator)
+    return "lift" if kind == "effort" and not find_moved(model, actuator) else kind
 
 
 def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:
@@ -203,42 +185,66 @@ def assign_kind(guesses: Sequence[Guess], measured: Sequence[Signal], length: st
         guess.doubts.append(f"only that says that {signal.label} is {guess.target}")
 
 
-def is_slope_of(velocity: Signal, position: Signal) -> bool:
-    """Whether a velocity is called as a position is but for what says that it is one: `dx`, `theta_dot`, `pos_vel`."""
-    stem = [word for word in strip_unit(velocity.label) if word not in WORDS["velocity"].split()]
-    if velocity.topic != position.topic or velocity.name or not stem:
-        return False
-    return [*stem[:-1], stem[-1].removeprefix("d").removesuffix("dot")] == strip_unit(position.label)
-
-
-def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
-    """Whether a signal is called by a name, word by word, and by no longer one that holds it."""
-    if signal.name:
-        return signal.name == name
-
-    def holds(words: Sequence[str], part: Sequence[str]) -> bool:
-        return bool(part) and any(words[i : i + len(part)] == part for i in range(len(words) - len(part) + 1))
-
-    called, own = split_words(signal.label), split_words(name)
-    longer = [split_words(other) for other in others if other != name]
-    return holds(called, own) and not any(holds(other, own) and holds(called, other) for other in longer)
-
-
 def settle(guess: Guess, quantity: str, own: Sequence[Signal], basis: str) -> None:
-    """Take the likeliest signal, and note its rivals: commands before measurements of effort, raw ones first."""
+    """Take the likeliest signal, and note its rivals.
+
+    Raw signals come before those made of others, commands before measurements of effort, speeds of rotors before what
+    drives them; of positions that show one motion the one that comes last was measured.
+    """
     if not own:
         return
-    ranked = sorted(own, key=lambda s: (is_derived(s), s.is_constant, quantity == "effort" and not is_commanded(s)))
+
+    def rank(s: Signal) -> tuple[bool, ...]:
+        measured = quantity == "effort" and not (is_commanded(s) or is_spin(s))
+        return is_derived(s), s.is_constant, measured, tell_quantity(s) == "drive" and not is_spin(s)
+
+    ranked = sorted(own, key=rank)
     best = ranked[0]
-    guess.fields[quantity] = best
     guess.reasons.append(f"{best.label}: {basis}")
     rivals = [s for s in ranked[1:] if is_derived(s) == is_derived(best)]
+    if is_spin(best):
+        rivals = [s for s in rivals if is_spin(s)]
+    if quantity == "position":
+        guess.rivals += [best, *rivals]
+        best, rivals = part_by_time(guess, [best, *rivals])
+    guess.fields[quantity] = best
     if rivals:
         guess.doubts.append(f"or {', '.join(s.title for s in rivals[:4])}")
     if is_derived(best):
         guess.doubts.append(f"{best.label} may be made of another signal")
     if best.is_constant:
         guess.doubts.append(f"{best.label} is constant")
+
+
+def part_by_time(guess: Guess, rivals: Sequence[Signal]) -> tuple[Signal, list[Signal]]:
+    """Of signals that may be one position that which is measured, and its rivals; those that it follows are targets.
+
+    A target is no rougher than what follows it. What is may be the raw signal of a filtered one, which is asked.
+    """
+    last, left = rivals[0], []
+    for other in rivals[1:]:
+        correlation, lag = compare_lag(last, other)
+        first, second = (last, other) if lag > 0.0 else (other, last)
+        if correlation > ALIKE and abs(lag) > 0.5 / min(last.rate, other.rate):
+            told = f"{second.label} follows {first.label} by {1e3 * abs(lag):.0f} ms (r {correlation:.2f})"
+            if measure_roughness(first) > ROUGHER * measure_roughness(second):
+                guess.doubts.append(f"{told}: which was asked for, or is {second.label} a filtered {first.label}?")
+            else:
+                guess.leading.append(first)
+                guess.reasons.append(told)
+            last = second
+        else:
+            left.append(other)
+    return last, left
+
+
+def check_copy(guess: Guess, driven: Guess) -> None:
+    """Doubt a target that is the measurement of what it moves to the last digit."""
+    asked, seen = guess.fields.get("effort"), driven.fields.get("position")
+    if asked is None or seen is None or asked.is_constant or not np.array_equal(asked.values, seen.values, True):
+        return
+    guess.doubts.append(f"{asked.label} and {seen.label} are one and the same: was it asked for, or measured?")
+    guess.sure = False
 
 
 def name_length(model: mujoco.MjModel, joint: int) -> str:
@@ -290,11 +296,22 @@ def check_unit(guess: Guess, quantity: str, signal: Signal, expected: str) -> di
     """The unit that the log says, if it is one of that kind and not SI."""
     if not signal.unit or signal.unit == expected:
         return {}
+    if signal.unit == UNSAID:
+        guess.doubts.append(f"nobody says the unit of {signal.label}: {expected}, deg, or {TRAVEL}?")
+        return {}
     if signal.unit in UNITS and UNITS[signal.unit][0] == expected:
         guess.reasons.append(f"{signal.label} is in {signal.unit}")
         return {quantity: signal.unit}
     guess.doubts.append(f"{signal.label} is in {signal.unit}, where {expected} was expected")
     return {}
+
+
+def tell_force(model: mujoco.MjModel, actuator: int) -> str:
+    """SI unit of what an actuator makes on a joint or at a site; "" where its transmission decides."""
+    if moved := find_moved(model, actuator):
+        return "N m" if name_length(model, model.joint(moved).id) == "rad" else "N"
+    at_site = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_SITE)
+    return ("N" if model.actuator_gear[actuator, :3].any() else "N m") if at_site else ""
 
 
 def check_range(guess: Guess, signal: Signal, values: np.ndarray, limits: np.ndarray | None, length: str = "") -> None:
@@ -329,7 +346,9 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     if kind == "position" and model.actuator_trntype[actuator] == 0 and model.actuator_gear[actuator, 0] == 1.0:
         length = name_length(model, model.actuator_trnid[actuator, 0])
         guess.units |= check_unit(guess, "effort", command, length)
-    raw = kind == "effort" and tell_quantity(command) == "drive"
+    raw = kind == "effort" and (tell_quantity(command) == "drive" or is_spin(command))
+    if kind == "effort" and not raw and (force := tell_force(model, actuator)):
+        guess.units |= check_unit(guess, "effort", command, force)
     known, scale = np.isfinite(command.values), UNITS[guess.units.get("effort", length)][1] if length else 1.0
     asked = replace(command, time=command.time[known], values=command.values[known] * scale)
     if length == "rad" and moved is not None and len(moved.values):
@@ -341,9 +360,8 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     if kind == "effort":
         if raw:
             low, high = command.whole.low, command.whole.high
-            guess.doubts.append(
-                f"{command.label} goes from {low:.4g} to {high:.4g}: how much force is that? a scale or polynomial"
-            )
+            how = "polynomial: [0, 0, N per square of it]" if is_spin(command) else "a scale or polynomial"
+            guess.doubts.append(f"{command.label} goes from {low:.4g} to {high:.4g}: how much force is that? {how}")
         elif not command.name and not is_commanded(command):
             guess.doubts.append(f"{command.label} may be measured, not commanded")
     elif moved is not None:
@@ -360,51 +378,3 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         else:
             guess.reasons.append(told)
     guess.sure = not guess.doubts
-
-
-def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarray]:
-    """Period [s] and both signals (n,) over the time that they share, finite and at a constant rate."""
-    good = [(s.time[np.isfinite(s.values)], s.values[np.isfinite(s.values)]) for s in (first, second)]
-    if not all(len(time) for time, _ in good):
-        return 1.0, np.zeros(0), np.zeros(0)
-    start, end = max(time[0] for time, _ in good), min(time[-1] for time, _ in good)
-    period = max(1.0 / min(s.rate for s in (first, second)), (end - start) / 50_000.0)
-    grid = np.arange(start, end, period)
-    if len(grid) < 20:
-        return period, np.zeros(0), np.zeros(0)
-    return period, *(np.interp(grid, time, values) for time, values in good)
-
-
-def straighten(position: Signal, scale: float, limits: np.ndarray | None, rotary: bool) -> tuple[Signal, list[str]]:
-    """A position logged in units of `scale`, in SI units, that goes on where it was logged within one turn."""
-    known = np.isfinite(position.values)
-    stream = Stream(position.time[known], {"position": scale * position.values[known]})
-    stream, told = unwrap_turns(stream, position.label, limits, rotary)
-    return replace(position, time=stream.time, values=stream["position"]), told
-
-
-def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:
-    """Correlation of a velocity with the slope of a position over 0.1 s, and its share of that; NaN if it is still."""
-    period, place, rate = resample(position, velocity)
-    width = max(round(0.1 / period), 1)
-    if len(place) < 4 * width:
-        return np.nan, np.nan
-    moved = place[width:] - place[:-width]
-    summed = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * period)])
-    turned = summed[width:] - summed[:-width]
-    if moved.std() < STILL or turned.std() < STILL:
-        return np.nan, np.nan
-    return float(np.corrcoef(moved, turned)[0, 1]), float(turned @ moved / (moved @ moved))
-
-
-def compare_lag(target: Signal, position: Signal) -> tuple[float, float]:
-    """Correlation of a position with its target at the lag at which it is greatest, and that lag [s]; NaN if still."""
-    period, asked, found = resample(target, position)
-    if len(asked) < 20 or asked.std() < STILL or found.std() < STILL:
-        return np.nan, np.nan
-    most = min(round(0.5 / period), len(asked) // 4)
-    lags = list(range(-most, most + 1))
-    values = [np.corrcoef(asked[max(-k, 0) : len(asked) - max(k, 0)], found[max(k, 0) : len(found) - max(-k, 0)])[0, 1]
-              for k in lags]  # fmt: skip
-    best = int(np.argmax(values))
-    return float(values[best]), lags[best] * period

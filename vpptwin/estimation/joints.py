@@ -16,6 +16,7 @@ from vpptwin.estimation.held import find_held
 from vpptwin.estimation.initial import choose_span
 from vpptwin.estimation.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
+from vpptwin.estimation.normalised import vet_travel
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
 from vpptwin.estimation.sound import vet_joint
 from vpptwin.estimation.turns import TURN, follow_turns, measure_counter, unwrap_turns
@@ -44,7 +45,7 @@ DRIFT = 1.0
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     """Measurements of another rig: the joint states, poses and control inputs that the twin's `signals` name."""
     signals, kinds = spec.robot.signals, spec.model.jnt_type
-    found = Found()
+    found = Found(warnings=vet_travel(spec.model, signals, flight))
     for each in spec.robot.tracked:
         if kinds[each.joint] in (FREE, BALL):
             read_body(spec, flight, each, found)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from vpptwin.errors import InputError, load_extra
-from vpptwin.fields import Stamp
+from vpptwin.fields import UNSAID, Stamp
 from vpptwin.logs.headings import check_times, count_ns, find_clock, guess_unit, part_units
 from vpptwin.logs.raw import Wish
 from vpptwin.logs.tables import Table, choose_fields
@@ -45,6 +45,8 @@ def read_rows(
         for first in content.iter_batches(batch_size=_ROWS):  # only rows tell whether lists have one length
             held = {n: read_arrow(pa, n, first.column(k), units, names) for k, n in enumerate(given)}
             held = {n: columns for n, columns in held.items() if episode is None or n not in ROWS_OF_SETS}
+            if episode is not None:
+                units |= {n: UNSAID for n in (n for columns in held.values() for n in columns) if n not in units}
             times = held[clock].get(clock, np.empty(0, bool))
             if times.dtype.kind not in "iuf" or times.ndim > 1:
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")

@@ -18,7 +18,7 @@ from vpptwin.fields import NANOSECONDS
 from vpptwin.logs.csv_form import DATE, NULLS, NUMBER, Format, open_bytes, part_list, part_rows, refuse_damaged, sniff
 from vpptwin.logs.headings import count_ns, find_clock, guess_unit
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import Table, choose_fields, find_named
+from vpptwin.logs.tables import NAMES, Table, choose_fields, find_named
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -51,7 +51,8 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
     clock = find_clock(path, form.names, stamp, form.units)
     fields = choose_fields(wish, topic, form.names)
     needed = {clock, *find_named(wish, topic, fields)}
-    told = [name for name, kind in zip(form.names, form.kinds) if wish.texts or kind != "text" or name in needed]
+    told = [name for name, kind in zip(form.names, form.kinds)
+            if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)]  # fmt: skip
     wanted = [name for name in told if name in fields or name == clock]
     unit = form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
     unit = stamp.unit if stamp is not None and stamp.unit is not None else unit

@@ -15,16 +15,20 @@ from vpptwin.logs.tables import list_names, number_apart
 _UNIT = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]")
 _ENDING = re.compile(
     r".*[a-zA-Z0-9]_(deg_per_s|deg_per_sec|deg_sec|deg_s|degps|dps|rad_per_s|rad_per_sec|rad_sec|rad_s|radps|"
-    r"deg|degrees?|rad|radians|mm_s|mm|cm_s|cm|m_per_s|m_s|mps|rpm|mNm|Nm|N|mV|V|mA|A)"
+    r"deg|degrees?|rad|radians|mrad_s|mm_s|mm|cm_s|cm|m_per_s|m_s|mps|m_s2|mps2|kmh|km_h|rpm|rev_s|mNm|Nm|gf|kgf|kN|N|"
+    r"mV|V|mA|A|percent|pct)"
 )
 """What names of columns end with that is a unit, by upper and lower case: `q_m` or `phase_a` may be anything."""
 _TIMES = ("t", "time", "timestamp", "stamp", "time_stamp", "clock", "elapsed", "elapsed_time", "seconds", "date_time",
           "datetime", "header_stamp", "log_time", "sec", "timestamps", "epoch", "unix_time", "ts", "zeit")  # fmt: skip
-_SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds", "us": "us usec microseconds µs μs",
+_SPELLED = {"s": "s sec secs second seconds", "ms": "ms msec millis milliseconds",
+            "us": "us usec micros microseconds µs μs",
             "ns": "ns nsec nanoseconds"}  # fmt: skip
 _WORDS = {word: unit for unit, words in _SPELLED.items() for word in words.split()}
 _SUFFIXES = {f"_{word}": unit for word, unit in _WORDS.items()} | {"us": "us", "ms": "ms", "ns": "ns"}
 """What names of clocks end with → unit."""
+_CLOCKS = ("millis", "micros", "milliseconds", "microseconds", "nanoseconds")
+"""Units that are clocks by themselves."""
 _SLOWEST, _FASTEST = 5.0, 5000.0  # samples a second of a log whose clock tells no unit; three decades leave one unit
 
 _DATES = 1e9, 4e9  # seconds since 1970: 2001 to 2096
@@ -38,7 +42,9 @@ def clean_unit(text: str) -> str:
     text = {"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "°/s": "deg/s", "dps": "deg/s",
             "mps": "m/s", "mNm": "mN m", "Nm": "N m",
             "N·m": "N m", "m/s²": "m/s^2", "m/s2": "m/s^2", "m/s/s": "m/s^2", "RPM": "rpm", "percent": "%",
-            "meters": "m", "metres": "m"}.get(text, text)  # fmt: skip
+            "meters": "m", "metres": "m", "m_s2": "m/s^2", "mps2": "m/s^2", "kmh": "km/h", "km_h": "km/h", "pct": "%",
+            "gram-force": "gf", "grf": "gf", "newton": "N", "newtons": "N", "N*m": "N m", "N.m": "N m", "N-m": "N m",
+            "kgf·cm": "kgf cm", "kgf*cm": "kgf cm", "kgf.cm": "kgf cm", "kgf-cm": "kgf cm"}.get(text, text)  # fmt: skip
     return _WORDS.get(text, text)
 
 
@@ -64,9 +70,11 @@ def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
 
 def split_time(name: str) -> tuple[bool, str]:
     """Whether a column is called as clocks are, and the unit that its name ends with, "" for none."""
-    plain = list_names(name)[2]
+    plain = list_names(re.sub("[\u00b5\u03bc]", "u", name))[2]
     if plain in _TIMES:
         return True, ""
+    if plain in _CLOCKS:
+        return True, _WORDS[plain]
     for suffix, unit in _SUFFIXES.items():
         if plain.endswith(suffix) and plain.removesuffix(suffix).rstrip("_") in _TIMES:
             return True, unit
@@ -94,6 +102,8 @@ def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None, units: Map
 
 
 def _rank(name: str) -> int:
+    if name == "T":  # a thrust, torque or temperature, if anything else may be the time
+        return len(_TIMES) + 1
     plain = list_names(name)[2]
     return next((i for i, known in enumerate(_TIMES) if plain == known or plain.startswith(f"{known}_")), len(_TIMES))
 

@@ -24,7 +24,7 @@ from vpptwin.logs.lerobot import is_lerobot, list_episodes, read_lerobot, split_
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
-from vpptwin.logs.tables import Table, find_field, is_packed, keep_tables, name_topic
+from vpptwin.logs.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
 from vpptwin.logs.unpack import ZSTD, unpack_file
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 
@@ -120,7 +120,8 @@ class Recording:
                     values = {path: batch.values[name] for path, name in names.items()}
                     yield Batch(batch.number + (index << 40), batch.log_time, values, batch.texts)
             except DecodeError as error:
-                raise refuse_messages(self.path, channel, paths, error) from None
+                found = find_elsewhere([c for file in self.files for c in file.channels], channel, paths)
+                raise refuse_messages(self.path, channel, paths, error, found) from None
 
 
 def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
@@ -192,13 +193,16 @@ def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
             )
 
 
-def refuse_messages(path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError) -> InputError:
-    """What to say of messages that do not decode."""
+def refuse_messages(
+    path: PathLike, channel: RawChannel, paths: Sequence[str], error: DecodeError, elsewhere: str = ""
+) -> InputError:
+    """What to say of messages that do not decode; `elsewhere` says in which other topics there is what they lack."""
     headless, named = "field header.stamp" in str(error), [name for name in paths if name != "header.stamp"]
     if channel.rows and not headless:  # a table
         found = str(error).replace("numeric field", "numeric column").replace("only header.stamp, ", "only ")
         what = f"columns {', '.join(named)}, as the twin's `signals` or the topic map name them"
-        return InputError(f"{path}: {channel.topic} has {found}", what, "correct their names there, or in the log")
+        found = f"{path}: {channel.topic} has {f'{elsewhere}; ' * bool(elsewhere)}{found}"
+        return InputError(found, what, "correct their names there, or in the log")
     return InputError(
         f"{path}: {channel.topic} ({channel.message_type}) has {error}",
         f"messages with {', '.join(paths)} as the definition in the file says",

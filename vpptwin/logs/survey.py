@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,6 +21,7 @@ from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fie
 from vpptwin.logs.raw import RawChannel, RawFile, Wish
 from vpptwin.logs.recording import PathLike, Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
+from vpptwin.logs.tables import NAMES, is_text
 from vpptwin.logs.timeline import check_order
 from vpptwin.logs.topic_map import LOG_TIME
 
@@ -109,6 +111,7 @@ class Signal:
         stretches: all of it, where time and values hold but the first of several.
         headless: whether its messages have no time of their own, but the log's.
         alone: whether its topic is the log's only one, whose name tells what the log is, not what of it.
+        called: what a column of names beside it calls it throughout (`name0` of `position0`), else "".
     """
 
     topic: str
@@ -122,11 +125,13 @@ class Signal:
     stretches: tuple[Stretch, ...] = ()
     headless: bool = False
     alone: bool = False
+    called: str = ""
 
     @property
     def title(self) -> str:
         """Topic and name as they are shown."""
-        return f"{self.topic} {self.name} {self.label}" if self.name else f"{self.topic} {self.label}"
+        title = f"{self.topic} {self.name} {self.label}" if self.name else f"{self.topic} {self.label}"
+        return f"{title} ({self.called})" if self.called else title
 
     @cached_property
     def finite(self) -> np.ndarray:
@@ -172,7 +177,7 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
     first: dict[tuple[str, ...], Signal] = {}
     stretches: dict[tuple[str, ...], list[Stretch]] = {}
     clocks: dict[str, np.ndarray] = {}  # how often a topic's time falls, and stands
-    latest: dict[str, np.ndarray] = {}
+    latest: dict[tuple[str, str], np.ndarray] = {}  # joints of one topic may come in messages of their own
     refused: dict[str, InputError] = {}
 
     def note(recording: Recording, channel: RawChannel) -> None:
@@ -181,6 +186,7 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
         stamp = rows = last
         try:
             found = list(list_joints(recording, channel.topic) if joints else list_columns(recording, channel))
+            found = name_elements(found, read_names(channel))
         except (InputError, LayoutError):  # messages of many shapes, of which no twin names a field
             return
         for signal in found:
@@ -192,10 +198,11 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
                 stamp, rows = (last, rows) if rising else np.unique(last, return_index=True)
                 try:  # runs that follow one another are not laid over each other
                     if last.any():
-                        check_order(np.append(latest.get(channel.topic, last[:0]), last), called, channel.topic)
+                        before = latest.get((channel.topic, signal.name), last[:0])
+                        check_order(np.append(before, last), called, channel.topic)
                 except InputError as error:
                     refused.setdefault(channel.topic, error)
-                latest[channel.topic] = last[np.argmax(last)][None]
+                latest[channel.topic, signal.name] = last[np.argmax(last)][None]
             values = (signal.values if rising else signal.values[rows]).astype(float, copy=False)
             key = signal.topic, signal.field, signal.name
             stretches.setdefault(key, []).append(look(stamp, values))
@@ -237,6 +244,46 @@ def list_joints(recording: Recording, topic: str) -> Iterator[Signal]:
             yield Signal(topic, column, column, escape_text(name), "float64", "", samples.stamp, values)
 
 
+def read_names(channel: RawChannel) -> dict[tuple[str, int], str]:
+    """What texts `name0`, `joint_names[0]` say throughout: what comes before the word, and the number → the name."""
+    texts: dict[str, set[str]] = {}
+    for rows in channel.rows:
+        for name, data in rows.columns.items():
+            if is_text(data):
+                texts.setdefault(name, set()).update(map(str, np.unique(data.astype(str))))
+    if channel.blocks:
+        definitions = parse_definition(channel.message_type, channel.definition)
+        for payload in (channel.blocks[0].payload[0].tobytes(), channel.blocks[-1].payload[-1].tobytes()):
+            for name, (start, length) in locate_fields(definitions, channel.message_type, payload).strings.items():
+                texts.setdefault(name, set()).add(
+                    payload[start : start + max(length - 1, 0)].decode("utf-8", "replace")
+                )
+    labels = tell_labels(channel)
+    told = {labels.get(name, (name, ""))[0]: found.pop() for name, found in texts.items() if len(found) == 1}
+    named = {label: match for label in told if (match := NAMES.fullmatch(label))}
+    return {(match.group(1), int(match.group(2))): told[label] for label, match in named.items()}
+
+
+def name_elements(signals: Sequence[Signal], names: Mapping[tuple[str, int], str]) -> list[Signal]:
+    """Signals with what names beside them call those of one number, if as many share a name as are named."""
+    ends = [re.fullmatch(r"(.*?)[_.\[]?(\d+)\]?", signal.label) if not signal.name else None for signal in signals]
+    counts = Counter(end.group(1) for end in ends if end)
+    called = []
+    for end in ends:
+        stems = {stem for stem, _ in names if end and end.group(1).startswith(stem)}
+        stem = max(stems, key=len, default="")
+        fits = end is not None and counts[end.group(1)] == sum(own == stem for own, _ in names)
+        called.append(names.get((stem, int(end.group(2))), "") if end and fits else "")
+    return [replace(signal, called=escape_text(name)) for signal, name in zip(signals, called)] if names else [*signals]
+
+
+def tell_labels(channel: RawChannel) -> dict[str, tuple[str, str]]:
+    """Field → what the log that messages were packed from calls it, and its unit, as comments in the definition say."""
+    comments = dict(re.findall(r"^\S+ (\w+)  # (.*)$", channel.definition, flags=re.MULTILINE))
+    said = {path: re.fullmatch(r"(.*?)(?: \[([^\[\]]*)\])?", text) for path, text in comments.items()}
+    return {path: (match.group(1), match.group(2) or "") for path, match in said.items() if match}
+
+
 def list_columns(recording: Recording, channel: RawChannel) -> Iterator[Signal]:
     """Signals of any other topic in record order, over their stamps [ns]."""
     if channel.rows:
@@ -244,16 +291,14 @@ def list_columns(recording: Recording, channel: RawChannel) -> Iterator[Signal]:
     else:
         definitions = parse_definition(channel.message_type, channel.definition)
         layout = locate_fields(definitions, channel.message_type, channel.blocks[0].payload[0].tobytes())
-    comments = dict(re.findall(r"^\S+ (\w+)  # (.*)$", channel.definition, flags=re.MULTILINE))
-    paths = {}
+    labels, paths = tell_labels(channel), {}
     for path, leaf in layout.leaves.items():
         if not _DULL.search(path) and (leaf.count is None or 0 < leaf.count <= _WIDEST):
             paths[path] = leaf
     stamped = Stamp() if layout.leaves.keys() & {STAMP, f"{STAMP}.sec"} else Stamp(path=LOG_TIME)
     samples = read_fields(recording, channel.topic, stamped, list(paths), channel.topic)
     for path, leaf in paths.items():
-        said = re.fullmatch(r"(.*?)(?: \[([^\[\]]*)\])?", comments.get(path, path))
-        label, unit = (said.group(1), said.group(2) or "") if said else (path, "")
+        label, unit = labels.get(path, (path, ""))
         data = samples.fields[path]
         for index in range(leaf.count or 1):
             suffix = "" if leaf.count is None else f"[{index}]"

@@ -12,13 +12,15 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
-from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, arrange_fields, parse_definition
+from vpptwin.logs.layout import CODES, LITTLE_ENDIAN, LayoutError, arrange_fields, parse_definition
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.logs.raw import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
 _MOST_S = 2**31
 _PACKAGE = "vpptwin_msgs/msg/"
+NAMES = re.compile(r"(.*?)(?:joint_?)?names?[_.\[]?(\d+)\]?", re.IGNORECASE)
+"""Columns of text that say what the signals of that number are called."""
 _OURS = {channel.message_type for channel in CHANNELS.values()}
 
 
@@ -86,6 +88,31 @@ def find_field(channel: RawChannel, path: str) -> str:
     return path
 
 
+def list_field_names(channel: RawChannel) -> set[str]:
+    """What the fields of a channel's messages, or the columns of its table, are called."""
+    try:
+        return {
+            f.name
+            for f in parse_definition(channel.message_type, channel.definition)[shorten_type(channel.message_type)]
+        }
+    except (LayoutError, KeyError):
+        return set()
+
+
+def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: Iterable[str]) -> str:
+    """Which of these fields another topic has and this one lacks: `no Roll, which is in /ATT`; "" for none."""
+    told: dict[str, list[str]] = {}
+    own = list_field_names(channel)
+    for path in paths:
+        names = {re.split(r"[.\[]", name)[0] for name in list_names(path)}
+        for other in channels if not names & own else ():
+            if names & list_field_names(other):
+                told.setdefault(other.topic, []).append(path)
+    return "; ".join(
+        f"no {', '.join(found)}, which {'is' if len(found) == 1 else 'are'} in {topic}" for topic, found in told.items()
+    )
+
+
 def name_fields(columns: Iterable[str]) -> dict[str, str]:
     """Column -> a field's name of its own."""
     columns = list(columns)
@@ -142,8 +169,8 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
             raise InputError(found, "times within 68 years of 1970", "say which unit the time has")
         first, last = min(first, max(int(table.time.min()), 0)), max(last, int(table.time.max()), 0)
         if wish.channel(channel):
-            kept = {name: table.columns[column] for column, name in fields[table.topic].items()}
-            kept = {name: data for name, data in kept.items() if wish.texts or not is_text(data)}
+            kept = {name: table.columns[column] for column, name in fields[table.topic].items()
+                    if wish.texts or not is_text(table.columns[column]) or NAMES.fullmatch(column)}  # fmt: skip
             append_rows(channel.rows, Rows(number, table.time, kept))
             hold.add(table.time.nbytes + sum(data.nbytes for data in kept.values()), channels.values())
         number += count
