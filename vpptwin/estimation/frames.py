@@ -15,6 +15,8 @@ from vpptwin.logs.check import MIN_TURN
 from vpptwin.logs.samples import turn_by_angles
 from vpptwin.twin.manifold import conjugate, difference_attitudes, follow_sign, read_angles, turn_to_world
 
+ABOUT = {"body": "the body's axes", "world": "the world's axes", "euler": "roll, pitch and yaw"}
+
 LONGEST, STEPS, FEWEST = 0.25, 60, 20
 """Turns are compared over steps of this length [s], or of so much of the log; with fewer steps nothing is told."""
 LAGS = np.linspace(-0.2, 0.2, 21)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -49,6 +50,7 @@ class Guess:
     # position, attitude or rate of a body → its signals, in one topic
     vectors: dict[str, tuple[Signal, ...]] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)  # likewise, where it is not SI
+    more: dict[str, dict[str, Any]] = field(default_factory=dict)  # likewise, what else a twin says: scale, frame
     sure: bool = False  # whether there is no doubt
     reasons: list[str] = field(default_factory=list)  # what speaks for it, with numbers
     doubts: list[str] = field(default_factory=list)  # what speaks against it, or what else it may be

@@ -13,8 +13,8 @@ import yaml
 from rich.table import Table as RichTable
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.free_body import guess_bodies
-from vpptwin.estimation.guess import Guess, guess_signals
+from vpptwin.estimation.free_body import guess_all
+from vpptwin.estimation.guess import Guess
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
 from vpptwin.logs.channels import SPATIAL
@@ -57,8 +57,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
         return []
     path = find_model(model)
     compiled = compile_model(path)
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all measure, which reading leaves out
-        guesses = [*guess_signals(compiled, first), *guess_bodies(compiled, first)]
+    guesses = guess_all(compiled, first)
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
     print_guesses(guesses)
     target = out or Path(f"{path.stem}_twin.yaml")
@@ -137,7 +136,8 @@ def compose_line(guess: Guess) -> str:
     signals = [*guess.fields.values(), *(signal for vector in guess.vectors.values() for signal in vector)]
     (topic,) = {signal.topic for signal in signals}
     named = not guess.vectors and all(s.name == guess.target and s.field == q for q, s in guess.fields.items())
-    if named or (guess.vectors and not guess.units and all(signal.field in ROS_VECTORS for signal in signals)):
+    plain = not guess.units and not guess.more and all(map(is_known, guess.vectors.values()))
+    if named or (guess.vectors and plain):
         return f"    {name}: {yaml.safe_dump(topic).splitlines()[0]}  # {one_line(said)}"
     if any(signal.name for signal in signals):
         return f"    # {name}: {topic}  # called {signals[0].name} in the log; rename it in the MJCF; {one_line(said)}"
@@ -145,12 +145,17 @@ def compose_line(guess: Guess) -> str:
     paths: dict[str, str | list[str]] = {quantity: signal.field for quantity, signal in guess.fields.items()}
     paths |= {quantity: [signal.field for signal in vector] for quantity, vector in guess.vectors.items()}
     for quantity, path in paths.items():
-        unit = guess.units.get(quantity)
-        entry[quantity] = {"path": path, "unit": unit} if unit else path
+        more = ({"unit": unit} if (unit := guess.units.get(quantity)) else {}) | guess.more.get(quantity, {})
+        entry[quantity] = {"path": path, **more} if more else path
     if signals[0].headless:
         entry["stamp"] = LOG_TIME
     text = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True).strip()
     return f"    {name}: {text}  # {one_line(said)}"
+
+
+def is_known(vector: Sequence[Signal]) -> bool:
+    """Whether components are those that are read of messages of poses, of odometry and of an IMU, in that order."""
+    return all(s.field in ROS_VECTORS for s in vector) and "wxyz".endswith("".join(s.field[-1] for s in vector))
 
 
 def one_line(text: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.frames import BEND, Reading, look_up, read_attitude, tell_push, tell_rates
+from vpptwin.estimation.frames import ABOUT, BEND, Reading, look_up, read_attitude, tell_push, tell_rates
 from vpptwin.estimation.series import Measurements, integrate
 from vpptwin.estimation.sound import FASTEST, FEW, SLOWEST
 from vpptwin.fields import FieldEntry, SignalEntry, dump_entry
@@ -27,7 +27,6 @@ UNITS = {"deg/s": 180.0 / np.pi, "mrad/s": 1000.0}
 """Units of rates besides rad/s, and how many of them that is."""
 ALIKE = 1.3
 """A factor that is off by less is that of a unit."""
-ABOUT = {"body": "the body's axes", "world": "the world's axes", "euler": "roll, pitch and yaw"}
 
 
 def find_entry(spec: TwinSpec, topic: str, name: str) -> SignalEntry | None:

@@ -8,8 +8,7 @@ from pathlib import Path
 import yaml
 
 from vpptwin.errors import InputError
-from vpptwin.estimation.free_body import guess_bodies
-from vpptwin.estimation.guess import guess_signals
+from vpptwin.estimation.free_body import guess_all
 from vpptwin.estimation.inspect import compose_twin, print_guesses
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
@@ -34,7 +33,7 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
     path = find_model(model)
     log = list_flights(logs[0])[0]
     compiled, signals = compile_model(path), survey(log)[1]
-    guesses = [*guess_signals(compiled, signals), *guess_bodies(compiled, signals)]
+    guesses = guess_all(compiled, signals)
     print_guesses(guesses)
     doubts = [f"{guess.target}: {doubt}" for guess in guesses for doubt in guess.doubts]
     if doubts or not guesses:
