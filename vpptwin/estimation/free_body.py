@@ -29,11 +29,10 @@ from vpptwin.fields import UNITS
 from vpptwin.logs.channels import EULER, SPATIAL
 from vpptwin.logs.samples import turn_by_angles
 from vpptwin.logs.survey import Signal
+from vpptwin.logs.topic_map import GEODETIC
 from vpptwin.twin.manifold import BALL, FREE, read_angles
 from vpptwin.twin.model import find_floating
 
-GEODETIC = {"lat", "latitude", "lon", "lng", "longitude"}
-"""Words of places on the globe, which are degrees."""
 REST_S = 1.0
 """The stillest stretch of so long is taken for rest [s]."""
 ROS_POSITIONS = [f"{columns['position']}." for columns in SPATIAL.values() if "position" in columns]

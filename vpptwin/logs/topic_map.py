@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +31,8 @@ from vpptwin.logs.messages import shorten_type
 from vpptwin.plain import read_yaml
 
 LOG_TIME = "log_time"
+GEODETIC = {"lat", "latitude", "lon", "lng", "longitude"}
+"""Words of places on the globe."""
 _EXAMPLE = "/imu/data: {topic: /mavros/imu, fields: {rate: {path: angular_velocity.y, scale: -1.0}}}"
 _EXAMPLE_JOINT = "/joint_states: {names: {elbow: {topic: /state, position: {path: 'q[2]', unit: deg}}}}"
 
@@ -206,6 +209,17 @@ def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> J
             found = f"{where}{name}.{column}: {len(paths)} fields, {len(item.factors)} factors"
             expected = f"{wanted} fields{', or roll, pitch and yaw' * (column == 'attitude')}"
             raise InputError(found, expected if wanted else "none, as it is no such signal", "correct it")
+        globe = [path for path in paths if set(re.findall(r"[a-z]+", path.lower())) & GEODETIC]
+        if (
+            column == "position"
+            and len(paths) == wanted == 3
+            and globe
+            and max(item.factors) == min(item.factors) == 1.0
+        ):
+            raise InputError(
+                f"{where}{name}.position: {' and '.join(globe)}, which are degrees on the globe", "x, y, z in metres",
+                "convert them to metres east and north of a place, or scale each: `scale: [m per degree, ..., 1]`",
+            )  # fmt: skip
         if item.frame != "body" and column != "rate":
             raise InputError(f"{where}{name}.{column} with frame {item.frame}", "a frame of rates alone", "remove it")
         sources[column] = _make_source(paths, item, item.axis)
