@@ -31,6 +31,7 @@ NULLS = ("", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-na
 """Cells without a value."""
 LISTS = ("[", "(")
 """What cells with lists begin with."""
+csv.field_size_limit(_LONGEST_CELL)
 
 
 @dataclass
@@ -123,7 +124,6 @@ def part_rows(path: Path, lines: io.TextIOBase | Iterator[str], delimiter: str) 
     Raises:
         InputError: if a cell has no end.
     """
-    csv.field_size_limit(_LONGEST_CELL)
     reader = csv.reader(lines, delimiter=delimiter)
     try:
         for row in reader:
