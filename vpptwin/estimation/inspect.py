@@ -26,6 +26,8 @@ from vpptwin.twin.model import compile_model
 
 WHAT = {"joints": "joint", "bodies": "body", "sites": "site", "actuators": "actuator"}
 WANTED = {"joints": "position", "bodies": "position: , attitude", "sites": "rate", "actuators": "effort"}
+TABLE = 1000
+"""Signals that a table shows; more are lines."""
 
 ROS_VECTORS = {f"{path}.{c}" for columns in SPATIAL.values() for path in columns.values() for c in "xyzw"}
 """Components that are read without being named, in messages of poses, of odometry and of an IMU."""
@@ -71,18 +73,27 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
 def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -> None:
     """One row a signal."""
     end = (max(s.whole.end for s in signals) - min(s.whole.start for s in signals)) / 1e9
-    table = RichTable(title=f"{title}: {len(signals)} signals over {end:.4g} s", title_justify="left")
-    for head in ("signal", "type", "rate", "range", "unit", "odd"):
-        table.add_column(head, justify="right" if head == "rate" else "left", overflow="fold")
-    for signal in signals:
-        low, high = signal.whole.low, signal.whole.high
-        span = f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" if low < high else "no number"
-        rate = f"{signal.rate:.4g} Hz" if np.isfinite(signal.rate) else ""
-        table.add_row(signal.title, signal.kind, rate, span, signal.unit, "; ".join(signal.list_oddities()))
+    title = f"{title}: {len(signals)} signals over {end:.4g} s"
     console = open_console()
-    console.print(table)
+    if len(signals) > TABLE:  # of which no terminal is wide enough for a table, nor patient enough
+        print("\n".join([title, *("  ".join(filter(None, describe_signal(signal))) for signal in signals)]))
+    else:
+        table = RichTable(title=title, title_justify="left")
+        for head in ("signal", "type", "rate", "range", "unit", "odd"):
+            table.add_column(head, justify="right" if head == "rate" else "left", overflow="fold")
+        for signal in signals:
+            table.add_row(*describe_signal(signal))
+        console.print(table)
     for note in notes:
         console.print(note)
+
+
+def describe_signal(signal: Signal) -> tuple[str, ...]:
+    """Name, type, rate, range, unit and what is odd of a signal, for a table."""
+    low, high = signal.whole.low, signal.whole.high
+    span = f"{low:.6g}" if low == high else f"{low:.4g} to {high:.4g}" if low < high else "no number"
+    rate = f"{signal.rate:.4g} Hz" if np.isfinite(signal.rate) else ""
+    return signal.title, signal.kind, rate, span, signal.unit, "; ".join(signal.list_oddities())
 
 
 def print_guesses(guesses: Sequence[Guess]) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 from mcap.records import Schema
@@ -188,14 +189,22 @@ class _ReferenceDecoder:
         channel = self.channel
         try:
             if self.function is None:
-                schema = Schema(1, channel.definition.encode(), channel.schema_encoding, channel.message_type)
-                with contextlib.redirect_stderr(io.StringIO()):  # the definition parser prints what it then raises
-                    self.function = DecoderFactory().decoder_for(channel.encoding, schema)
-            if self.function is None:
-                raise ValueError(f"no decoder for {channel.encoding} with {channel.schema_encoding} definitions")
+                about = channel.encoding, channel.schema_encoding, channel.message_type, channel.definition
+                self.function = _make_decoder(*about)
             return self.function(payload)
         except Exception as error:  # the decoder raises whatever its struct calls raise
             raise DecodeError(f"{len(payload)} bytes that do not decode ({error})") from None
+
+
+@lru_cache(64)
+def _make_decoder(encoding: str, schema_encoding: str, message_type: str, definition: str) -> Callable[[bytes], object]:
+    """What decodes messages of a type, which a bag may have on ten thousands of topics."""
+    schema = Schema(1, definition.encode(), schema_encoding, message_type)
+    with contextlib.redirect_stderr(io.StringIO()):  # the definition parser prints what it then raises
+        function = DecoderFactory().decoder_for(encoding, schema)
+    if function is None:
+        raise ValueError(f"no decoder for {encoding} with {schema_encoding} definitions")
+    return function
 
 
 def _list_strings(value: object) -> list[str]:

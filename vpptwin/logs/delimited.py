@@ -8,6 +8,7 @@ import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,9 +52,9 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
     clock = find_clock(path, form.names, stamp, form.units)
     fields = choose_fields(wish, topic, form.names)
     needed = {clock, *find_named(wish, topic, fields)}
-    told = [name for name, kind in zip(form.names, form.kinds)
-            if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)]  # fmt: skip
-    wanted = [name for name in told if name in fields or name == clock]
+    told = {name for name, kind in zip(form.names, form.kinds)
+            if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
+    wanted = [name for name in form.names if name in told and (name in fields or name == clock)]
     unit = form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
     unit = stamp.unit if stamp is not None and stamp.unit is not None else unit
     unit = "ns" if is_date(form, clock) else unit
@@ -108,6 +109,11 @@ class Cells:
     pa: Any
     loose: set[str] = field(default_factory=set)
     lost: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Column → its place."""
+        return {name: place for place, name in enumerate(self.form.names)}
 
     def describe_lost(self) -> str:
         """Which cells were left out, "" if none was."""
@@ -181,7 +187,7 @@ def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBa
 
 def choose_type(cells: Cells, name: str) -> Any:  # noqa: ANN401
     """Arrow's type of a column."""
-    place, pa = cells.form.names.index(name), cells.pa
+    place, pa = cells.places[name], cells.pa
     cell, kind = cells.form.first[place], cells.form.kinds[place]
     if name == cells.clock and is_date(cells.form, name):
         return pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:]) else None)
@@ -246,11 +252,11 @@ def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Excepti
 
 def read_column(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
     """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
-    pa, place = cells.pa, cells.form.names.index(name)
+    pa, place = cells.pa, cells.places[name]
     if pa.types.is_timestamp(column.type):
         column = column.cast(pa.int64())
     if not pa.types.is_string(column.type):
-        if pa.types.is_int64(column.type) and column.null_count == 0:
+        if pa.types.is_float64(column.type) or (pa.types.is_int64(column.type) and column.null_count == 0):
             return np.asarray(column.to_numpy(zero_copy_only=False))
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
     kind = cells.form.kinds[place]
@@ -283,7 +289,7 @@ def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:
     """Lists of numbers in cells, (n, k), NaN where a cell holds another number of them, or none."""
     from pyarrow import compute
 
-    first = cells.form.first[cells.form.names.index(name)]
+    first = cells.form.first[cells.places[name]]
     width = len(part_list(first))
     parts = compute.split_pattern_regex(compute.utf8_trim(column.fill_null(""), "[]() \t\r\n"), r"[,;\s]+")
     widths = compute.list_value_length(parts).to_numpy(zero_copy_only=False)

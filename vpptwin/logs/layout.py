@@ -6,6 +6,7 @@ import re
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -53,10 +54,11 @@ class Layout:
     size: int = HEADER_BYTES
 
 
-Definitions = dict[str, tuple[Field, ...]]
+Definitions = Mapping[str, tuple[Field, ...]]
 LengthOf = Callable[[str, int, bool], int]
 
 
+@lru_cache(64)
 def parse_definition(name: str, text: str) -> Definitions:
     """Fields of a message and of everything it is made of.
 
@@ -70,7 +72,7 @@ def parse_definition(name: str, text: str) -> Definitions:
     Raises:
         LayoutError: if a line is not understood, as in definitions of services.
     """
-    definitions: Definitions = {}
+    definitions: dict[str, tuple[Field, ...]] = {}
     for section in re.split(r"^={3,}\s*$", text, flags=re.MULTILINE):
         lines = section.strip().splitlines()
         if lines and lines[0].startswith("MSG:"):

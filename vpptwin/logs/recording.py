@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -67,12 +68,21 @@ class Recording:
 
     def find_topic(self, topic: str) -> str | None:
         """A topic's name in the log, of which people leave out the slash; None if it lacks it."""
-        present = self.list_topics()
-        return next((name for name in (topic, f"/{topic}", topic.removeprefix("/")) if name in present), None)
+        names = topic, f"/{topic}", topic.removeprefix("/")
+        return next((name for name in names if name in self._channels), None)
 
     def list_topics(self) -> dict[str, str]:
         """Topic -> message type, of all channels."""
-        return {channel.topic: channel.message_type for file in self.files for channel in file.channels}
+        return {topic: found[-1][1].message_type for topic, found in self._channels.items()}
+
+    @cached_property
+    def _channels(self) -> dict[str, list[tuple[int, RawChannel]]]:
+        """Topic -> its channels, each with the position of its file: a bag may have ten thousands."""
+        found: dict[str, list[tuple[int, RawChannel]]] = {}
+        for index, file in enumerate(self.files):
+            for channel in file.channels:
+                found.setdefault(channel.topic, []).append((index, channel))
+        return found
 
     def is_table(self, topic: str) -> bool:
         """Whether a topic has rows, in place of messages."""
@@ -96,7 +106,7 @@ class Recording:
     def _find_channels(self, topic: str) -> list[tuple[int, RawChannel]]:
         """Channels of a topic, each with the position of its file."""
         name = self.find_topic(topic)
-        return [(i, c) for i, file in enumerate(self.files) for c in file.channels if c.topic == name]
+        return self._channels[name] if name is not None else []
 
     def decode(self, topic: str, paths: Sequence[str], texts: Sequence[str] = ()) -> Iterator[Batch]:
         """Decode fields of all messages of a topic, or of all rows of a table.

@@ -196,13 +196,13 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
                 odd = np.array([np.count_nonzero(last[1:] < last[:-1]), np.count_nonzero(last[1:] == last[:-1])])
                 clocks[channel.topic] = clocks.get(channel.topic, np.zeros(2, int)) + odd
                 stamp, rows = (last, rows) if rising else np.unique(last, return_index=True)
+                before = latest.get((channel.topic, signal.name), last[:0])
                 try:  # runs that follow one another are not laid over each other
-                    if last.any():
-                        before = latest.get((channel.topic, signal.name), last[:0])
+                    if last.any() and not (rising and (before < last[0]).all()):
                         check_order(np.append(before, last), called, channel.topic)
                 except InputError as error:
                     refused.setdefault(channel.topic, error)
-                latest[channel.topic, signal.name] = last[np.argmax(last)][None]
+                latest[channel.topic, signal.name] = stamp[-1:]
             values = (signal.values if rising else signal.values[rows]).astype(float, copy=False)
             key = signal.topic, signal.field, signal.name
             stretches.setdefault(key, []).append(look(stamp, values))

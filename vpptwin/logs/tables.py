@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -82,21 +83,22 @@ def list_names(path: str) -> tuple[str, str, str]:
 def find_field(channel: RawChannel, path: str) -> str:
     """A field's path in messages of a channel, which may be called as it is in the log that they were packed from."""
     if channel.message_type.startswith("vpptwin_msgs/"):
-        fields = parse_definition(channel.message_type, channel.definition)[shorten_type(channel.message_type)]
-        known = {field.name for field in fields}
+        known = _list_known(channel.message_type, channel.definition)
         return next((name for name in list_names(path) if name.split("[")[0] in known), path)
     return path
 
 
-def list_field_names(channel: RawChannel) -> set[str]:
+@lru_cache(64)
+def _list_known(message_type: str, definition: str) -> frozenset[str]:
+    return frozenset(field.name for field in parse_definition(message_type, definition)[shorten_type(message_type)])
+
+
+def list_field_names(channel: RawChannel) -> frozenset[str]:
     """What the fields of a channel's messages, or the columns of its table, are called."""
     try:
-        return {
-            f.name
-            for f in parse_definition(channel.message_type, channel.definition)[shorten_type(channel.message_type)]
-        }
+        return _list_known(channel.message_type, channel.definition)
     except (LayoutError, KeyError):
-        return set()
+        return frozenset()
 
 
 def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: Iterable[str]) -> str:
