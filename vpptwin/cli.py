@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from vpptwin import __version__, commands
 from vpptwin.errors import InputError, check_name, explain_missing, suggest
-from vpptwin.files import check_own, discard_all
+from vpptwin.files import check_own, check_target, discard_all
 from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
 from vpptwin.trust import EVERY, trust
@@ -65,8 +65,11 @@ def run(options: argparse.Namespace, given: Sequence[str]) -> int | None:
     """Run what was asked for, if its words can be shown; returns its exit code, if it has one of its own."""
     for word in given:
         check_name(word)
+    targets = {name: path for name in options.written if (path := getattr(options, name)) is not None}
     if not getattr(options, "force", True):
-        check_own(path for name in options.written if (path := getattr(options, name)) is not None)
+        check_own(targets.values())
+    for name, path in targets.items():
+        check_target(path, f"--{name}")
     code: int | None = options.run(options)
     return code
 

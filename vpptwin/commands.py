@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vpptwin.errors import InputError
-from vpptwin.files import STDOUT, check_own, without_nan
+from vpptwin.files import STDOUT, check_own, check_target, without_nan
 
 if TYPE_CHECKING:
     from vpptwin.pilot.flight import Pilot
@@ -112,6 +112,7 @@ def run_plot(options: argparse.Namespace) -> None:
     out = options.out or name_picture(options.source)
     if not options.force:
         check_own([out])
+    check_target(out, "--out")
     plot(options.source, options.twin, out, restart, options.theme, options.topic_map, options.effects)
 
 

@@ -131,6 +131,26 @@ def check_own(paths: Iterable[Path]) -> None:
             raise InputError(found, "a new file, or one of vpptwin's", ANYWAY)
 
 
+def check_target(path: Path, option: str) -> None:
+    """Refuse a file that cannot be written, before the work rather than after it; what is there stays.
+
+    Raises:
+        InputError: naming the option that asks for it.
+    """
+    if path == STDOUT:
+        return
+    alone = option == "--json"  # no folder is made for it
+    try:
+        if alone:
+            path.parent.stat()
+        with replace_files(path.parent, [path.name]):
+            pass
+    except OSError as error:
+        found = f"cannot write {option} {path} ({error.strerror or error})"
+        expected = "a file in an existing folder, or - for stdout" if alone else "a file in a folder to write to"
+        raise InputError(found, expected, "choose another") from error
+
+
 def is_own(path: Path) -> bool:
     """Whether vpptwin wrote a file; an empty one is nobody's."""
     with path.open("rb") as file:

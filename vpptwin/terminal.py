@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TextIO
 
 from vpptwin.errors import escape_text
@@ -49,6 +49,12 @@ def show_plainly() -> Iterator[None]:
     """Whatever is printed in the block goes through a `Screen`."""
     with contextlib.redirect_stdout(Screen(sys.stdout)), contextlib.redirect_stderr(Screen(sys.stderr)):
         yield
+
+
+def print_warnings(warnings: Iterable[str]) -> None:
+    """Say each once, on standard error."""
+    for warning in dict.fromkeys(warnings):
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 def open_console(width: int | None = None) -> Console:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
 import pytest
 
-from vpptwin.diagnosis.evidence.flights import list_starts
+from vpptwin.diagnosis.evidence.flights import choose_window, list_starts
+from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis, open_held_out
 from vpptwin.diagnosis.judgement.verdict import (
     Cause,
@@ -23,7 +24,7 @@ from vpptwin.diagnosis.judgement.verdict import (
 from vpptwin.diagnosis.judgement.wrench import plot_wrench
 from vpptwin.diagnosis.report import result
 from vpptwin.effects import find_effect
-from vpptwin.estimation.measurements import read_measurements
+from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -100,3 +101,15 @@ def remember(name: str, function: Callable[..., object], *arguments: object) -> 
     if name not in MEMORY:
         MEMORY[name] = function(*arguments)
     return MEMORY[name]
+
+
+def find_nothing(spec: TwinSpec, flights: Sequence[Flight], *given: object, **named: object) -> Diagnosis:
+    """A diagnosis of any rig's flights in which nobody searched for anything: a window of each judges."""
+    measurements = [read_measurements(spec, flight) for flight in flights]
+    spec, measurements = choose_window(spec, measurements)
+    starts = [each[:1] for each in list_starts(measurements, spec.robot.window)]
+    held_out = open_held_out(spec, measurements, starts, None)
+    score, rest = held_out.score({}), Unexplained(False, 0.0, None, [])
+    logs, warnings = [str(flight.path) for flight in flights], list_warnings(flights, measurements)
+    verdict = Verdict(logs, spec.name, 1, len(flights), score, score, False, [], rest, [], [], {}, warnings=warnings)
+    return Diagnosis(verdict, {}, [], held_out, None, [inspect_flight(spec, each) for each in measurements])

@@ -15,7 +15,7 @@ from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
-from vpptwin.logs.recording import list_flights
+from vpptwin.logs.spelling import list_flights
 
 TIME = 0.01 * np.arange(400)
 SWING = np.sin(TIME)

@@ -21,7 +21,7 @@ from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
 from vpptwin.logs import Flight, read_flight, vehicles
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.read import read_flights
+from vpptwin.logs.read import expand_logs
 from vpptwin.logs.recording import open_recording
 from vpptwin.logs.survey import survey
 from vpptwin.logs.tables import Table
@@ -250,7 +250,7 @@ def test_an_episode_of_lerobot_is_a_flight(tmp_path: Path) -> None:
     """A data set is a folder of flights; elements of a list go by the names in info.json."""
     folder = write_lerobot(tmp_path / "set")
     entry = SignalEntry.model_validate({"topic": "episode", "position": "observation.state.shoulder.pos"})
-    flights = read_flights([folder], None, {"/joint_states": {"j": entry}})
+    flights = [read_flight(log, None, {"/joint_states": {"j": entry}}) for log in expand_logs([folder])]
     assert [len(flight.joints["/joint_states"]["j"]) for flight in flights] == [30, 20]
     assert flights[1].joints["/joint_states"]["j"]["position"][3] == np.float32(0.03)
     assert flights[1].joints["/joint_states"]["j"].time[-1] == pytest.approx(19 / 50)

@@ -20,8 +20,8 @@ from vpptwin.logs.container import read_container
 from vpptwin.logs.decode import decode_channel
 from vpptwin.logs.messages import compose_definition
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.read import read_flights
-from vpptwin.logs.recording import list_flights
+from vpptwin.logs.read import expand_logs
+from vpptwin.logs.spelling import list_flights
 from vpptwin.logs.transcribe import transcribe
 
 MS = 10**6  # ns
@@ -115,7 +115,7 @@ def test_files_compressed_as_a_whole_are_read(tmp_path: Path) -> None:
 def test_a_folder_of_flights_is_a_folder_of_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without metadata.yaml every file is a flight, which a line says; where one is wanted, the line asks for one."""
     split_bag(tmp_path)
-    assert [len(flight.streams["/mocap/pose"]) for flight in read_flights([tmp_path])] == [30, 20]
+    assert [len(flight.streams["/mocap/pose"]) for flight in map(read_flight, expand_logs([tmp_path]))] == [30, 20]
     assert f"{tmp_path} is a folder of 2 flights" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"holds 2 flights; expected one flight here; give one, such as .*bag_0"):
         read_flight(tmp_path)

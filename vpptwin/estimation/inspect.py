@@ -16,9 +16,9 @@ from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import guess_all
 from vpptwin.estimation.guess import Guess
 from vpptwin.estimation.models import find_model
-from vpptwin.files import write_whole
+from vpptwin.files import check_target, write_whole
 from vpptwin.logs.channels import SPATIAL
-from vpptwin.logs.recording import find_files, list_flights
+from vpptwin.logs.spelling import list_flights, list_sources
 from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.topic_map import LOG_TIME, slash
 from vpptwin.terminal import open_console
@@ -50,21 +50,24 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
     if model is None and out is not None:
         raise InputError(f"--out {out} without --model", "a model to write a twin of", "name it, or leave --out out")
     flights = [flight for log in logs for flight in list_flights(log)]
+    path = None if model is None else find_model(model)
+    target = out or Path(f"{path.stem if path else ''}_twin.yaml")
+    if path is not None:
+        read = [path, *(file for flight in flights for file in list_sources(flight))]
+        if target.resolve() in [file.resolve() for file in read]:
+            raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
+        check_target(target, "--out")
     first: list[Signal] = []
     for flight in flights:
         recording, signals = survey(flight)
         first = first or signals
         print_signals(str(flight), signals, [note for file in recording.files for note in file.notes])
-    if model is None:
+    if path is None:
         return []
-    path = find_model(model)
     compiled = compile_model(path)
     guesses = guess_all(compiled, first)
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
     print_guesses(guesses)
-    target = out or Path(f"{path.stem}_twin.yaml")
-    if target.resolve() in [path.resolve(), *(file.resolve() for flight in flights for file in find_files(flight))]:
-        raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
     write_whole(target, compose_twin(path, target, str(flights[0]), guesses))
     print(f"wrote {target}")
     return guesses

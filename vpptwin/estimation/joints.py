@@ -57,7 +57,7 @@ def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
     start, end, told = find_flown(spec.model, found.positions, start, end)
     measurements = Measurements(
-        flight.path.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
+        flight.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
         attitudes=found.attitudes,
     )  # fmt: skip
     for each in spec.robot.tracked:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import singledispatch
 
@@ -24,7 +24,7 @@ from vpptwin.twin.robot import Robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.vehicle import Sensors, Vehicle
 
-__all__ = ["Measurements", "Series", "read_measurements"]
+__all__ = ["Measurements", "Series", "list_warnings", "read_measurements"]
 
 MEASURED = ("/mocap/pose", "/imu/data", "/rotor/state")
 """Topics of the drone's sensors."""
@@ -41,6 +41,12 @@ def read_measurements(spec: TwinSpec, flight: Flight) -> Measurements:
         InputError: if the log lacks a topic, joint or actuator that the twin needs.
     """
     return read_signals(spec.robot, spec, flight)
+
+
+def list_warnings(flights: Sequence[Flight], measurements: Sequence[Measurements]) -> list[str]:
+    """What looks odd about logs and what was made of them: whatever was read of a log for, its user is told this."""
+    pairs = zip(flights, measurements, strict=True)
+    return [f"{flight.name}: {text}" for flight, read in pairs for text in (*flight.warnings, *read.warnings)]
 
 
 @singledispatch
@@ -76,7 +82,7 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
     spans = {topic: (float(time[0]), float(time[-1])) for topic, time in used.items()}
     start, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
     measurements = Measurements(
-        flight.path.name,
+        flight.name,
         sort_poses(pose, sensors),
         {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)},
         sort_force(flight, imu, sensors),

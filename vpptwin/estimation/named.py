@@ -12,7 +12,7 @@ from vpptwin.estimation.free_body import guess_all
 from vpptwin.estimation.inspect import compose_twin, print_guesses
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
-from vpptwin.logs.recording import list_flights
+from vpptwin.logs.spelling import list_flights
 from vpptwin.logs.survey import survey
 from vpptwin.twin.model import compile_model
 

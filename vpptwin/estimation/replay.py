@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.correct import correct_measurements
-from vpptwin.estimation.measurements import read_measurements
+from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.estimation.windows import cut_windows, fly_windows, trace_past
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
@@ -28,6 +28,7 @@ class Prediction:
     blade_pitch: np.ndarray  # command as the servos see it, (T, nu) rad (control input on other rigs)
     rotor_speed: np.ndarray  # (T, nu) rad/s; nominal where it was not measured
     restarts: np.ndarray  # (R,) s, instants at which the twin was put back to the estimated state
+    warnings: list[str] = field(default_factory=list)  # about the log
 
 
 def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: float = RATE) -> Prediction:
@@ -72,4 +73,5 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
         blade_pitch=windows.command[:, picked].reshape(shape),
         rotor_speed=speed[:, picked].reshape(shape),
         restarts=starts,
+        warnings=list_warnings([flight], [measurements]),
     )

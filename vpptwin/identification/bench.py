@@ -57,10 +57,12 @@ class BenchRun(Readings):
     Attributes:
         path: of the log.
         dt: s.
+        warnings: about the log.
     """
 
     path: Path
     dt: float
+    warnings: list[str]
 
     @property
     def time(self) -> np.ndarray:
@@ -125,7 +127,7 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
     torque = np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None
     return BenchRun(
         path=path, dt=dt, pitch=pitch, throttle=throttle, speed=speed, current=current, thrust=thrust, torque=torque,
-        voltage=voltage,
+        voltage=voltage, warnings=[f"{flight.name}: {text}" for text in flight.warnings],
     )  # fmt: skip
 
 

@@ -13,18 +13,19 @@ from rich.table import Table
 from vpptwin.actuators.file import ActuatorFile
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
+from vpptwin.diagnosis.report.sources import open_flights
 from vpptwin.diagnosis.report.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.effects import SIGMAS_90
 from vpptwin.errors import InputError
-from vpptwin.files import write_files
+from vpptwin.files import check_target, write_files
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
 from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
 from vpptwin.identification.report import render_page
 from vpptwin.identification.thrust_map import ThrustMap, inflow
-from vpptwin.logs.read import read_flights
+from vpptwin.logs.read import expand_logs
 from vpptwin.progress import open_bar, tell_stage
-from vpptwin.terminal import open_console
+from vpptwin.terminal import open_console, print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
 
@@ -43,9 +44,11 @@ def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = Non
     """
     check_out(out)
     believed = load_vehicle(vehicle)
-    runs = [read_bench(log, believed, topic_map) for log in logs]
+    stands = expand_logs(logs)
+    origin = trace_origin(sys.argv[1:], "", stands)
+    runs = [read_bench(log, believed, topic_map) for log in stands]
+    print_warnings(warning for run in runs for warning in run.warnings)
     found = identify(runs, find_levels(runs))
-    origin = trace_origin(sys.argv[1:], "", logs)
     content = compose_file(found, believed, origin)
     ActuatorFile.model_validate(content)
     page = out.with_suffix(".html")
@@ -57,15 +60,14 @@ def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = Non
 
 
 def check_out(out: Path) -> None:
-    """Refuse a name that is no YAML file's, or a folder that is not there.
+    """Refuse a name that is no YAML file's, or a page beside it that cannot be written.
 
     Raises:
         InputError: saying which.
     """
     if out.suffix not in (".yaml", ".yml"):
         raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
-    if not out.parent.is_dir() or out.is_dir():
-        raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")
+    check_target(out.with_suffix(".html"), "the page")
 
 
 def name_coefficients(thrust: ThrustMap, speed: float) -> dict[str, tuple[float, float]]:
@@ -154,10 +156,11 @@ def identify_flights(
     check_out(out)
     spec = load_twin(twin, effects)
     chosen = parse_parameters(spec, parameters)
-    flights = read_flights(logs, topic_map, spec.robot.signals.entries)
+    flights = open_flights(logs, topic_map, spec.robot.signals.entries, apart=True)
+    origin = trace_origin(sys.argv[1:], spec.name, [flight.path for flight in flights])
     with open_bar(desc="identify") as bar:
         found = fit_flights(spec, flights, chosen, partial(tell_stage, bar), bar.update)
-    origin = trace_origin(sys.argv[1:], spec.name, logs)
+    print_warnings(found.warnings)
     write_files({out: yaml.safe_dump(compose_twin_file(spec, found, origin, out), sort_keys=False, allow_unicode=True)})
     print_flight_fit(found, out)
 
@@ -203,6 +206,4 @@ def print_flight_fit(found: FlightFit, out: Path) -> None:
             for horizon, before, after in zip(HORIZONS_S, found.before.position_rmse_m, found.after.position_rmse_m)
         )
         console.print(f"position error there: {', '.join(errors)}", soft_wrap=True)
-    for warning in found.warnings:
-        console.print(f"warning: {warning}", soft_wrap=True)
     console.print(f"twin: {out}", soft_wrap=True)

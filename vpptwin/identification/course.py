@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.diagnosis.report.words import format_value, join_words
 from vpptwin.identification.free_flight import FlightFit
 from vpptwin.identification.trend import LEAST, STAYS, Trend
+from vpptwin.logs.spelling import name_log
 
 DAY = 86_400e9  # ns
 Band = tuple[float, float]
@@ -86,6 +86,11 @@ class Record:
         return [course for course in self.courses if course.left]
 
     @property
+    def warnings(self) -> list[str]:
+        """What looks odd about the logs."""
+        return list(dict.fromkeys(warning for flight in self.flights for warning in flight.fit.warnings))
+
+    @property
     def time(self) -> np.ndarray:
         """Of every flight: days since the first, or its number, (n,)."""
         begin = self.flights[0].start_ns
@@ -100,7 +105,7 @@ class Record:
         strange = [f.log for f in self.flights if f.fit.after.chi2 > CRITERIA.missed]
         if strange:
             told.append(
-                f"More than that is wrong in {join_words([Path(log).name for log in strange])}, whose held-out chi² "
+                f"More than that is wrong in {join_words([name_log(log) for log in strange])}, whose held-out chi² "
                 f"stays above {CRITERIA.missed:g}: vpptwin diagnose tells what."
             )
         return told

@@ -12,11 +12,13 @@ from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.conclusion import estimate
 from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.logged_inputs import describe_turned
 from vpptwin.diagnosis.judgement.selection import fit_together
 from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
+from vpptwin.estimation.measurements import list_warnings
 from vpptwin.identification.actuator import solve_linear
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
@@ -126,7 +128,6 @@ def fit_flights(
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
     own = [search.unknowns[i] for i in freed]
     asked = [unknown for unknown in search.unknowns if unknown.effect.id in effects]
-    logs = list(zip(flights, material.measurements))
     return FlightFit(
         values={unknown.key: estimate(unknown, fit) for unknown in own},
         alike=pair_up([unknown.key for unknown in own], solution.covariance[np.ix_(freed, freed)]),
@@ -135,7 +136,7 @@ def fit_flights(
         after=after,
         windows=(len(search.bench.windows), len(material.held_out.short.windows)),
         drag=regress_drag(spec, flights) if "air.drag" in effects else None,
-        warnings=[f"{f.path.name}: {text}" for f, m in logs for text in (*f.warnings, *m.warnings)],
+        warnings=[*describe_turned(search.bench.spec), *list_warnings(flights, material.measurements)],
     )
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.report.output import check_target, give_json, stage_results
-from vpptwin.diagnosis.report.provenance import trace_origin
+from vpptwin.diagnosis.report.output import give_json, stage_results
+from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError, suggest
@@ -25,7 +25,7 @@ from vpptwin.identification.trend import judge_trend
 from vpptwin.jobs import Jobs, share_out
 from vpptwin.logs.flight import Flight
 from vpptwin.progress import open_bar
-from vpptwin.terminal import open_console
+from vpptwin.terminal import open_console, print_warnings
 from vpptwin.twin.spec import EffectValues, TwinSpec, load_twin, locate_twin
 
 PAGE, DATA = "history.html", "history.json"
@@ -39,7 +39,7 @@ EARLIEST = 946_684_800 * 10**9
 class History(Record):
     """What every flight says of named parameters. Printed it is a sentence for each, in a notebook the page."""
 
-    _options: list[str] = field(default_factory=list, repr=False)
+    _origin: Provenance = field(repr=False)
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)
@@ -53,9 +53,7 @@ class History(Record):
 
     def render(self, more: Sequence[str]) -> str:
         """The page; `more` are further options of the command that writes it."""
-        logs = [flight.log for flight in self.flights]
-        arguments = ["history", *logs, "--twin", self.twin, *self._options, *more]
-        return render_history(self, trace_origin(arguments, self.twin, [Path(log) for log in logs]))
+        return render_history(self, self._origin.add(more))
 
     def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write history.html and history.json, as `vpptwin history --out` does.
@@ -125,6 +123,12 @@ def history(
     dated = min(starts) >= EARLIEST and len(set(starts)) == len(starts)
     if dated:
         flights.sort(key=lambda flight: flight.start_ns)
+    options = ["--parameters", parameters] if parameters is not None else []
+    options += [part for name, (low, high) in checked.items() for part in ("--band", f"{name}={low:g}:{high:g}")]
+    options += ["--topic-map", str(topic_map)] if topic_map is not None else []
+    options += [part for file in effects for part in ("--effects", str(file))]
+    read = [flight.path for flight in flights]
+    origin = trace_origin(["history", *map(str, read), "--twin", spec.name, *options], spec.name, read)
     shared = (locate_twin(spec.name), tuple(file.resolve() for file in spec.effect_files), spec.effects)
     tasks = [Task(flight, *shared, spec.controller, tuple(causes)) for flight in flights]
     fits: dict[int, FlightFit] = {}
@@ -133,16 +137,12 @@ def history(
             fits[number] = fit
             bar.update()
     found = [Dated(str(flight.path), flight.start_ns, fits[i]) for i, flight in enumerate(flights)]
-    options = ["--parameters", parameters] if parameters is not None else []
-    options += [part for name, (low, high) in checked.items() for part in ("--band", f"{name}={low:g}:{high:g}")]
-    options += ["--topic-map", str(topic_map)] if topic_map is not None else []
-    options += [part for file in effects for part in ("--effects", str(file))]
     bare = Record(spec.name, dated, found, [])
     every = [find_effect(spec.catalogue, cause) for cause in causes]
     courses = [
         follow(bare, (e.id, p.name), e.summary, checked.get(f"{e.id}.{p.name}")) for e in every for p in e.parameters
     ]
-    return History(spec.name, dated, found, courses, options)
+    return History(spec.name, dated, found, courses, origin)
 
 
 def follow(record: Record, key: Key, meaning: str, band: Band | None) -> Course:
@@ -223,12 +223,11 @@ def follow_logs(
     Raises:
         InputError: as `history`, or if `out` cannot be written; old results are left as they were.
     """
-    if json is not None:
-        check_target(json)
     belongs, flown = parse_bands(bands), list_logs(logs)
     with stage_results(out, [PAGE, DATA], force=force) as folder:
         found = history(flown, twin, parameters, belongs, jobs, topic_map, effects)
         found.write(folder, out)
+    print_warnings(found.warnings)
     if json is not None:
         give_json(found.as_dict(), json)
     if json != STDOUT:

@@ -42,7 +42,7 @@ def render_history(record: Record, origin: Provenance) -> str:
         record=record, sentences=record.sentences, rows=rows, weighed=weighed, clear=CLEAR, origin=origin,
         banded=any(course.band is not None for course in record.courses),
         figures=[draw_course(record, course) for course in record.courses if course.shown],
-        warnings=[warning for flight in record.flights for warning in flight.fit.warnings],
+        warnings=record.warnings,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from vpptwin.errors import InputError
 from vpptwin.logs.clocks import Clock
+from vpptwin.logs.spelling import name_log
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Flight:
     """One recording.
 
     Attributes:
-        path: the file it was read from, the first of several.
+        path: the log as it was given (docs/logs.md), the files of a list joined by plus.
         start_ns: first header stamp of the log [ns since the epoch of its clock].
         streams: canonical topic -> stream, for the topics of SPEC 3.
         joints: JointState topic -> joint or actuator name -> stream of position, velocity, effort as far as recorded.
@@ -49,6 +50,7 @@ class Flight:
         warnings: what was mended or looks odd, one line each.
         sources: canonical topic -> the topic it was recorded as, where a topic map renamed it.
         clocks: topic -> the clock that stamped it, where log times tell of it.
+        recorded_ns: log time of the first message [ns since the epoch of the recorder's clock]; None if it is unknown.
     """
 
     path: Path
@@ -59,6 +61,12 @@ class Flight:
     sources: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, Clock] = field(default_factory=dict)
     spatial: Mapping[str, Stream] = field(default_factory=dict)
+    recorded_ns: int | None = None
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return name_log(self.path)
 
     @property
     def duration(self) -> float:

@@ -15,8 +15,9 @@ from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
 from vpptwin.logs.condense import Condenser
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.raw import RawChannel, Wish
-from vpptwin.logs.recording import PathLike, Recording, list_flights, open_recording
+from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
+from vpptwin.logs.spelling import PathLike, list_flights, spell
 from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time
 from vpptwin.logs.tables import is_packed
 from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
@@ -48,8 +49,7 @@ def read_flight(
         named = slash(channel.topic) in sources or channel.topic in topics.joints
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
-    called = str(path) if isinstance(path, str | os.PathLike) else "+".join(str(file) for file in path)
-    take = Condenser(called, topics)
+    take = Condenser(str(spell(path)), topics)
     recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps(), take))
     warnings: list[str] = [note for file in recording.files for note in file.notes]
     samples = _read_table_topics(recording, topics, warnings)
@@ -67,25 +67,15 @@ def read_flight(
 
 
 def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
-    """Logs, a folder or a data set given as the flights in it, which a line on standard error says."""
+    """The flights that logs stand for; a line on standard error says how many a folder, a data set or a pattern has."""
     found: list[Path] = []
     for path in paths:
         within = list_flights(path)
         if len(within) > 1:
-            print(f"{path} is a folder of {len(within)} flights", file=sys.stderr)
+            kind = "is a folder of" if os.path.isdir(path) else "stands for"
+            print(f"{path} {kind} {len(within)} flights", file=sys.stderr)
         found += within
     return found
-
-
-def read_flights(
-    paths: Sequence[PathLike], topic_map: PathLike | None = None, signals: SignalEntries | None = None
-) -> list[Flight]:
-    """Read logs, one a flight; a folder or a data set stands for the flights in it, which a line on stderr says.
-
-    Raises:
-        InputError: see `read_flight`.
-    """
-    return [read_flight(log, topic_map, signals) for log in expand_logs(paths)]
 
 
 def _read_table_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
@@ -155,7 +145,7 @@ def _assemble_flight(
     check_leaps({item.label: item.stamp for item in every}, path)
     clocks = {item.label: clock for item in every if (clock := read_clock(item)) is not None}
     check_offsets(clocks, path)
-    start = min(int(item.stamp[0]) for item in every)
+    start, recorded = (min(int(time.min()) for time in times) for times in zip(*((i.stamp, i.log_time) for i in every)))
     for file in recording.files:
         for channel in file.channels:
             channel.forget()  # logs of gigabytes leave no room for what is not needed any more
@@ -173,7 +163,7 @@ def _assemble_flight(
     _add_new(warnings, _list_gaps(streams, built))
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
     placed = {topic: build_joint_stream(item, times[id(item.stamp)], path, warnings) for topic, item in spatial.items()}
-    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed)
+    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed, recorded)
 
 
 def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, Stream]]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,23 +14,21 @@ from mcap.writer import MCAP0_MAGIC
 from vpptwin.errors import InputError, check_name
 from vpptwin.fields import Stamp
 from vpptwin.logs.arrays import read_mat, read_npz
-from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
 from vpptwin.logs.bags import read_bag
 from vpptwin.logs.columnar import read_parquet
 from vpptwin.logs.container import list_channels, read_container
 from vpptwin.logs.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.delimited import read_csv
-from vpptwin.logs.lerobot import is_lerobot, list_episodes, read_lerobot, split_episode
+from vpptwin.logs.lerobot import read_lerobot, split_episode
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
+from vpptwin.logs.spelling import ARRAYS, LOG, TEXTS, PathLike, find_files, is_episode, spell
 from vpptwin.logs.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
 from vpptwin.logs.unpack import ZSTD, unpack_file
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
 
-PathLike = str | os.PathLike[str]
 TableReader = Callable[[Path, str, Wish, list[str]], Iterator[Table]]
-_EXPECTED = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
 _SIGNATURES = {
     b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
     b"PK\x03\x04": ("a ZIP archive", "unpack it and give the .mcap file inside"),
@@ -49,10 +46,6 @@ _BEGINNINGS = {
 }  # fmt: skip
 _ALONE = ("csv", "parquet", "lerobot", "mat", "npz")
 """Those that hold one table, as a rule."""
-_ARRAYS = (".mat", ".npz")
-_ENDINGS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
-_PLAIN = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *_ARRAYS, *_ENDINGS)
-_LOGS = (*_PLAIN, *(log + packed for log in _PLAIN for packed in PACKED))
 
 
 @dataclass(frozen=True)
@@ -135,7 +128,7 @@ class Recording:
 
 
 def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
-    """Read the raw messages of a recording (file, rosbag2 folder or list of files) as far as wanted.
+    """Read the raw messages of a recording, however it is spelled, or of a list of files, as far as wanted.
 
     Raises:
         InputError: if there is no such file, it is no log of a kind that is read, or damaged.
@@ -152,12 +145,12 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
             wish.take(channels)
     if origin and not any(channel.count for file in files for channel in file.channels):
         advice = "look with `vpptwin inspect` how long the log is"
-        raise InputError(f"{paths[0]} holds no messages", "a stretch in which there are some", advice)
+        raise InputError(f"{spell(path)} holds no messages", "a stretch in which there are some", advice)
     files.sort(key=lambda file: file.log_time[0])
     for file in files:
         if file.channels and not any(channel.encoding == MessageEncoding.CDR for channel in file.channels):
             refuse_encoding(file.path, file.channels)
-    return Recording(paths[0], tuple(files))
+    return Recording(spell(path), tuple(files))
 
 
 def name_tables(paths: Sequence[Path], wish: Wish) -> dict[str, str]:
@@ -220,62 +213,6 @@ def refuse_messages(
     )
 
 
-def find_files(path: PathLike | Sequence[PathLike]) -> list[Path]:
-    """Files of one recording that is a file, a rosbag2 folder, or a list of files.
-
-    Raises:
-        InputError: if there are none, or a folder holds several flights.
-    """
-    if not isinstance(path, str | os.PathLike):
-        if not path:
-            raise InputError("no log given", _EXPECTED, "name at least one file")
-        return [file for item in path for file in find_files(item)]
-    given = Path(path)
-    if is_episode(given):
-        return [given]
-    plain, span = part_span(given)
-    if span is not None:
-        return [Path(f"{file}{str(given)[len(str(plain)) :]}") for file in find_files(plain)]
-    if not given.exists():
-        if "+" in str(given):
-            return find_files(str(given).split("+"))
-        raise InputError(f"no file {given}", _EXPECTED, "check the path")
-    if not given.is_dir():
-        return [given]
-    if not is_bag(given):
-        within = list_flights(given)
-        if len(within) > 1:
-            action = f"give one, such as {within[0]}"
-            raise InputError(f"folder {given} holds {len(within)} flights", "one flight here", action)
-        return find_files(within[0])
-    return list_bag(given)
-
-
-def list_flights(path: PathLike) -> list[Path]:
-    """The flights that a path stands for: a file or a rosbag2 folder is one, in other folders every log is one.
-
-    Raises:
-        InputError: if a folder holds no log.
-    """
-    given = Path(path)
-    if not given.is_dir() or is_bag(given):
-        return [given]
-    if is_lerobot(given):
-        return list_episodes(given)
-    found = sorted(item for item in given.iterdir() if item.is_file() and item.name.lower().endswith(_LOGS))
-    found += sorted(item for item in given.iterdir() if item.is_dir() and is_bag(item))
-    if not found:
-        held = ", ".join(sorted(item.name for item in given.iterdir())[:5]) or "nothing"
-        raise InputError(f"folder {given} holds {held}", "logs, or a rosbag2 folder", "give a log")
-    return found
-
-
-def is_episode(path: Path) -> bool:
-    """Whether a path is FOLDER#EPISODE of a LeRobot data set."""
-    folder, mark, number = str(path).rpartition("#")
-    return bool(mark) and number.isdecimal() and len(number) < 10 and not path.exists() and is_lerobot(Path(folder))
-
-
 def read_start(path: Path) -> bytes:
     """The first bytes of a file.
 
@@ -287,10 +224,10 @@ def read_start(path: Path) -> bytes:
         with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
             start = file.read(64)
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})", _EXPECTED, "check its permissions") from None
+        raise InputError(f"{path} cannot be read ({error.strerror})", LOG, "check its permissions") from None
     if not start:
         advice = "check that the recorder was stopped properly, and record again"
-        raise InputError(f"{path} is empty (0 bytes)", _EXPECTED, advice)
+        raise InputError(f"{path} is empty (0 bytes)", LOG, advice)
     return start
 
 
@@ -326,19 +263,19 @@ def find_kind(path: Path, start: bytes) -> str | None:
     for beginning, kind in _BEGINNINGS.items():
         if start.startswith(beginning):
             return kind
-    if path.suffix.lower() in _ARRAYS:
+    if path.suffix.lower() in ARRAYS:
         return path.suffix.lower()[1:]
     if start[:1] == b"\xbc" and start[2:3] == b"\0":
         return "usd"
-    text = path.name.lower().endswith(_ENDINGS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))
+    text = path.name.lower().endswith(TEXTS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))
     return "csv" if text else None
 
 
 def _refuse_foreign(path: Path, start: bytes) -> InputError:
     for signature, (found, action) in _SIGNATURES.items():
         if start.startswith(signature):
-            return InputError(f"{path} is {found}", _EXPECTED, action)
+            return InputError(f"{path} is {found}", LOG, action)
     if MCAP0_MAGIC.startswith(start):
-        return InputError(f"{path} ends after {len(start)} bytes", _EXPECTED, "copy or record it again")
+        return InputError(f"{path} ends after {len(start)} bytes", LOG, "copy or record it again")
     kind = "text" if all(32 <= byte < 127 or byte in b"\t\r\n" for byte in start) else "not MCAP"
-    return InputError(f"{path} is {kind}, starting with {start[:12]!r}", _EXPECTED, "give the .mcap file itself")
+    return InputError(f"{path} is {kind}, starting with {start[:12]!r}", LOG, "give the .mcap file itself")

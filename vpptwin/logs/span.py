@@ -1,7 +1,8 @@
-"""A stretch of a log: FILE@START-END, in seconds since its first message."""
+"""A stretch of a log: FILE@START-END, in seconds since its first message; of the two one may be left out."""
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.errors import InputError
+
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
+_SPELLED = re.compile(rf"(.+)@{_NUMBER}?-{_NUMBER}?", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -33,10 +37,10 @@ def part_span(path: Path, origin: list[int] | None = None) -> tuple[Path, Span |
     Raises:
         InputError: if it ends before it begins.
     """
-    given = re.fullmatch(r"(.+)@(\d+\.?\d*)-(\d+\.?\d*)", str(path), flags=re.DOTALL)
-    if given is None or path.exists():
+    given = _SPELLED.fullmatch(str(path))
+    if given is None or not (given.group(2) or given.group(3)) or os.path.exists(path):
         return path, None
-    start, end = float(given.group(2)), float(given.group(3))
+    start, end = float(given.group(2) or 0.0), float(given.group(3) or "inf")
     if start >= end:
         raise InputError(f"{path}: from {start:g} to {end:g} s", "a start before the end", "turn them round")
     return Path(given.group(1)), Span(start, end, [] if origin is None else origin)

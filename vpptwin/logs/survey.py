@@ -19,8 +19,9 @@ from vpptwin.fields import Stamp
 from vpptwin.logs.channels import is_joint_state
 from vpptwin.logs.layout import STAMP, LayoutError, describe_columns, locate_fields, parse_definition
 from vpptwin.logs.raw import RawChannel, RawFile, Wish
-from vpptwin.logs.recording import PathLike, Recording, open_recording
+from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.samples import read_fields, read_joints
+from vpptwin.logs.spelling import PathLike
 from vpptwin.logs.tables import NAMES, is_text
 from vpptwin.logs.timeline import check_order
 from vpptwin.logs.topic_map import LOG_TIME

@@ -13,8 +13,8 @@ from mcap.writer import LIBRARY_IDENTIFIER, Writer
 from vpptwin.errors import InputError
 from vpptwin.files import replace_files
 from vpptwin.logs.raw import Block, RawChannel, Wish
-from vpptwin.logs.recording import PathLike, Recording, find_files, open_recording
-from vpptwin.logs.span import part_span
+from vpptwin.logs.recording import Recording, open_recording
+from vpptwin.logs.spelling import PathLike, list_sources
 from vpptwin.logs.tables import pack_rows
 from vpptwin.progress import open_bar
 
@@ -34,7 +34,7 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     """
     if out.suffix != ".mcap":
         raise InputError(f"{out} as the file to write", "a name that ends with .mcap", "rename it")
-    if out.resolve() in [part_span(file)[0].resolve() for file in find_files(log)]:
+    if out.resolve() in [file.resolve() for file in list_sources(log)]:
         raise InputError(f"{out} is the log itself", "another file to write", "choose another name")
     try:
         out.parent.stat()  # a log goes where somebody keeps logs

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.errors import InputError
+from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
+from vpptwin.logs.spelling import expand, stem_log
+from vpptwin.terminal import print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 
@@ -65,13 +67,21 @@ def read_both(
     if restart is not None and not restart > 0.0:
         raise InputError(f"--restart {restart:g}", "seconds above 0", "use --free for a twin that is never restarted")
     spec = load_twin(twin or "nominal", effects)
-    flight = read_flight(list(logs), topic_map, spec.robot.signals.entries)
+    files = [file for log in logs for file in expand(log)]
+    flight = read_flight(files[0] if len(files) == 1 else files, topic_map, spec.robot.signals.entries)
     if twin is None:
         check_craft(flight)
     prediction = None if twin is None else replay(spec, flight, restart)
-    for warning in flight.warnings:
-        print(f"{flight.path.name}: {warning}", file=sys.stderr)
+    print_warnings(look_over(spec, flight) if prediction is None else prediction.warnings)
     return flight, prediction, spec
+
+
+def look_over(spec: TwinSpec, flight: Flight) -> list[str]:
+    """Warnings about a log that no twin flies; where a twin could not fly it, those of reading it."""
+    try:
+        return list_warnings([flight], [read_measurements(spec, flight)])
+    except InputError:
+        return [f"{flight.name}: {text}" for text in flight.warnings]
 
 
 def plot(
@@ -97,6 +107,7 @@ def plot(
     from vpptwin.viz.plot import check_format, write_story
 
     check_format(out)
+    sources = [file for source in sources for file in expand(source)]
     runs = [source for source in sources if is_run(source)]
     if not runs:
         story = tell_flight(*read_both(sources, twin, restart, topic_map, effects))
@@ -110,7 +121,7 @@ def plot(
 
 def name_picture(sources: Sequence[Path]) -> Path:
     """What is written if nobody says: a PNG named like the first source, in the current folder."""
-    return Path(f"{sources[0].resolve().stem}.png")
+    return Path(f"{stem_log(expand(sources[0])[0])}.png")
 
 
 def check_craft(flight: Flight) -> None:

@@ -89,7 +89,7 @@ def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
         expected = "a log of our craft, or of the joints that the twin's signals name"
         advice = "name the rig's twin with --twin, or use a topic map"
         raise InputError(f"{flight.path}: nothing to plot, topics {present}", expected, advice)
-    return Story(flight.path.name, panels, find_triggers(flight))
+    return Story(flight.name, panels, find_triggers(flight))
 
 
 def find_triggers(flight: Flight) -> np.ndarray:

@@ -59,7 +59,7 @@ def draw_page(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -> 
     tracks = draw_show(Visualizer(window=recorder), show)
     recorder.send(SetAnimation(Animation(tracks), play=True, repetitions=FOREVER))
     caption = "" if prediction is None else name_twin(spec, prediction)
-    return render_page(recorder.commands, describe_show(show, flight.path.name, caption))
+    return render_page(recorder.commands, describe_show(show, flight.name, caption))
 
 
 def name_twin(spec: TwinSpec, prediction: Prediction) -> str:

@@ -96,7 +96,7 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
     with until_interrupted(), closing(handle):
         with handle.lock():
             aim(handle.cam, show)
-        print(f"{flight.path.name} in MuJoCo's viewer. {KEYS}; close it or Ctrl-C here to end.", flush=True)
+        print(f"{flight.name} in MuJoCo's viewer. {KEYS}; close it or Ctrl-C here to end.", flush=True)
         before = time.perf_counter()
         for _ in keep_going():
             if not handle.is_running():

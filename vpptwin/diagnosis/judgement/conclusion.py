@@ -21,7 +21,7 @@ from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import find_effect
 from vpptwin.effects.joint import apply_cogging
-from vpptwin.estimation.measurements import Measurements
+from vpptwin.estimation.measurements import Measurements, list_warnings
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import TwinSpec
 
@@ -92,8 +92,7 @@ def conclude(
     if selection.left_out:
         warnings.append(CONTRADICTED.format(" and ".join(sorted(selection.left_out))))
     warnings += filter(None, (describe_input_error(spec, find_effect(spec.catalogue, e)) for e in sorted(fit.effects)))
-    for flight, measured in zip(flights, measurements):
-        warnings += [f"{flight.path.name}: {warning}" for warning in (*flight.warnings, *measured.warnings)]
+    warnings += list_warnings(flights, measurements)
     return Verdict(
         logs=[str(flight.path) for flight in flights],
         twin=spec.name,

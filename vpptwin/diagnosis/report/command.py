@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vpptwin.diagnosis.report.export import name_files
-from vpptwin.diagnosis.report.output import Pieces, check_target, give_json, stage_results
+from vpptwin.diagnosis.report.output import Pieces, give_json, stage_results
 from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, judge_logs, list_stale
 from vpptwin.diagnosis.report.sources import list_logs
 from vpptwin.diagnosis.report.terminal import print_summary
@@ -38,8 +38,6 @@ def diagnose_logs(
         InputError: on bad logs, a bad twin or device, or a folder that cannot be written; old results are left as they
             were.
     """
-    if json is not None:
-        check_target(json)
     flown = list_logs(logs)
     if rrd:
         load_extra("rerun", "--rrd")  # before the work

@@ -15,17 +15,17 @@ from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.diagnosis.judgement.logged_inputs import describe_turned, turn_as_logged
 from vpptwin.diagnosis.report.error_table import ErrorTable, tabulate_errors
-from vpptwin.diagnosis.report.output import check_target, give_json
+from vpptwin.diagnosis.report.output import give_json
 from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.diagnosis.report.summary import SHOWN_HORIZON
 from vpptwin.diagnosis.report.terminal import print_beside, print_errors
 from vpptwin.errors import InputError
 from vpptwin.estimation.held import refuse_held
-from vpptwin.estimation.measurements import read_measurements
+from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.files import STDOUT
 from vpptwin.logs.flight import Flight
 from vpptwin.progress import open_bar
-from vpptwin.terminal import open_console
+from vpptwin.terminal import open_console, print_warnings
 from vpptwin.twin.spec import TwinSpec
 
 CHI2 = "whole-log chi² {} (1 = noise floor; that of `diagnose` is of held-out windows only)"
@@ -40,7 +40,7 @@ class Scored:
         windows: stretches of log that were predicted.
         score: errors over the horizon.
         noise: what sensor noise alone makes.
-        warnings: of what follows the log instead of being predicted.
+        warnings: of what looks odd about the logs, or follows them instead of being predicted.
     """
 
     twin: str
@@ -78,12 +78,17 @@ class Comparison:
 
     __repr__ = __str__
 
+    @property
+    def warnings(self) -> list[str]:
+        """What looks odd about the logs, or follows them instead of being predicted."""
+        return list(dict.fromkeys(warning for one in self.twins for warning in one.warnings))
+
     def as_dict(self) -> dict[str, object]:
         """Plain data: of one twin its own, of several a list `twins`."""
         told: list[dict[str, object]] = [
             {"twin": one.twin, "samples": {"windows": one.windows}, "error": one.score.as_dict()} for one in self.twins
         ]
-        shared: dict[str, object] = {"logs": self.logs, "horizons_s": list(HORIZONS_S)}
+        shared: dict[str, object] = {"logs": self.logs, "horizons_s": list(HORIZONS_S), "warnings": self.warnings}
         return shared | (told[0] if len(told) == 1 else {"twins": told})
 
 
@@ -126,7 +131,8 @@ def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Sco
         held_out = open_held_out(chosen, measurements, starts, bar.update)
         score = held_out.score({})
     noise = find_noise_floor(measurements)
-    return Scored(spec.name, len(held_out.short.windows), score, noise, describe_turned(spec))
+    warnings = [*describe_turned(spec), *list_warnings(flights, measurements)]
+    return Scored(spec.name, len(held_out.short.windows), score, noise, warnings)
 
 
 def compare_logs(
@@ -138,9 +144,8 @@ def compare_logs(
     Raises:
         InputError: on bad logs, a bad twin, or a file that cannot be written.
     """
-    if json is not None:
-        check_target(json)
     comparison = compare(logs, twins, topic_map, effects)
+    print_warnings(comparison.warnings)
     if json != STDOUT:
         console, (first, *others) = open_console(), comparison.twins
         if others:
@@ -150,8 +155,6 @@ def compare_logs(
             print_errors(console, f"prediction error of twin {first.twin}", first.tabulate())
             chi2 = f"{first.score.chi2:.3g}"
         console.print(CHI2.format(chi2))
-        for warning in dict.fromkeys(warning for one in comparison.twins for warning in one.warnings):
-            console.print(f"warning: {warning}")
     if json is not None:
         give_json(comparison.as_dict(), json)
     return comparison

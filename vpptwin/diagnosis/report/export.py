@@ -8,11 +8,10 @@ from functools import singledispatch
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
 from vpptwin.diagnosis.report.prediction import FlightPrediction, Track
 from vpptwin.logs.flight import Flight
+from vpptwin.logs.spelling import stem_log
 from vpptwin.logs.write import FlightWriter, merge_times
 from vpptwin.twin.drone import PlanarDrone
 from vpptwin.twin.robot import Robot
@@ -51,10 +50,10 @@ def name_files(logs: Sequence[Path], suffix: str = ".mcap") -> list[str]:
     if len(logs) == 1:
         return [f"prediction{suffix}"]
     names: list[str] = []
-    for log in logs:
-        name, count = f"prediction_{log.stem}{suffix}", 2
+    for stem in map(stem_log, logs):
+        name, count = f"prediction_{stem}{suffix}", 2
         while name in names:
-            name, count = f"prediction_{log.stem}_{count}{suffix}", count + 1
+            name, count = f"prediction_{stem}_{count}{suffix}", count + 1
         names.append(name)
     return names
 
@@ -83,14 +82,7 @@ def write_prediction(
 
 def find_offset(flight: Flight) -> float:
     """Recording time minus stamp where a log was recorded on another clock than its stamps', else 0 [s]."""
-    try:
-        with flight.path.open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (OSError, McapError):  # a log that was cut off has no summary, though its messages can be read
-        return 0.0
-    if summary is None or summary.statistics is None:
-        return 0.0
-    offset = (summary.statistics.message_start_time - flight.start_ns) / 1e9
+    offset = 0.0 if flight.recorded_ns is None else (flight.recorded_ns - flight.start_ns) / 1e9
     return offset if abs(offset) > OTHER_CLOCK else 0.0
 
 

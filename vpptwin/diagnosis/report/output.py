@@ -58,19 +58,6 @@ def stage_results(
         yield drafts
 
 
-def check_target(path: Path) -> None:
-    """Refuse a --json that cannot be written, before the work rather than after it."""
-    if path == STDOUT:
-        return
-    try:
-        path.parent.stat()  # which is not made for it
-        with replace_files(path.parent, [path.name]):
-            pass
-    except OSError as error:
-        found = f"cannot write --json {path} ({error.strerror or error})"
-        raise InputError(found, "a file in an existing folder, or - for stdout", "choose another") from error
-
-
 def give_json(content: object, target: Path) -> None:
     """Write a --json, to a file or, for `-`, to standard output."""
     if target == STDOUT:

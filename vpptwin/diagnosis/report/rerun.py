@@ -11,6 +11,7 @@ from vpptwin.diagnosis.report.export import TWINS, plain_name
 from vpptwin.diagnosis.report.prediction import FlightPrediction
 from vpptwin.errors import load_extra
 from vpptwin.logs.flight import Flight
+from vpptwin.logs.spelling import stem_log
 
 TIMELINE = "stamp"
 """The log's own clock, by header stamps."""
@@ -27,7 +28,7 @@ def write_rrd(path: Path, prediction: FlightPrediction) -> None:
     """
     rr = load_extra("rerun", "--rrd")
     flight = prediction.flight
-    with rr.RecordingStream("vpptwin", recording_id=flight.path.stem) as stream:
+    with rr.RecordingStream("vpptwin", recording_id=stem_log(flight.path)) as stream:
         stream.save(str(path))
         for entity, time, values in list_series(prediction):
             stamps = (flight.start_ns + np.rint(time * 1e9).astype(np.int64)).astype("datetime64[ns]")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -137,7 +136,7 @@ class Result:
         Returns:
             The same, whose verdict says what could not be made and why, as verdict.json does.
         """
-        origin = replace(self._origin, command=f"{self._origin.command} {shlex.join(['--out', str(out)])}")
+        origin = self._origin.add(["--out", str(out)])
         traced = {"command": origin.command, "date": origin.date, "twin": origin.twin}
         pieces, made = Pieces(list(self._drawn.lost)), [VERDICT]
         twin = pieces.attempt(TWIN, partial(compose_twin, self._spec, self.twin.effects, self.verdict, origin, out), "")
@@ -210,7 +209,7 @@ def judge_logs(
     """A diagnosis as `diagnose` has it, but for what is yet to be drawn."""
     spec = open_twin(twin, effects)
     make_twin = choose_maker(spec, device)
-    flights = open_flights(logs, topic_map, spec.robot.signals.entries)
+    flights = open_flights(logs, topic_map, spec.robot.signals.entries, apart=True)
     options = ["--topic-map", str(topic_map)] if topic_map is not None else []
     options += [part for file in effects for part in ("--effects", str(file))]
     paths = [flight.path for flight in flights]
@@ -250,7 +249,7 @@ def draw_result(twins: Sequence[TwinSpec], flights: Sequence[Flight], diagnosis:
     """Pictures of a diagnosis, and what twins predict for its flights."""
     pieces, predictions = Pieces(), list[FlightPrediction | None]()
     for flight in flights:
-        what = f"the prediction of {flight.path.name}"
+        what = f"the prediction of {flight.name}"
         predictions.append(pieces.attempt(what, partial(predict_flight, twins, flight), None))
     draw = partial(draw_pictures, diagnosis, predictions, noise, pieces)
     return Drawn(pieces.attempt("the pictures", draw, Pictures()), predictions, pieces.lost)

@@ -1,0 +1,222 @@
+"""How logs are spelled: FILE, FOLDER, FOLDER#EPISODE, a pattern, A+B, and LOG@START-END of each; what that stands for.
+
+Whoever is given a log asks here which recordings it is, of which files, and what to call it. What is there under the
+very name that was given is that, whatever signs the name has.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from glob import glob, has_magic
+from itertools import takewhile
+from pathlib import Path
+
+from vpptwin.errors import InputError
+from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
+from vpptwin.logs.lerobot import find_episode, is_lerobot, list_episodes, read_info, split_episode
+from vpptwin.logs.span import part_span
+
+PathLike = str | os.PathLike[str]
+LOG = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
+"""What is expected where none was given."""
+ARRAYS = (".mat", ".npz")
+TEXTS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
+_PLAIN = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *ARRAYS, *TEXTS)
+_LOGS = (*_PLAIN, *(log + packed for log in _PLAIN for packed in PACKED))
+_NAMED = 3  # files of one recording that are all named
+_LONGEST = 200  # bytes of a name that is made of a log's
+
+
+def spell(log: PathLike | Sequence[PathLike]) -> Path:
+    """A log, or the files of one recording, as one name."""
+    text = str(Path(log)) if isinstance(log, str | os.PathLike) else "+".join(map(str, log))
+    return Path(text if os.path.exists(text) else text.replace("/@", "@").replace("/#", "#"))  # of a shell's completion
+
+
+def list_flights(log: PathLike) -> list[Path]:
+    """The flights that a log stands for: in a folder that is no rosbag2 every log is one, and all that a pattern finds.
+
+    Raises:
+        InputError: if a folder holds no log, or a pattern finds nothing.
+    """
+    given = spell(log)
+    if (found := expand(given)) != [given]:
+        return [flight for each in found for flight in list_flights(each)]
+    plain, span = part_span(given)
+    if span is not None:
+        return [_cut(flight, given, plain) for flight in list_flights(plain)]
+    if not os.path.isdir(given) or is_bag(given):
+        return [given]
+    if is_lerobot(given):
+        return list_episodes(given)
+    held = sorted(given.iterdir())
+    logs = [item for item in held if item.is_file() and item.name.lower().endswith(_LOGS)]
+    logs += [item for item in held if item.is_dir() and is_bag(item)]
+    if not logs:
+        shown = ", ".join(item.name for item in held[:5]) or "nothing"
+        raise InputError(f"folder {given} holds {shown}", "logs, or a rosbag2 folder", "give a log")
+    return logs
+
+
+def expand(log: PathLike) -> list[Path]:
+    """What a pattern such as `runs/*.mcap` finds, in order of names; anything else is itself.
+
+    Raises:
+        InputError: if it finds nothing.
+    """
+    text = str(log)
+    if not has_magic(text) or _is_there(text):
+        return [Path(log)]
+    plain = _strip(text)
+    found = [Path(f"{file}{text[len(plain) :]}") for file in sorted(glob(plain, recursive=True))]
+    if not found and len(split_sum(text)) == 1:
+        raise InputError(f"no file matches {text}", LOG, "check the pattern")
+    return found or [Path(log)]
+
+
+def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
+    """Files of one recording, as readers take them: FILE or FOLDER#EPISODE, each with its @START-END.
+
+    Raises:
+        InputError: if there are none, or it stands for several flights.
+    """
+    if not isinstance(log, str | os.PathLike):
+        if not log:
+            raise InputError("no log given", LOG, "name at least one file")
+        return [file for item in log for file in find_files(item)]
+    given = spell(log)
+    if is_episode(given):
+        return [given]
+    if os.path.exists(given) and not os.path.isdir(given):
+        if not os.path.isfile(given):
+            found, action = f"{given} is a pipe or a device", "write it to a file first, and give that"
+            raise InputError(found, "a file, as logs are read more than once", action)
+        return [given]
+    pieces, (plain, span) = split_sum(str(given)), part_span(given)
+    if len(pieces) > 1 and (span is None or any(part_span(Path(piece))[1] for piece in pieces[:-1])):
+        return [file for piece in pieces for each in expand(piece) for file in find_files(each)]
+    within = list_flights(given)
+    if len(within) > 1:
+        what = f"folder {given}" if os.path.isdir(given) else str(given)
+        found, action = f"{what} holds {len(within)} flights", f"give one, such as {within[0]}"
+        raise InputError(found, "one flight here", action)
+    if span is not None:
+        return [_cut(file, given, plain) for file in find_files(plain)]
+    if within != [given]:
+        return find_files(within[0])
+    if not os.path.isdir(given):
+        raise _refuse_absent(given)
+    return list_bag(given)
+
+
+def list_sources(log: PathLike) -> list[Path]:
+    """The files on disk that a log is read from.
+
+    Raises:
+        InputError: as `find_files`.
+    """
+    found: list[Path] = []
+    for file in find_files(log):
+        plain = part_span(file)[0]
+        if is_episode(plain):
+            folder, episode = split_episode(plain)
+            found += [folder / "meta" / "info.json", *find_episode(folder, episode, read_info(folder))]
+        else:
+            found.append(plain)
+    return list(dict.fromkeys(found))
+
+
+def list_parts(log: PathLike) -> list[tuple[Path, float, float]]:
+    """Files of one recording, whatever links lead there, and from when to when they are taken [s].
+
+    Raises:
+        InputError: as `find_files`.
+    """
+    found = []
+    for plain, span in map(part_span, find_files(log)):
+        folder, mark, number = str(plain).rpartition("#") if is_episode(plain) else (str(plain), "", "")
+        place = Path(f"{Path(folder).resolve()}{mark}{number}")
+        found.append((place, span.start if span else 0.0, span.end if span else math.inf))
+    return found
+
+
+def split_sum(text: str) -> list[str]:
+    """The logs of A+B; a name with a plus of what is there stays whole.
+
+    Raises:
+        InputError: if one of them has no name.
+    """
+    pieces: list[str] = []
+    for piece in [text] if _is_there(text) else text.split("+"):
+        pieces.append(piece)
+        joined = ("+".join(pieces[start:]) for start in range(len(pieces)))
+        apart = len(list(takewhile(lambda whole: not _is_there(whole), joined)))
+        if apart < len(pieces):
+            pieces[apart:] = ["+".join(pieces[apart:])]
+    if not all(pieces):
+        raise InputError(f"{text} has a plus with nothing beside it", "FILE+FILE", "leave it out, or name the file")
+    return pieces
+
+
+def name_log(log: PathLike) -> str:
+    """A log's name in messages: without its folders, and short."""
+    names = [_base(Path(piece)) for piece in split_sum(str(log))]
+    return "+".join(names) if len(names) <= _NAMED else f"{names[0]}+{len(names) - 1} more"
+
+
+def stem_log(log: PathLike) -> str:
+    """What files that belong to a log are called: its name without ending, in signs that links and shells take."""
+    plain, span = part_span(spell(log))
+    files = [part_span(Path(piece))[0] for piece in split_sum(str(plain))]
+    stems = [_base(file) if os.path.isdir(file) or is_episode(file) else file.stem for file in files]
+    stem = "_".join(stems) if len(stems) <= _NAMED else f"{stems[0]}_and_{len(stems) - 1}_more"
+    whole = stem + (str(spell(log))[len(str(plain)) :] if span is not None else "")
+    return whole.replace("#", "_").replace("@", "_").encode()[:_LONGEST].decode(errors="ignore")
+
+
+def is_episode(path: Path) -> bool:
+    """Whether a path is FOLDER#EPISODE of a LeRobot data set."""
+    folder, mark, number = str(path).rpartition("#")
+    known = bool(mark) and _is_number(number) and os.path.isdir(folder) and not os.path.exists(path)
+    return known and is_lerobot(Path(folder))
+
+
+def _cut(file: Path, given: Path, plain: Path) -> Path:
+    """A file, and of it the stretch that is given of the whole."""
+    return Path(f"{file}{str(given)[len(str(plain)) :]}")
+
+
+def _base(path: Path) -> str:
+    """A path without its folders, also of `.` and `..`."""
+    return (path if path.name.strip(".") else path.resolve()).name
+
+
+def _is_there(text: str) -> bool:
+    """Whether a piece of a name, its stretch and episode aside, is the name of something."""
+    return bool(text) and (os.path.exists(text) or os.path.exists(_strip(text)))
+
+
+def _strip(text: str) -> str:
+    """A log without its stretch and episode."""
+    plain = str(part_span(Path(text))[0])
+    folder, mark, number = plain.rpartition("#")
+    return folder if mark and _is_number(number) and not os.path.exists(plain) else plain
+
+
+def _is_number(text: str) -> bool:
+    """Whether a text numbers an episode."""
+    return text.isdecimal() and len(text) < 10
+
+
+def _refuse_absent(given: Path) -> InputError:
+    """What to say of a log that is not there: which part of its name is not understood, if it is that."""
+    text = str(given)
+    if text == "-":
+        return InputError("- as a log", "a file, as logs are read more than once", "write it to a file first")
+    for mark, wanted in (("@", "LOG@START-END in seconds, one of them at least"), ("#", "FOLDER#EPISODE of LeRobot")):
+        log, _, rest = text.rpartition(mark)
+        if log and os.path.exists(log):
+            return InputError(f"{mark}{rest} of {log}", wanted, f"correct it, or give {log}")
+    return InputError(f"no file {given}", LOG, "check the path")
