@@ -332,7 +332,7 @@ def test_compare_prints_and_writes_the_error(tmp_path: Path, capsys: pytest.Capt
     path = tmp_path / "score.json"
     assert main(["compare", str(UNSEEN), "--twin", "nominal", "--json", str(path)]) == 0
     written = json.loads(path.read_text())
-    assert set(written) == {"logs", "twin", "samples", "horizons_s", "error"}
+    assert set(written) == {"logs", "twin", "samples", "horizons_s", "error", "warnings"}
     assert written["logs"] == [str(UNSEEN)]
     assert written["twin"] == "nominal"
     assert written["samples"]["windows"] > 20

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
 from hashlib import sha256
 from math import inf
 from pathlib import Path
@@ -15,17 +14,14 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from tests.diagnosis.made_up import find_nothing
+from tests.diagnosis.made_up import find_nothing, fit_nothing
 from tests.diagnosis.rigs import TWIN, UNDRIVEN, let_swing
 from vpptwin.cli import main
 from vpptwin.diagnosis.report.sources import open_flights
 from vpptwin.errors import InputError
-from vpptwin.identification.free_flight import FlightFit
-from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.spelling import find_files, list_flights, list_parts, name_log, split_sum, stem_log
 from vpptwin.logs.write import FlightWriter
-from vpptwin.twin.spec import TwinSpec
 
 RATE, COUNT = 50, 400
 """Of a log [Hz], and its rows."""
@@ -80,12 +76,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }  # fmt: skip
     parquet.write_table(pa.table(rows), folder / "set/data/chunk-000/file-000.parquet")
     return folder
-
-
-def fit_nothing(spec: TwinSpec, flights: Sequence[Flight], effects: Sequence[str], *told: object) -> FlightFit:
-    """A fit that nothing was found by."""
-    found = find_nothing(spec, flights).verdict
-    return FlightFit({}, [], [], found.before, found.after, (1, 1), None, found.warnings)
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ def run(options: argparse.Namespace, given: Sequence[str]) -> int | None:
     if not getattr(options, "force", True):
         check_own(targets.values())
     for name, path in targets.items():
-        check_target(path, f"--{name}")
+        check_target(path, json=name == "json")
     code: int | None = options.run(options)
     return code
 

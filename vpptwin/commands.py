@@ -112,7 +112,7 @@ def run_plot(options: argparse.Namespace) -> None:
     out = options.out or name_picture(options.source)
     if not options.force:
         check_own([out])
-    check_target(out, "--out")
+    check_target(out)
     plot(options.source, options.twin, out, restart, options.theme, options.topic_map, options.effects)
 
 
@@ -150,7 +150,7 @@ def run_identify(options: argparse.Namespace) -> None:
         given = (options.logs, options.parameters, options.twin, options.out, options.topic_map, options.effects)
         identify_flights(*given)
         return
-    identify_bench(options.logs, options.out, options.topic_map, options.vehicle)
+    identify_bench(options.logs, options.out, options.topic_map, options.vehicle, options.force)
 
 
 def run_fly(options: argparse.Namespace) -> None:

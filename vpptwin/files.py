@@ -40,7 +40,8 @@ _staged: dict[Path, list[Path]] = {}  # of this process: drafts → folders that
 def replace_files(folder: Path, names: Collection[str], stale: Collection[str] = ()) -> Iterator[Path]:
     """A hidden folder inside `folder` to write files into; when the block ends they take the place of the old ones.
 
-    Whatever goes wrong (an exception, a full disk, Ctrl-C), the old files stay, and folders made for the new ones go.
+    Whatever goes wrong (an exception, a full disk, Ctrl-C), the old files stay, and folders made for the new ones go, as
+    they do where none was written.
     Two processes that write into one folder do so one after the other.
 
     Args:
@@ -67,7 +68,6 @@ def replace_files(folder: Path, names: Collection[str], stale: Collection[str] =
         drafts.mkdir()
         yield drafts
         exchange(drafts, folder, stale)
-        made.clear()
     finally:
         discard(drafts)
 
@@ -131,23 +131,26 @@ def check_own(paths: Iterable[Path]) -> None:
             raise InputError(found, "a new file, or one of vpptwin's", ANYWAY)
 
 
-def check_target(path: Path, option: str) -> None:
+def check_target(path: Path, json: bool = False) -> None:
     """Refuse a file that cannot be written, before the work rather than after it; what is there stays.
 
+    Args:
+        path: where it is to lie; folders are made for it as `write_files` does.
+        json: whether it is a --json, for which no folder is made.
+
     Raises:
-        InputError: naming the option that asks for it.
+        InputError: if it cannot.
     """
     if path == STDOUT:
         return
-    alone = option == "--json"  # no folder is made for it
     try:
-        if alone:
+        if json:
             path.parent.stat()
         with replace_files(path.parent, [path.name]):
             pass
     except OSError as error:
-        found = f"cannot write {option} {path} ({error.strerror or error})"
-        expected = "a file in an existing folder, or - for stdout" if alone else "a file in a folder to write to"
+        found = f"cannot write {'--json ' if json else ''}{path} ({error.strerror or error})"
+        expected = "a file in an existing folder, or - for stdout" if json else "a writable path"
         raise InputError(found, expected, "choose another") from error
 
 

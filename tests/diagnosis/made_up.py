@@ -25,6 +25,7 @@ from vpptwin.diagnosis.judgement.wrench import plot_wrench
 from vpptwin.diagnosis.report import result
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import list_warnings, read_measurements
+from vpptwin.identification.free_flight import FlightFit
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -113,3 +114,9 @@ def find_nothing(spec: TwinSpec, flights: Sequence[Flight], *given: object, **na
     logs, warnings = [str(flight.path) for flight in flights], list_warnings(flights, measurements)
     verdict = Verdict(logs, spec.name, 1, len(flights), score, score, False, [], rest, [], [], {}, warnings=warnings)
     return Diagnosis(verdict, {}, [], held_out, None, [inspect_flight(spec, each) for each in measurements])
+
+
+def fit_nothing(spec: TwinSpec, flights: Sequence[Flight], effects: Sequence[str], *told: object) -> FlightFit:
+    """A fit that nothing was found by."""
+    found = find_nothing(spec, flights).verdict
+    return FlightFit({}, [], [], found.before, found.after, (1, 1), None, found.warnings)

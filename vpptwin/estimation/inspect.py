@@ -56,7 +56,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
         read = [path, *(file for flight in flights for file in list_sources(flight))]
         if target.resolve() in [file.resolve() for file in read]:
             raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
-        check_target(target, "--out")
+        check_target(target)
     first: list[Signal] = []
     for flight in flights:
         recording, signals = survey(flight)

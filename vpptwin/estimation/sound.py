@@ -239,8 +239,14 @@ def is_dead(value: np.ndarray) -> bool:
 
 
 def is_noisy(value: np.ndarray, std: float) -> bool:
-    """Whether a channel (n,) has the noise of a sensor: without, as in simulations, it may stand still or be one."""
-    return float(np.median(np.abs(np.diff(value, 2)))) > 0.3 * std
+    """Whether a channel (n,) has the noise of a sensor: without, as in simulations, it may stand still or be one.
+
+    The longest run of one value is not asked, in which the sensor may have been stuck for most of the log.
+    """
+    begins, lengths = list_runs(value)
+    longest = int(np.argmax(lengths))
+    steps = np.abs(np.diff(np.delete(value, slice(begins[longest] + 1, begins[longest] + lengths[longest])), 2))
+    return len(steps) > 0 and float(np.median(steps)) > 0.3 * std
 
 
 def list_runs(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

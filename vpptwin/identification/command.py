@@ -17,7 +17,7 @@ from vpptwin.diagnosis.report.sources import open_flights
 from vpptwin.diagnosis.report.twin_file import extend_effects, name_twin, round_digits
 from vpptwin.effects import SIGMAS_90
 from vpptwin.errors import InputError
-from vpptwin.files import check_target, write_files
+from vpptwin.files import check_own, check_target, write_files
 from vpptwin.identification.actuator import Actuator, identify
 from vpptwin.identification.bench import find_levels, read_bench
 from vpptwin.identification.free_flight import FlightFit, fit_flights, parse_parameters
@@ -30,7 +30,9 @@ from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.vehicle import Vehicle, load_vehicle
 
 
-def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = None, vehicle: Path | None = None) -> None:
+def identify_bench(
+    logs: Sequence[Path], out: Path, topic_map: Path | None = None, vehicle: Path | None = None, force: bool = False
+) -> None:
     """Identify an actuator, write `out` and a page beside it, and print what was found.
 
     Args:
@@ -38,20 +40,24 @@ def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = Non
         out: YAML to write; the page is named like it, with .html.
         topic_map: as of every command that reads logs.
         vehicle: whose governed speed and inner rate hold; the shipped one by default.
+        force: overwrite a page that vpptwin did not write, too.
 
     Raises:
         InputError: if a log lacks something, or a file cannot be written; nothing is left behind then.
     """
     check_out(out)
+    page = out.with_suffix(".html")
+    check_target(page)
+    if not force:
+        check_own([page])
     believed = load_vehicle(vehicle)
     stands = expand_logs(logs)
     origin = trace_origin(sys.argv[1:], "", stands)
     runs = [read_bench(log, believed, topic_map) for log in stands]
-    print_warnings(warning for run in runs for warning in run.warnings)
     found = identify(runs, find_levels(runs))
+    print_warnings(warning for run in runs for warning in run.warnings)
     content = compose_file(found, believed, origin)
     ActuatorFile.model_validate(content)
-    page = out.with_suffix(".html")
     write_files({
         out: yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120),
         page: render_page(found, runs, origin),
@@ -60,14 +66,15 @@ def identify_bench(logs: Sequence[Path], out: Path, topic_map: Path | None = Non
 
 
 def check_out(out: Path) -> None:
-    """Refuse a name that is no YAML file's, or a page beside it that cannot be written.
+    """Refuse a name that is no YAML file's, or a folder that is not there.
 
     Raises:
         InputError: saying which.
     """
     if out.suffix not in (".yaml", ".yml"):
         raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
-    check_target(out.with_suffix(".html"), "the page")
+    if not out.parent.is_dir() or out.is_dir():
+        raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")
 
 
 def name_coefficients(thrust: ThrustMap, speed: float) -> dict[str, tuple[float, float]]:
