@@ -40,8 +40,8 @@ _staged: dict[Path, list[Path]] = {}  # of this process: drafts → folders that
 def replace_files(folder: Path, names: Collection[str], stale: Collection[str] = ()) -> Iterator[Path]:
     """A hidden folder inside `folder` to write files into; when the block ends they take the place of the old ones.
 
-    Whatever goes wrong (an exception, a full disk, Ctrl-C), the old files stay, and folders made for the new ones go, as
-    they do where none was written.
+    Whatever goes wrong (an exception, a full disk, Ctrl-C), the old files stay, and folders made for the new ones go,
+    as they do where none was written.
     Two processes that write into one folder do so one after the other.
 
     Args:
