@@ -70,6 +70,21 @@ def test_a_gyro_in_another_unit_is_refused(flights: list[Path], tmp_path: Path) 
         read_measurements(spec, read_flight(flights[0], signals=spec.robot.signals.entries))
 
 
+@pytest.mark.parametrize(
+    "attitude", ["[qx, qy, qz, qw]", "{path: [qw, qx, qy, qz], scale: [1, -1, -1, -1]}"], ids=["last", "back"]
+)
+def test_attitudes_read_in_another_order_or_sense_are_refused(
+    flights: list[Path], tmp_path: Path, attitude: str
+) -> None:
+    """The line in the message is the example's own."""
+    text = (EXAMPLE / "crazyflie.yaml").read_text("utf-8").replace("[qw, qx, qy, qz]", attitude)
+    (tmp_path / "wrong.yaml").write_text(text.replace("crazyflie.xml", str(EXAMPLE / "crazyflie.xml")))
+    spec = load_twin(tmp_path / "wrong.yaml")
+    for path in flights[:2]:
+        with pytest.raises(InputError, match=r"attitudes of quad .* write `attitude: \[qw, qx, qy, qz\]` for quad"):
+            read_measurements(spec, read_flight(path, signals=spec.robot.signals.entries))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(2))
 def test_weak_rotors_and_drag_are_named_as_by_hand(flights: list[Path], number: int) -> None:

@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import savgol_filter
 
 from tests.quadrotor import fly, write_twin
 from vpptwin.errors import InputError
-from vpptwin.estimation.frames import ANGLES, QUATERNIONS, Reading, look_up
+from vpptwin.estimation.frames import ANGLES, QUATERNIONS, Reading, look_up, tell_rates
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.samples import turn_by_angles
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.twin.manifold import read_angles, turn_to_world
+from vpptwin.twin.manifold import read_angles, rotate, turn_to_world
 
 COLUMNS = {"attitude": ["a", "b", "c", "d"], "rate": ["gx", "gy", "gz"]}
 
@@ -103,6 +104,47 @@ def test_without_a_gyro_what_pushes_tells_the_order(spec: TwinSpec, reading: Rea
     read_measurements(bare, log({}, rates=False))
     with pytest.raises(InputError, match=r"fit the push of its actuators.*; write `attitude: "):
         read_measurements(bare, log({"attitude": misorder(attitude, reading)}, rates=False))
+
+
+@pytest.mark.parametrize("reading", QUATERNIONS[:4], ids=name)
+def test_without_motors_an_accelerometer_tells_the_order(spec: TwinSpec, reading: Reading) -> None:
+    """What it feels is what bends the track, and the weight; a gyro that shows nothing but noise does not say no."""
+    flown = log({})
+    pose = flown.spatial["/pose"]
+    track = savgol_filter(pose["position"], 25, 3, axis=0)
+    bent = savgol_filter(pose["position"], 25, 3, deriv=2, delta=0.01, axis=0)
+    felt = turn_to_world(pose["attitude"] * [1.0, -1.0, -1.0, -1.0], bent + np.array([0.0, 0.0, 9.81]))
+    noise = 0.01 * np.random.default_rng(1).standard_normal(felt.shape)
+    imu = Stream(pose.time, {"rate": noise, "acceleration": felt})
+    bare = spec.with_robot(signals=spec.robot.signals.model_copy(update={"actuators": {}}))
+    for attitude in (pose["attitude"], misorder(pose["attitude"], reading)):
+        wrong = replace(
+            flown, spatial={"/pose": Stream(pose.time, {"position": track, "attitude": attitude}), "/imu": imu}
+        )
+        if attitude is pose["attitude"]:
+            assert read_measurements(bare, wrong).attitudes
+        else:
+            with pytest.raises(InputError, match=r"fit the accelerometer \("):
+                read_measurements(bare, wrong)
+
+
+def test_a_brick_that_tumbles_about_an_axis_has_its_rates_in_the_world() -> None:
+    """Thrown for 2.5 s, by Euler's equations: rates about the world's axes are no attitude in another order."""
+    inertia, step, spin = np.array([0.02, 0.035, 0.05]), 1e-3, np.array([3.0, 0.4, 0.7])
+    attitude, track, rates = np.array([1.0, 0.0, 0.0, 0.0]), [], []
+    for _ in range(2500):
+        half = spin - 0.5 * step * np.cross(spin, inertia * spin) / inertia
+        attitude, spin = rotate(attitude, step * half), spin - step * np.cross(half, inertia * half) / inertia
+        track.append(attitude)
+        rates.append(spin)
+    rng, time, turned = np.random.default_rng(2), step * np.arange(2500)[::5], np.array(track)[::5]
+    seen = rotate(turned, 2e-3 * rng.standard_normal((500, 3)))
+    body = np.array(rates)[::5] + 0.01 * rng.standard_normal((500, 3))
+    assert tell_rates(time, seen, time, body) is None
+    found = tell_rates(time, seen, time, turn_to_world(turned, body))
+    assert found is not None
+    assert (found.of, found.frame) == ("frame", "world")
+    assert tell_rates(time, seen, time, turn_to_world(turned, body), "world") is None
 
 
 @pytest.mark.parametrize("reading", [each for each in ANGLES if np.prod(each.signs) < 0.0], ids=name)

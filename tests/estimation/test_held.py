@@ -71,7 +71,13 @@ def carry() -> Flight:
     return make_log(TIME, np.sum(waves, axis=0))
 
 
-@pytest.mark.parametrize("log", [drive(), drive(0.3), carry()], ids=["floor", "hills", "hand"])
+def phone() -> Flight:
+    """In a car, once a second, to half a metre."""
+    time = np.arange(0.0, 60.0)
+    return make_log(time, 200.0 * np.column_stack([np.sin(0.05 * time), np.cos(0.05 * time), 0.0 * time]), noise=0.5)
+
+
+@pytest.mark.parametrize("log", [drive(), drive(0.3), carry(), phone()], ids=["floor", "hills", "hand", "phone"])
 def test_what_holds_a_body_is_not_found_as_a_force(tmp_path: Path, log: Flight) -> None:
     """Diagnose and compare say in a line that nothing holds it, and that commands lack; the log itself can be seen."""
     spec = make_spec(tmp_path)
@@ -122,6 +128,18 @@ def test_what_falls_sinks_or_hops_is_diagnosed(tmp_path: Path, given: dict[str, 
     """Nothing is said of what its model has, or of what drag explains."""
     spec = make_spec(tmp_path, **given)
     assert not find_held(spec, read_measurements(spec, log))
+
+
+def test_a_real_car_of_which_odometry_is_all_there_is(shared_data: Path, tmp_path: Path) -> None:
+    """A 1:10 car on its tyres: no force holds it up."""
+    spec = make_spec(tmp_path)
+    for path in sorted((shared_data / "f1tenth").glob("*/odomData.csv")):
+        rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(1, 2, 9, 10, 13, 14))
+        second, nano, x, y, qz, qw = rows[np.unique(rows[:, 0] + 1e-9 * rows[:, 1], return_index=True)[1]].T
+        time = second - second[0] + 1e-9 * nano
+        log = make_log(time, np.column_stack([x, y, 0.0 * x]), 2.0 * np.unwrap(np.arctan2(qz, qw)))
+        ((_, told),) = find_held(spec, read_measurements(spec, log))
+        assert "does not fall" in told
 
 
 def test_tosses_of_a_real_cube_are_not_held(shared_data: Path, tmp_path: Path) -> None:

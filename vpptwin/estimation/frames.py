@@ -21,7 +21,7 @@ LONGEST, STEPS, FEWEST = 0.25, 60, 20
 """Turns are compared over steps of this length [s], or of so much of the log; with fewer steps nothing is told."""
 LAGS = np.linspace(-0.2, 0.2, 21)
 """By how much attitudes may be later than rates [s]."""
-FITS, CLEAR = 0.2, 3.0
+FITS, CLEAR = 0.2, 2.0
 """A reading fits that misses less than this share of the turns; it is better than the given one if that misses so many
 times as much."""
 SLIGHT = {"turns": 0.01, "pushes": 0.005}
@@ -123,10 +123,12 @@ def choose(found: Sequence[Reading]) -> Reading | None:
     best = min(found, key=lambda each: each.missed, default=None)
     if best is None or best.missed > FITS or best.given < CLEAR * best.missed:
         return None
-    alike = [
-        each for each in found if each.missed <= CLEAR * best.missed and (each.of == "frame") == (best.of == "frame")
-    ]
-    return min(alike, key=lambda each: (each.turned > NEAR, each.of == "rate", each.turned, each.missed))
+    good = [each for each in found if each.missed <= CLEAR * best.missed]
+    good = [each for each in good if each.turned < NEAR] or good
+    # About one axis a gyro of which all signs are turned is an attitude that is: that is the commoner of the two.
+    good = [each for each in good if each.of != "rate"] or good
+    kind = min(good, key=lambda each: each.missed).of
+    return min((each for each in good if each.of == kind), key=lambda each: (each.turned, each.missed))
 
 
 def tell_push(
@@ -160,7 +162,9 @@ def tell_push(
         seen = turn_to_world(conjugate(read), gained - weight)[clear]
         return fit_turn(seen / np.linalg.norm(seen, axis=1, keepdims=True), told, fixed, False)[0]
 
-    given = min(fit(attitude, gravity, True), fit(attitude, gravity, False), fit(attitude, -gravity, False))
+    given = min(fit(attitude, gravity, fixed) for fixed in (True, False))
+    if np.median(place @ gravity) > 0.0:  # heights below zero, as where z points down: then it is that which is wrong
+        given = min(given, fit(attitude, -gravity, False))
     if given < SLIGHT["pushes"]:
         return None
     readings = ANGLES if angled else QUATERNIONS

@@ -15,6 +15,8 @@ from vpptwin.twin.manifold import difference_attitudes
 from vpptwin.twin.model import find_free, find_meeting
 from vpptwin.twin.spec import TwinSpec
 
+ROUGHEST, QUIET = 2.0, 0.1
+"""Noise that forces by mass may have [m/s²]: to see a weight, and to see what drives."""
 SLOW = 0.25
 """Forces that are looked at for what a fluid makes of them are means over this time before and after [s]."""
 BORNE, HELD = (0.5, 1.5), 0.6
@@ -116,23 +118,32 @@ def is_held(model: mujoco.MjModel, time: np.ndarray, place: np.ndarray) -> float
     """Share of the time in which a body's weight is borne, if it does not fall, nor sink as in a fluid; else 0."""
     gravity = model.opt.gravity
     strength = float(np.linalg.norm(gravity))
-    force, _ = differentiate(time, place, BEND, gravity)
+    reach = find_reach(time, place)
+    force, _ = differentiate(time, place, reach, gravity)
     share = -(force @ gravity) / strength**2
     held = float(np.mean((share > BORNE[0]) & (share < BORNE[1]))) if len(share) >= FEWEST else 0.0
-    sinks = np.ptp(place @ gravity) > DEPTH * strength
+    if held < HELD:
+        return 0.0
+    sinks, slow = np.ptp(place @ gravity) > DEPTH * strength, max(SLOW, find_reach(time, place, QUIET))
     passive = sinks and is_passive(
-        *differentiate(time, place, SLOW, gravity), np.sqrt(6.0) * find_noise(place) / SLOW**2
+        *differentiate(time, place, slow, gravity), np.sqrt(6.0) * find_noise(place) / slow**2
     )
-    return 0.0 if held < HELD or passive else held
+    return 0.0 if passive else held
+
+
+def find_reach(time: np.ndarray, place: np.ndarray, noise: float = ROUGHEST) -> float:
+    """Over which time places (n, 3) show accelerations, between their samples and with no more than that noise [s]."""
+    needed = float(np.sqrt(np.sqrt(6.0) * find_noise(place) / noise))
+    return max(BEND, 2.0 * float(np.median(np.diff(time))), min(needed, float(time[-1] - time[0]) / 10.0))
 
 
 def differentiate(
     time: np.ndarray, place: np.ndarray, reach: float, gravity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Force by mass besides weight, and velocity, every `BEND`, from places (n, 3) `reach` [s] before and after."""
-    at = np.arange(time[0] + reach, time[-1] - reach, BEND)
+    """Force by mass besides weight, and velocity, from places (n, 3) `reach` [s] before and after, every so often."""
+    at = np.arange(time[0] + reach, time[-1] - reach, min(reach, SLOW))
     ahead = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-    at = at[time[ahead] - time[ahead - 1] < BEND]  # no motion is read off a gap
+    at = at[time[ahead] - time[ahead - 1] < reach]  # no motion is read off a gap
     before, now, after = (look_up(at + late, time, place) for late in (-reach, 0.0, reach))
     return (before - 2.0 * now + after) / reach**2 - gravity, 0.5 * (after - before) / reach
 
@@ -153,19 +164,19 @@ def is_passive(force: np.ndarray, velocity: np.ndarray, noise: float) -> bool:
 
 def count_gains(model: mujoco.MjModel, joint: int, time: np.ndarray, pose: np.ndarray) -> int:
     """How often a free body gained a good part of all the energy that it ever had, kinetic and of its weight."""
-    at = np.arange(time[0] + BEND, time[-1] - BEND, BEND)
+    reach = find_reach(time, pose[:, :3])
+    at = np.arange(time[0] + reach, time[-1] - reach, reach)
     if len(at) < FEWEST:
         return 0
-    before, now, after = (look_up(at + late, time, pose) for late in (-BEND, 0.0, BEND))
-    moved = 0.5 * (after - before)[:, :3] / BEND
-    turned = 0.5 * difference_attitudes(before[:, 3:], after[:, 3:]) / BEND
+    before, now, after = (look_up(at + late, time, pose) for late in (-reach, 0.0, reach))
+    moved = 0.5 * (after - before)[:, :3] / reach
+    turned = 0.5 * difference_attitudes(before[:, 3:], after[:, 3:]) / reach
     energy = measure_energy(model, joint, now, np.column_stack([moved, turned]))
-    width = round(BOUNCE / BEND)
+    width = round(BOUNCE / reach)
     energy = np.array([energy[max(i - width, 0) : i + width + 1].max() for i in range(len(energy))])
     mass = float(model.body_subtreemass[model.jnt_bodyid[joint]])
-    rough = (
-        10.0 * mass * float(np.linalg.norm(moved, axis=1).max()) * find_noise(pose[:, :3]) / BEND
-    )  # what noise of velocities makes
+    fastest = float(np.linalg.norm(moved, axis=1).max())
+    rough = 10.0 * mass * fastest * find_noise(pose[:, :3]) / reach  # what noise of velocities makes
     gain, gains, turn, rising = max(GAIN * float(np.ptp(energy)), rough), 0, energy[0], False
     for value in energy:
         turn = max(turn, value) if rising else min(turn, value)

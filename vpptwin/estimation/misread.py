@@ -168,6 +168,8 @@ def compose_line(
         scale = np.broadcast_to(content.get("scale", 1.0), len(reading.order))
         content["path"] = [content["path"][i] for i in reading.order]
         factors = [float(scale[i]) * sign for i, sign in zip(reading.order, reading.signs)]
+        if len(factors) == 4 and factors[0] < 0.0:  # a quaternion and its negative are one rotation
+            factors = [-factor for factor in factors]
         content["scale"] = [int(factor) if factor.is_integer() else factor for factor in factors]
         if content["scale"] == [1] * len(reading.order):
             del content["scale"]

@@ -18,6 +18,8 @@ from vpptwin.twin.manifold import difference_attitudes, follow_sign
 
 AXES = ("x", "y", "z")
 TURNS = (("rad/s", 1.0), ("deg/s", UNITS["deg/s"][1]), ("mrad/s", 1e-3))
+STILL = 1e-9
+"""Rates that vary by less do not turn [rad/s]."""
 UNIT = 0.02
 """What a quaternion's norm may be off by."""
 
@@ -138,14 +140,18 @@ def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) ->
     width = max(round(0.05 / period), 1)
     rates = difference_attitudes(q[:-width], q[width:]) / (width * period)
     middle = 0.5 * (time[width:] + time[:-width])
-    results, lag = [], 0.0
-    for axis in range(3):
-        turning = Signal("", "", "", "", "", "", middle, rates[:, axis])
-        smooth = replace(group[axis], time=clock, values=np.convolve(values[:, axis], np.ones(width) / width, "same"))
-        _, lag = compare_lag(turning, smooth) if axis == 0 else (0.0, lag)  # three axes have one clock
-        _step, shown, turned = resample(replace(smooth, time=smooth.time - lag), turning)
-        r = float(np.corrcoef(shown, turned)[0, 1]) if len(shown) else np.nan
-        results.append((r, float(shown @ turned / (turned @ turned)) if len(shown) else np.nan))
+    smooth = [np.convolve(column, np.ones(width) / width, "same") for column in values.T]
+    pairs = [
+        (Signal("", "", "", "", "", "", middle, rates[:, axis]), replace(group[axis], time=clock, values=smooth[axis]))
+        for axis in range(3)
+    ]
+    _, lag = compare_lag(*pairs[int(np.argmax(rates.std(axis=0)))])  # three axes have one clock
+    lag, results = lag if np.isfinite(lag) else 0.0, []
+    for turning, shown_by in pairs:
+        _step, shown, turned = resample(replace(shown_by, time=shown_by.time - lag), turning)
+        still = not len(shown) or min(shown.std(), turned.std()) < STILL
+        share = (np.nan, np.nan) if still else (np.corrcoef(shown, turned)[0, 1], shown @ turned / (turned @ turned))
+        results.append((float(share[0]), float(share[1])))
     unit, sure, numbers = choose_unit(results, TURNS)
     text = f"gyro: {stem}x, y, z{about} in {unit or 'no known unit'}; shares of the turning {numbers}"
     text += f", {1e3 * lag:.0f} ms after the attitude" if lag else ""
