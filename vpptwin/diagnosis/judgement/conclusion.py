@@ -69,7 +69,8 @@ def conclude(
     sober = 1.0 - (1.0 - criteria.sober) * min(2.0 * left, 1.0)
     if fit.effects and held_out.errors.worsens({}, fit.values):
         sober = criteria.sober
-    most = criteria.suggested if is_doubtful(search, held_out, fit, unexplained, after.chi2) else 1.0
+    doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, after.chi2)
+    most = criteria.suggested if doubtful else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
     doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
     for effect in sorted(fit.effects):

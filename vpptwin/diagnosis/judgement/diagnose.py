@@ -127,14 +127,16 @@ def return_memory() -> None:
 
 
 def keep_better(material: Material, selection: Selection) -> Selection:
-    """The selection, or none of it if the twin that it makes predicts held-out log worse than the one given.
+    """The selection without what makes its twin predict held-out log worse than the one given, the weakest first.
 
     Whatever the search believed: this is what is written.
     """
     search, held_out, fit = material.search, material.held_out, selection.fit
-    if not fit.effects or not held_out.is_farther({}, fit.values, search.sticks(fit.effects)):
-        return selection
-    return Selection(search.start, selection.first, {}, {}, {}, selection.left_out | fit.effects)
+    while fit.effects and held_out.breaks_promise({}, fit.values, search.sticks(fit.effects)):
+        weakest = min(sorted(fit.effects), key=selection.evidence.__getitem__)
+        left = fit.effects - {weakest}
+        fit = search.follow(search.reframe(search.without(fit, weakest))) if left else search.start
+    return selection if fit is selection.fit else selection.reduce_to(fit)
 
 
 @dataclass(frozen=True)

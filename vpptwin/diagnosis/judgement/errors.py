@@ -37,6 +37,20 @@ class PredictionErrors:
         grown = [tell_apart(ratios[name][:, :near]) for name in set(ratios) & {"m", "rad"}]
         return any(bool(np.any(mean - error > np.log1p(self.criteria.worse))) for mean, error in grown)
 
+    def grow(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
+        """Whether an error of the pose at any horizon grows by more than `even` and its standard error.
+
+        That is of the mean over blocks of held-out log of the logarithm of error after over error before, Student's
+        where the blocks are few; one block alone tells nothing.
+        """
+        ratios, least = self.ratios(before, after), np.log1p(self.criteria.even)
+        for name in set(ratios) & {"m", "rad"}:
+            mean, error = tell_apart(ratios[name])
+            for growth, doubt, number in zip(mean - least, error, np.isfinite(ratios[name]).sum(axis=0)):
+                if growth > 0.0 and to_deviations(growth / max(doubt, 1e-12), int(number)) > 1.0:
+                    return True
+        return False
+
     def prefer(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> float:
         """By how many standard errors the errors over all horizons favour `after`, fewer where few blocks tell them."""
         ratios = np.stack([np.nanmean(rows, axis=1) for rows in self.ratios(before, after).values()])

@@ -25,6 +25,8 @@ SURPRISES = 256
 """Surprises that are kept: one fit is weighed against many, and against one more than once."""
 REWEIGHTED = 5
 """Times that parameters are found anew with windows that go astray counting less."""
+ROUNDING = 1e-6
+"""Share by which chi² may differ for the six digits that a twin file has."""
 LEAST = 0.01
 """Least excess chi² of which there are shares."""
 
@@ -205,6 +207,16 @@ class HeldOut:
             return True
         drop, error = self.drop_of_chi2(before, after)
         return drop < -self.criteria.sigmas_against * error
+
+    def breaks_promise(self, before: Mapping[Key, float], after: Mapping[Key, float], sticks: bool) -> bool:
+        """Whether a twin with `after` may not be written in place of one with `before`: its held-out chi² is larger.
+
+        Or an error of the pose ahead is, beyond chance. No window is excused here, as in `is_farther`: what is written
+        predicts as well as what was given, or better. The exceptions are chi² below 1, the sensors' noise, and
+        `even` where it sticks.
+        """
+        most = max((1.0 + self.criteria.even * sticks) * self.chi2(before), 1.0)
+        return self.chi2(after) > most * (1.0 + ROUNDING) or self.errors.grow(before, after)
 
     def settles(self, before: Mapping[Key, float], after: Mapping[Key, float]) -> bool:
         """Whether most of a chi² far above the noise goes, and not by chance: gusts are but assumed to make it."""

@@ -44,6 +44,7 @@ class Selection:
         evidence: cause → drop in cost that it brings beside the others.
         left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
         unconfirmed: causes that held-out windows by themselves would not show, where errors have the last word.
+        reduced: whether others were left out of what is written, so that these were found beside what is not there.
     """
 
     fit: Fit
@@ -53,6 +54,22 @@ class Selection:
     evidence: dict[str, float]
     left_out: frozenset[str] = frozenset()
     unconfirmed: frozenset[str] = frozenset()
+    reduced: bool = False
+
+    def reduce_to(self, fit: Fit) -> Selection:
+        """The selection with a fit of fewer causes: with all of them held-out log was predicted worse."""
+        gone, kept = self.fit.effects - fit.effects, fit.effects
+        rivals = {e: [r for r in self.rivals[e] if r.effect not in gone] for e in kept}
+        instead = {
+            e: [
+                replace(f, effects=f.effects - gone, values={k: v for k, v in f.values.items() if k[0] not in gone})
+                for rival, f in zip(self.rivals[e], self.instead[e]) if rival.effect not in gone
+            ]
+            for e in kept
+        }  # fmt: skip
+        evidence = {e: self.evidence[e] for e in kept}
+        return replace(self, fit=fit, rivals=rivals, instead=instead, evidence=evidence, left_out=self.left_out | gone,
+                       unconfirmed=self.unconfirmed & kept, reduced=True)  # fmt: skip
 
     def confidence(self, effect: str) -> float:
         """Probability that the cause is right, among its rivals and that nothing is there."""
