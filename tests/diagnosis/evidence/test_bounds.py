@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from vpptwin.diagnosis.evidence.forces import scale_to
+from vpptwin.diagnosis.search.suspects import list_sizes, list_unknowns
 from vpptwin.errors import InputError
 from vpptwin.twin.model import inertia_at_rest
 from vpptwin.twin.robot import Loads
@@ -93,6 +94,17 @@ def test_bounds_follow_what_joints_carry(mjcf: str, effect: str, value: float, t
     spec = load_rig(mjcf, tmp_path)
     name = next(e.parameters[0].name for e in spec.catalogue if e.id == effect)
     assert spec.with_effects({effect: {name: value}}).effects[effect][name] == value
+
+
+def test_a_load_may_be_heavier_than_what_holds_it(tmp_path: Path) -> None:
+    """A flange of 0.2 kg on an arm of 23 kg: looked for up to twice that, or what 300 N m hold up; tried on the way."""
+    searched = scale_by(load_rig(ARM, tmp_path), {})
+    (payload,) = (u for u in list_unknowns(searched) if u.key == ("wrist.payload", "mass"))
+    assert payload.parameter.high == pytest.approx(2.0 * (14.0 + 9.0 + 0.2))
+    assert [round(size / 0.2, 2) for size in list_sizes(payload, False)] == [0.05, 0.25, 1.25, 6.25, 31.25]
+    strong = scale_by(load_rig(ARM, tmp_path), {"force": 300.0})
+    (stronger,) = (u for u in list_unknowns(strong) if u.key == ("wrist.payload", "mass"))
+    assert stronger.parameter.high > 2.0 * payload.parameter.high
 
 
 @pytest.mark.parametrize(("effect", "values", "expected"), [

@@ -14,10 +14,13 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.search.places import find_places
 from vpptwin.effects import Effect, Parameter
+from vpptwin.effects.link import apply_payload
 from vpptwin.twin.spec import TwinSpec
 
 SIZES = (1.0, 5.0, 25.0)
 """Strengths at which an effect is tried, in typical sizes."""
+LOADS = (125.0, 625.0)
+"""The same of a load on a link, which may be many times as heavy as that."""
 MANY = 40
 """Suspects beyond which none is tried at the first of them, which derivatives tell."""
 LIMIT_STEP = 0.15
@@ -135,6 +138,7 @@ def list_sizes(strength: Unknown, there: bool, sizes: Sequence[float] = SIZES) -
         away = nominal - parameter.off
         found = [parameter.off, parameter.off + 0.5 * away, parameter.off + 2.0 * away]
     else:
+        sizes = (*sizes, *LOADS) if strength.effect.apply is apply_payload else sizes
         steps = [side * times * parameter.size for times in sizes for side in (1.0, -1.0)]
         found = [nominal + step for step in steps]
     return [value for value in found if parameter.low <= value <= parameter.high]
