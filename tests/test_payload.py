@@ -10,14 +10,14 @@ import pytest
 
 from tests.crafts import save_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.effects import SIGMAS_90
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import load_twin
 
-LINKS = ((1.3, 0.12, 0.009), (0.14, 0.02, 6e-5))
+LINKS = ((2.1, 0.12, 0.012), (0.14, 0.02, 6e-5))
 """Mass [kg], centre of mass along the link [m] and inertia about it [kg m²] of the upper arm and the flange."""
-LENGTH, ARMATURE, STEP, EVERY = 0.26, (0.02, 0.004), 2.5e-4, 20  # m, kg m², s, steps between rows
-MJCF = """<mujoco model="arm"><option timestep="0.002"/><worldbody><body><joint name="shoulder" axis="0 1 0" armature="{1}"/>
+LENGTH, ARMATURE, STEP, EVERY = 0.26, (0.08, 0.03), 2.5e-4, 20  # m, kg m², s, steps between rows
+MJCF = """<mujoco model="arm"><option timestep="0.001"/><worldbody><body>
+<joint name="shoulder" axis="0 1 0" armature="{1}"/>
 <inertial pos="{0[0][1]} 0 0" mass="{0[0][0]}" diaginertia="1e-3 {0[0][2]} {0[0][2]}"/>
 <body name="flange" pos="{3} 0 0"><joint name="wrist" axis="0 1 0" armature="{2}"/><geom type="capsule" size="0.02"
 fromto="0 0 0 0.05 0 0" contype="0" conaffinity="0"/>
@@ -57,8 +57,8 @@ def move(load: float, place: float, duration: float, seed: int) -> Flight:
             slope = pinocchio.aba(model, data, q, v, torque).copy()
             ahead = pinocchio.aba(model, data, q + STEP * v, v + STEP * slope, torque)
             q, v = q + STEP * (v + 0.5 * STEP * slope), v + 0.5 * STEP * (slope + ahead)
-    log[:, :2] += 2e-4 * rng.standard_normal((rows, 2))
-    log[:, 2:4] += 4e-3 * rng.standard_normal((rows, 2))
+    log[:, :2] += 6e-4 * rng.standard_normal((rows, 2))
+    log[:, 2:4] += 1.2e-2 * rng.standard_normal((rows, 2))
     time = STEP * EVERY * np.arange(rows)
     joints = {
         name: Stream(time, {"position": log[:, j], "velocity": log[:, 2 + j]})
@@ -71,13 +71,13 @@ def move(load: float, place: float, duration: float, seed: int) -> Flight:
 @pytest.mark.slow
 @pytest.mark.parametrize(("load", "place"), [(1.7, 0.06)])
 def test_a_load_ten_times_the_flange_is_found(load: float, place: float, tmp_path: Path) -> None:
-    """Named first, its mass within three standard deviations, and the twin with it predicts held-out log to the noise."""
+    """Named first and within its interval, though ten times the flange's mass once were the most: some 40 s."""
     spec = load_twin(save_twin(tmp_path, "arm", MJCF, TWIN))
     verdict = diagnose(spec, [move(load, place, 12.0, 3)]).verdict
     first = verdict.causes[0]
-    print(verdict.causes, verdict.before.chi2, verdict.after.chi2)
     assert first.effect == "flange.payload"
-    found = first.parameters["mass"]
-    assert found.value == pytest.approx(load, abs=3.0 * found.std)
-    assert found.std * SIGMAS_90 < 0.1 * load
-    assert verdict.after.chi2 < 1.5
+    low, high = first.parameters["mass"].interval
+    assert low <= load <= high
+    assert high - low < 0.2 * load
+    assert load > 10.0 * LINKS[1][0]
+    assert verdict.after.chi2 < 1e-5 * verdict.before.chi2
