@@ -19,6 +19,7 @@ from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.normalised import Position, find_ends, tell_normalised
 from vpptwin.logs import read_flight
 from vpptwin.logs.survey import survey
+from vpptwin.logs.transcribe import transcribe
 from vpptwin.twin import load_twin
 
 TIME = np.arange(0.0, 12.0, 0.02)
@@ -45,7 +46,7 @@ def write_lerobot(folder: Path, size: float) -> Path:
     lists = {name: pa.array(np.stack(rows, axis=1).tolist(), pa.list_(pa.float32(), 3))
              for name, rows in (("observation.state", moved), ("action", asked))}  # fmt: skip
     zeros = [0] * len(TIME)
-    parquet.write_table(pa.table({**lists, "timestamp": TIME, "episode_index": zeros}),
+    parquet.write_table(pa.table({**lists, "timestamp": TIME, "episode_index": zeros, "frame_index": range(len(TIME))}),
                         folder / "data/chunk-000/file-000.parquet")  # fmt: skip
     return folder
 
@@ -59,6 +60,16 @@ def test_positions_of_lerobot_are_asked_about(tmp_path: Path, size: float, held:
     for guess in guesses:
         assert any("nobody says the unit" in doubt for doubt in guess.doubts), guess.target
         assert any("is held at exactly" in doubt and "100 of its travel" in doubt for doubt in guess.doubts) == held
+
+
+def test_parquet_of_lerobot_without_its_folder_says_no_unit_either(tmp_path: Path) -> None:
+    """Nor does what `convert` makes of it."""
+    file = write_lerobot(tmp_path / "set", 1.2) / "data/chunk-000/file-000.parquet"
+    transcribe(file, tmp_path / "c.mcap")
+    for log in (file, tmp_path / "c.mcap"):
+        units = {signal.label: signal.unit for signal in survey(log)[1]}
+        assert units["action[0]"] == units["observation.state[1]"] == "unsaid"
+        assert units["timestamp"] != "unsaid"
 
 
 @pytest.mark.parametrize("kind", ["lerobot", "csv"])

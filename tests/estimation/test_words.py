@@ -7,19 +7,26 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 from scipy.io import savemat
 
 from benchmarks.guesses import write_model
 from tests.estimation.test_guess import DELAYED, RATE, SWING, TIME, write_log
+from tests.logs.bags import EPOCH, Bag, stamp_header
 from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import guess_bodies
 from vpptwin.estimation.guess import Guess, guess_signals
 from vpptwin.fields import SignalEntry
 from vpptwin.logs import read_flight
+from vpptwin.logs.messages import compose_definition
 from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.transcribe import transcribe
 
+HEADER = "".join(
+    "=" * 80 + part.rstrip() + "\n" for part in compose_definition("sensor_msgs/msg/JointState").split("=" * 80)[1:]
+)
 FREE = "<body name='quad'><freejoint/><geom size='0.1' mass='1'/><site name='imu'/>{}</body>"
 
 
@@ -70,6 +77,41 @@ def test_columns_of_names_say_which_joint_is_which(
         }  # fmt: skip
         assert found[name].sure, found[name].doubts
         assert found[f"{name}!"].fields["effort"].label == f"{prefix}effort{end}"
+
+
+@pytest.mark.parametrize("kind", ["parquet", "mcap"])
+def test_lists_of_names_say_which_joint_is_which(tmp_path: Path, kind: str) -> None:
+    """Beside lists of numbers: rows of a JointState in Parquet, messages of a controller's state in a bag."""
+    names, moved = ["elbow_joint", "shoulder_joint"], [[q, -q] for q in SWING]
+    if kind == "parquet":
+        table = pa.table({"time": TIME, "name": [names] * len(TIME), "position": moved})
+        parquet.write_table(table, log := tmp_path / "log.parquet")
+    else:
+        text = f"std_msgs/Header header\nstring[] joint_names\nfloat64[] position\n{HEADER}"
+        messages = [{"header": stamp_header(EPOCH + 10**7 * i), "joint_names": names, "position": row}
+                    for i, row in enumerate(moved)]  # fmt: skip
+        log = Bag(tmp_path / "log.mcap").add("/state", "lab_msgs/msg/State", messages, text).write()
+    found = guess_joints(tmp_path, log, "motor", "shoulder", "elbow")
+    assert {name: found[name].fields["position"].label for name in ("shoulder", "elbow")} == {
+        "shoulder": "position[1]", "elbow": "position[0]",
+    }  # fmt: skip
+
+
+def test_what_says_that_a_joint_is_one_is_no_part_of_its_name(tmp_path: Path) -> None:
+    """`FL_hip position` of FL_hip_joint; its target is no torque of its motor, which is told."""
+    columns = {f"FL_{part} {what}": SWING for part in ("hip", "calf") for what in ("position", "target")}
+    log = write_log(tmp_path / "log.csv", {"time": TIME, **columns})
+    found = guess_joints(tmp_path, log, "motor", "FL_hip_joint", "FL_calf_joint")
+    assert found["FL_calf_joint"].fields["position"].label == "FL_calf position"
+    assert "FL_calf target: the model's actuator takes a force or moment" in found["FL_calf_joint!"].doubts
+
+
+def test_an_angle_that_is_missing_is_named(tmp_path: Path) -> None:
+    """Roll and yaw alone are no attitude."""
+    place = {f"stateEstimate.{axis}": column for axis, column in zip("xyz", PLACE)}
+    angles = {"stateEstimate.roll": SWING, "stateEstimate.yaw": SWING}
+    body = guess_bodies(free_model(), survey(write_log(tmp_path / "l.csv", {"t": TIME, **place, **angles}))[1])[0]
+    assert any("roll and yaw without pitch" in doubt for doubt in body.doubts)
 
 
 def test_names_that_change_or_do_not_fit_name_nothing(tmp_path: Path) -> None:

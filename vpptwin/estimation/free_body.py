@@ -76,7 +76,8 @@ def guess_bodies(model: mujoco.MjModel, signals: Sequence[Signal], actuators: Co
             own = {signals[0].topic for signals in body.vectors.values()}
             beside = sorted({each.signals[0].topic for each in told if each.quantity == kind} - own)
             far = f", only in {' and '.join(beside)}: one topic has to have both" if beside and own else ""
-            body.doubts.append(f"no {kind} in {' '.join(own) or 'the log'} looks like its{far}")
+            part = tell_partial(signals) if kind == "attitude" and not beside else ""
+            body.doubts.append(f"no {kind} in {' '.join(own) or 'the log'} looks like its{far}{part}")
         body.doubts += list_degrees(signals) if "position" in missing else []
         if not missing and model.jnt_type[joint] == FREE:
             held = tell_held(model, joint, actuators, *stack_pose(body))
@@ -136,6 +137,16 @@ def list_degrees(signals: Sequence[Signal]) -> list[str]:
     found = [s for s in signals if set(split_words(s.label)) & GEODETIC]
     told = f"{' and '.join(s.label for s in found[:2])} are degrees on the globe, no metres: convert them to metres"
     return [f"{told} north and east of a place"] if len(found) > 1 else []
+
+
+def tell_partial(signals: Sequence[Signal]) -> str:
+    """Which two of roll, pitch and yaw there are without the third, in words; "" for none."""
+    measured = [signal for signal in signals if not is_commanded(signal)]
+    for lost in EULER:
+        pair = [name for name in EULER if name != lost]
+        for stem in find_groups(measured, pair, UNIT_AT_END):
+            return f": {stem}{' and '.join(pair)} without {lost}"
+    return ""
 
 
 def tell_body(signals: Sequence[Signal], body: str) -> Iterator[Told]:

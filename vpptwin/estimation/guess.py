@@ -106,6 +106,7 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         if kinds[i] == "position" and not guess.fields:
             settle(guess, "effort", driven.leading, f"comes before what {driven.target} does")
         check_actuator(guess, model, i, driven.motion)
+        guess.doubts += tell_near(guess, kinds[i], signals, (motors, names), driven.target)
         check_copy(guess, driven)
     for guess in guesses if not any(command.fields for command in commands) else ():
         position = guess.fields.get("position")
@@ -132,6 +133,16 @@ def doubt_travel(model: mujoco.MjModel, guesses: Sequence[Guess], commands: Sequ
     for ends in tell_normalised(positions):
         owners[ends.name].doubts.append(f"{ends.told}: {TRAVEL}?")
         owners[ends.name].sure = False
+
+
+def tell_near(
+    guess: Guess, kind: str, signals: Sequence[Signal], names: tuple[Sequence[str], Sequence[str]], moved: str
+) -> list[str]:  # fmt: skip
+    """What was asked for of an actuator without a command, or of the joint that it moves, and is of another kind."""
+    near = [s.label for s in signals if not guess.fields and is_commanded(s) and not s.name
+            and (names_it(s, guess.target, names[0]) or (moved and names_it(s, moved, names[1])))]  # fmt: skip
+    wanted = "a force or moment" if kind in ("effort", "lift") else f"a {kind}"
+    return [f"{', '.join(near[:4])}: the model's actuator takes {wanted}"] * bool(near)
 
 
 def is_control(signal: Signal, kind: str) -> bool:
@@ -367,12 +378,13 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         elif not command.name and not is_commanded(command):
             guess.doubts.append(f"{command.label} may be measured, not commanded")
     elif moved is not None:
+        asked_for = command.title if command.label == moved.label else command.label
         if kind == "position":
             correlation, lag = compare_lag(asked, moved)
-            told = f"{moved.label} follows {command.label} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
+            told = f"{moved.label} follows {asked_for} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
         else:
             (correlation, share), lag = compare_slope(moved, command), 0.0
-            told = f"{command.label} is {share:.2f} of the slope of {moved.label} (r {correlation:.2f})"
+            told = f"{asked_for} is {share:.2f} of the slope of {moved.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
             guess.doubts.append("too little motion to see the joint follow")
         elif correlation < SLOPE or lag < 0.0:

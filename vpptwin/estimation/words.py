@@ -36,6 +36,8 @@ SYMBOLS = {"T", "F", "M"}
 """What thrusts, forces and moments are called by one letter, where a name says besides that they were asked for."""
 OTHERS = {"temp", "temperature", "temperatures", "status", "mode", "flag", "flags"}
 """Words in names of what is none of these, whatever it is of."""
+PARTS = {"joint", "motor", "servo", "actuator", "link"}
+"""Words in names of joints and actuators that their columns may do without."""
 SPINNING = {"rotor", "motor", "prop", "propeller", "esc"}
 UNIT_WORDS = {"deg", "degs", "degps", "dps", "rad", "rads", "radps", "m", "mm", "cm", "mps", "s", "sec", "per"}
 """Words at the end of names that tell a unit."""
@@ -113,12 +115,20 @@ def is_slope_of(velocity: Signal, position: Signal) -> bool:
 
 def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
     """Whether a signal is called by a name, word by word, and by no longer one that holds it."""
-    if signal.name or signal.called:
-        return (signal.name or signal.called) == name
+    if signal.name:
+        return signal.name == name
+    if signal.called:
+        return signal.called == name or split_name(signal.called) == split_name(name)
 
     def holds(words: Sequence[str], part: Sequence[str]) -> bool:
         return bool(part) and any(words[i : i + len(part)] == part for i in range(len(words) - len(part) + 1))
 
-    called, own = split_words(signal.label), split_words(name)
-    longer = [split_words(other) for other in others if other != name]
+    called, own = split_words(signal.label), split_name(name)
+    longer = [split_name(other) for other in others if other != name]
     return holds(called, own) and not any(holds(other, own) and holds(called, other) for other in longer)
+
+
+def split_name(name: str) -> list[str]:
+    """Small words of a joint's or actuator's name without those that say that it is one: `FL_hip_joint`."""
+    words = [word for word in split_words(name) if word not in PARTS]
+    return words if any(word.isalpha() for word in words) else split_words(name)

@@ -12,7 +12,7 @@ from vpptwin.errors import InputError, load_extra
 from vpptwin.fields import UNSAID, Stamp
 from vpptwin.logs.headings import check_times, count_ns, find_clock, guess_unit, part_units
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import Table, choose_fields
+from vpptwin.logs.tables import NAMES, Table, choose_fields
 
 _ROWS = 1 << 16  # rows converted at once
 _BUFFER = 1 << 16  # bytes of a column read at once
@@ -45,8 +45,9 @@ def read_rows(
         for first in content.iter_batches(batch_size=_ROWS):  # only rows tell whether lists have one length
             held = {n: read_arrow(pa, n, first.column(k), units, names) for k, n in enumerate(given)}
             held = {n: columns for n, columns in held.items() if episode is None or n not in ROWS_OF_SETS}
-            if episode is not None:
-                units |= {n: UNSAID for n in (n for columns in held.values() for n in columns) if n not in units}
+            if {"episode_index", "frame_index"} <= given.keys():  # of LeRobot, with its folder or without
+                measured = [c for found in held.values() for c in found if c not in (clock, *ROWS_OF_SETS)]
+                units = dict.fromkeys(measured, UNSAID) | units
             times = held[clock].get(clock, np.empty(0, bool))
             if times.dtype.kind not in "iuf" or times.ndim > 1:
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
@@ -93,6 +94,9 @@ def read_arrow(
     if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind):
         inner = column.flatten()
         width, rest = divmod(len(inner), len(column))
+        if width and not rest and NAMES.fullmatch(f"{name}[0]") and pa.types.is_string(inner.type):
+            texts = np.asarray(inner.fill_null("").to_numpy(zero_copy_only=False)).reshape(-1, width)
+            return {f"{name}[{k}]": texts[:, k] for k in range(width)}
         if rest or not width or not (pa.types.is_floating(inner.type) or pa.types.is_integer(inner.type)):
             return {}  # pictures, ragged lists
         values = np.asarray(inner.to_numpy(zero_copy_only=False)).reshape(-1, width)
