@@ -6,23 +6,30 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import yaml
 from rich.table import Table as RichTable
 
 from vpptwin.errors import InputError
+from vpptwin.estimation.efforts import judge_efforts
 from vpptwin.estimation.free_body import guess_all
 from vpptwin.estimation.guess import Guess
+from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.models import find_model
 from vpptwin.files import check_target, write_whole
 from vpptwin.logs.channels import SPATIAL
+from vpptwin.logs.raw import LARGE
+from vpptwin.logs.read import read_flight
 from vpptwin.logs.spelling import list_flights, list_sources
 from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.topic_map import LOG_TIME, slash
 from vpptwin.terminal import open_console
 from vpptwin.twin.model import compile_model
+from vpptwin.twin.spec import load_twin
 
 WHAT = {"joints": "joint", "bodies": "body", "sites": "site", "actuators": "actuator"}
 WANTED = {"joints": "position", "bodies": "position: , attitude", "sites": "rate", "actuators": "effort"}
@@ -65,12 +72,29 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
     if path is None:
         return []
     compiled = compile_model(path)
-    guesses = guess_all(compiled, first)
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all measure, which reading leaves out
+        guesses = guess_all(compiled, first)
+    doubt_efforts(path, flights[0], guesses)
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
     print_guesses(guesses)
     write_whole(target, compose_twin(path, target, str(flights[0]), guesses))
     print(f"wrote {target}")
     return guesses
+
+
+def doubt_efforts(model: Path, log: Path, guesses: Sequence[Guess]) -> None:
+    """Doubt efforts that are no forces, with the scale to write; where a twin of the guesses reads the log at all."""
+    named = {guess.target: guess for guess in guesses if guess.group == "actuators" and guess.fields}
+    if not named or sum(file.stat().st_size for file in list_sources(log)) > LARGE:
+        return
+    with suppress(InputError), TemporaryDirectory() as folder:
+        twin = Path(folder) / "twin.yaml"
+        twin.write_text(compose_twin(model, twin, str(log), guesses), encoding="utf-8")
+        spec = load_twin(str(twin))
+        flight = read_flight(log, None, spec.robot.signals.entries)
+        for far in judge_efforts(spec, [read_measurements(spec, flight)]):
+            named[far.actuator].doubts.append(f"{far.tell()}: write scale: {far.scale:.4g}")
+            named[far.actuator].sure = False
 
 
 def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -> None:

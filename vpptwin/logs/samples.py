@@ -10,7 +10,7 @@ import numpy as np
 
 from vpptwin.errors import InputError, escape_text
 from vpptwin.fields import NANOSECONDS, Stamp
-from vpptwin.logs.channels import EULER, JOINT_COLUMNS, SPATIAL, Column
+from vpptwin.logs.channels import EULER, JOINT_COLUMNS, SPATIAL, Column, is_joint_state
 from vpptwin.logs.convert import convert_column, list_fields
 from vpptwin.logs.layout import STAMP
 from vpptwin.logs.messages import shorten_type
@@ -111,9 +111,13 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
         raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
-    found = read_fields(recording, topic, route.stamp, paths, label)
+    called = {} if recording.is_table(topic) or not set(paths) <= set(JOINT_COLUMNS) else read_called(recording, topic)
+    found = called.get(route.name) or read_fields(recording, topic, route.stamp, paths, label)
+    found = replace(found, label=label)
     if not len(found.stamp):
         return found
+    for path in (path for path in paths if path not in found.fields):
+        raise InputError(f"{recording.path}: {topic} has no {path} of {route.name!r}", "it", "name another field")
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     if "attitude" in values and len(route.sources["attitude"].paths) == len(EULER):
         values["attitude"] = turn_by_angles(values["attitude"])
@@ -130,6 +134,11 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     if empty.any():
         warnings.append(f"{np.count_nonzero(empty)} of {len(empty)} rows of {route.topic} lack {label}, left out")
     return replace(found, fields=values).take(~empty if empty.any() else slice(None))
+
+
+def read_called(recording: Recording, topic: str) -> dict[str, Samples]:
+    """Joints and actuators of a topic by their names, if it is one of JointState."""
+    return read_joints(recording, topic, topic)[0] if is_joint_state(recording.check_type(topic)) else {}
 
 
 def turn_by_angles(angles: np.ndarray) -> np.ndarray:

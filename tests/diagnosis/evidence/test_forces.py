@@ -9,16 +9,9 @@ import pytest
 
 from tests.diagnosis.carts import load_cart, measure_cart
 from tests.diagnosis.rigs import BOB, DECAYS, LENGTH, LOG_EVERY, PENDULA, STEP, drive_cart, let_swing, swing, write_rig
-from vpptwin.diagnosis.evidence.forces import (
-    REACH,
-    Forces,
-    invert,
-    measure_forces,
-    measure_loads,
-    scale_twin,
-    usual_input,
-)
+from vpptwin.diagnosis.evidence.forces import measure_loads, scale_twin, usual_input
 from vpptwin.effects import find_effect
+from vpptwin.estimation.dynamics import REACH, Forces, invert, measure_forces
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.twin.robot import GUST, Loads
 from vpptwin.twin.spec import load_twin

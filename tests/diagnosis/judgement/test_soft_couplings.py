@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.diagnosis.evidence.forces import invert
 from vpptwin.diagnosis.judgement.conclusion import describe_soft_couplings
+from vpptwin.estimation.dynamics import invert
 from vpptwin.twin import load_twin
 from vpptwin.twin.drives import list_followers
 

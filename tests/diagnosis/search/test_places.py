@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from tests.mechanisms import draw_session
-from vpptwin.diagnosis.evidence.forces import measure_forces, scale_twin
+from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.search.places import look_along
 from vpptwin.effects import find_effect
+from vpptwin.estimation.dynamics import measure_forces
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin

@@ -3,94 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from vpptwin.effects import Parameter
+from vpptwin.estimation.dynamics import REACH, Forces, measure_forces
 from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import average_held
-from vpptwin.twin.manifold import FREE, chart, difference_poses
+from vpptwin.twin.manifold import FREE, chart
 from vpptwin.twin.model import hold_joints, inertia_at_rest
 from vpptwin.twin.robot import Loads
 from vpptwin.twin.spec import TwinSpec
 
-REACH = 0.025
-"""Accelerations are differences of velocities so long before and after an instant [s]."""
-MOST = 1200
-"""Instants that are looked at, over all logs."""
 MOST_STATES, STEP = 120, 1e-6
 """Instants at which the growth of errors is looked at, and steps of its differences."""
 USUAL = 90.0
 """Percentile of a load that is called typical."""
 SLIGHT = 1e-3
 """Scales of what never moved, as a share of what would move it typically."""
-
-
-@dataclass(frozen=True)
-class Forces:
-    """Generalised forces at n instants of the logs."""
-
-    flight: np.ndarray  # index of the log, (n,)
-    time: np.ndarray  # s since its start, (n,)
-    pose: np.ndarray  # (n, nq) m, rad
-    velocity: np.ndarray  # (n, nv) m/s, rad/s
-    control: np.ndarray  # inputs, mean around the instant, (n, nu)
-    inertial: np.ndarray  # mass times acceleration, (n, nv) N, N m
-    actuator: np.ndarray  # what the inputs make of it in the twin, (n, nv)
-    missing: np.ndarray  # what motion asks for beyond what the twin's model has for it, (n, nv)
-
-
-def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
-    """Inverse dynamics of the twin's MJCF, none of its effects on, along every log; inputs act `late` [s]."""
-    parts = [measure_log(spec, log, i, MOST // len(measurements), late) for i, log in enumerate(measurements)]
-    return Forces(*(np.concatenate(rows) for rows in zip(*parts)))
-
-
-def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: float) -> tuple[np.ndarray, ...]:
-    """The rows of `Forces` of one log, at most so many."""
-    model, log = spec.model, log.in_eights()  # a span that tells a state best would smear a tight spot
-    times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
-    times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
-    around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
-    if log.driven:
-        led, (before, at, after) = spec.robot.driven, (pose for pose, _ in around)
-        for (_, velocity), ends, span in zip(around, ((before, at), (before, after), (at, after)), (1.0, 2.0, 1.0)):
-            velocity[:, led] = difference_poses(model, *ends)[:, led] / (span * REACH)
-    pose, velocity = around[1]
-    acceleration = (around[2][1] - around[0][1]) / (2.0 * REACH)
-    edges = times[:, None] + np.array([-REACH, REACH])
-    control = average_held(log.command, edges - late)[:, 0]
-    inertial, actuator, missing = invert(model, pose, velocity, acceleration, control)
-    return np.full(len(times), index), times, pose, velocity, control, inertial, actuator, missing
-
-
-def invert(
-    model: mujoco.MjModel, pose: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, control: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inertial, actuators' and missing force at n instants, (n, nv) each, as if no equality or contact held anything.
-
-    A stiff gear answers the noise of either side by a thousand times what moves the rig, a wheel that of slip.
-    """
-    model = copy(model)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY | mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    data = mujoco.MjData(model)
-    inertial, actuator, missing = (np.zeros_like(velocity) for _ in range(3))
-    for i in range(len(pose)):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = pose[i], velocity[i], control[i]
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fwdVelocity(model, data)
-        mujoco.mj_fwdActuation(model, data)
-        actuator[i] = data.qfrc_actuator
-        data.qacc[:] = acceleration[i]
-        mujoco.mj_inverse(model, data)
-        mujoco.mj_mulM(model, data, inertial[i], acceleration[i])
-        missing[i] = data.qfrc_inverse - actuator[i]
-    return inertial, actuator, missing
 
 
 def measure_growth(spec: TwinSpec, measurements: Sequence[Measurements]) -> float:
@@ -127,31 +60,17 @@ def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec
     """The twin with sizes, bounds and disturbances of effects that suit what the logs show of its rig."""
     if spec.robot.disturbance.known:  # and its scales with it
         return spec
-    return scale_to(spec, measure_loads(spec, measure_forces(spec, measurements)))
-
-
-def scale_to(spec: TwinSpec, loads: Loads) -> TwinSpec:
-    """The twin with sizes, bounds and disturbances of effects by the scales of a rig."""
-    robot = spec.robot.scale(loads)
+    robot = spec.robot.scale(measure_loads(spec, measure_forces(spec, measurements)))
     scaled = {effect.id: effect for effect in robot.list_effects()}
     catalogue = []
     for effect in spec.catalogue:
         values, found = spec.effects.get(effect.id, {}), scaled.get(effect.id, effect)
-        parameters = tuple(
-            limit_search(p, possible, values.get(p.name, p.off))
-            for p, possible in zip(found.parameters, effect.parameters)
+        parameters = tuple(  # what the twin has may lie beyond what these logs would ask for
+            replace(p, low=min(p.low, values.get(p.name, p.low)), high=max(p.high, values.get(p.name, p.high)))
+            for p in found.parameters
         )
         catalogue.append(replace(found, parameters=parameters))
     return replace(spec, robot=robot, catalogue=tuple(catalogue))
-
-
-def limit_search(parameter: Parameter, possible: Parameter, value: float) -> Parameter:
-    """A parameter with bounds for a search: what logs ask for, and the twin's own `value`, within what a twin may have.
-
-    Whatever is found there the next command takes.
-    """
-    low, high = min(parameter.low, value), max(parameter.high, value)
-    return replace(parameter, low=max(low, possible.low), high=min(high, possible.high))
 
 
 def measure_loads(spec: TwinSpec, forces: Forces) -> Loads:

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.forces import REACH, Forces, measure_forces
 from vpptwin.diagnosis.evidence.runs import Key, Variation
+from vpptwin.estimation.dynamics import REACH, Forces, measure_forces
 from vpptwin.estimation.gaps import LOOK_BACK
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import cut_windows, join_windows

@@ -13,6 +13,7 @@ from vpptwin.diagnosis.judgement.contradiction import weigh_causes
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import share_left
 from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
+from vpptwin.diagnosis.judgement.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Unexplained, Verdict
@@ -86,7 +87,8 @@ def conclude(
     causes = order_causes(causes, selection.unconfirmed)
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
     cleared, unseen = judge_power(search, fit, fit.effects | alike)
-    warnings = [*describe_turned(spec), *denied.values(), *(doubts[e].format(e) for e in sorted(doubts))]
+    warnings = describe_other_motors(spec, measurements) if guessed else []
+    warnings += [*describe_turned(spec), *denied.values(), *(doubts[e].format(e) for e in sorted(doubts))]
     if missed:
         warnings += describe_soft_couplings(spec.model)
         warnings += describe_weak_inputs(spec, measurements, criteria) if guessed else []

@@ -37,6 +37,7 @@ from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.errors import InputError
+from vpptwin.estimation.efforts import refuse_efforts
 from vpptwin.estimation.held import refuse_held
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
@@ -161,6 +162,7 @@ def prepare(
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     refuse_held(spec, measurements)
+    refuse_efforts(spec, measurements)
     spec, measurements = choose_window(spec, measurements)
     spec = scale_twin(spec, measurements)
     blows = None

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
-from vpptwin.diagnosis.evidence.forces import REACH, measure_forces
 from vpptwin.effects import Effect
 from vpptwin.effects.actuator import apply_gain
 from vpptwin.effects.joint import apply_bias
+from vpptwin.estimation.dynamics import REACH, measure_forces
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.manifold import FREE

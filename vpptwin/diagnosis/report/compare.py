@@ -20,6 +20,7 @@ from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_
 from vpptwin.diagnosis.report.summary import SHOWN_HORIZON
 from vpptwin.diagnosis.report.terminal import print_beside, print_errors
 from vpptwin.errors import InputError
+from vpptwin.estimation.efforts import refuse_efforts
 from vpptwin.estimation.held import refuse_held
 from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.files import STDOUT
@@ -125,6 +126,7 @@ def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Sco
     measurements = [read_measurements(spec, flight) for flight in flights]
     check_moving(measurements)
     refuse_held(spec, measurements)
+    refuse_efforts(spec, measurements)
     chosen, measurements = choose_window(spec, measurements)
     starts = list_starts(measurements, chosen.robot.window)
     with threadpool_limits(limits=1, user_api="blas"), open_bar(desc="compare", disable=not progress) as bar:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.evidence.forces import Forces, measure_forces
 from vpptwin.effects import Effect, Parameter, Stage
 from vpptwin.effects.base import Motion
+from vpptwin.estimation.dynamics import Forces, measure_forces
 from vpptwin.twin.manifold import chart
 from vpptwin.twin.spec import TwinSpec
 
