@@ -19,7 +19,7 @@ from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.samples import turn_by_angles
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.twin.manifold import read_angles, rotate, turn_to_world
+from vpptwin.twin.manifold import multiply_attitudes, read_angles, rotate, turn_to_world
 
 COLUMNS = {"attitude": ["a", "b", "c", "d"], "rate": ["gx", "gy", "gz"]}
 
@@ -207,6 +207,60 @@ def test_a_heading_that_turns_too_far_is_no_unit(spec: TwinSpec) -> None:
     with pytest.raises(InputError, match=r"0.167 times the turning of the attitudes, which is no unit") as refused:
         read_measurements(spec, log({"rate": rate}))
     assert "`unit:" not in str(refused.value)
+
+
+POST = np.array([0.85, 0.2, 0.1, 0.0]) / np.linalg.norm([0.85, 0.2, 0.1])
+SWING = f"""<mujoco><worldbody><body pos="0 0 2" quat="{" ".join(map(str, POST))}"><body name="rod">
+<joint name="hip" type="ball"/><inertial pos="0 0 -0.3" mass="0.8" diaginertia="0.02 0.03 0.01"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.6" size="0.01" mass="0"/><site name="imu"/>
+</body></body></worldbody></mujoco>"""
+
+
+def swing() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A rod that hangs by a ball joint: times, attitudes in the world, rates about its axes, by steps of 1 ms."""
+    centre, attitude, spin = np.array([0.0, 0.0, -0.3]), np.array([0.9, 0.36, 0.2, 0.14]), np.array([0.5, 1.5, 2.0])
+    inertia = np.diag([0.02, 0.03, 0.01]) + 0.8 * np.diag([0.09, 0.09, 0.0])
+    track, rates = [], []
+
+    def turn(attitude: np.ndarray, spin: np.ndarray) -> np.ndarray:
+        weight = 0.8 * turn_to_world(attitude * [1.0, -1.0, -1.0, -1.0], np.array([0.0, 0.0, -9.81]))
+        return np.linalg.solve(inertia, np.cross(centre, weight) - np.cross(spin, inertia @ spin))
+
+    for _ in range(6000):
+        half = spin + 5e-4 * turn(attitude, spin)
+        middle = rotate(attitude, 5e-4 * spin)
+        attitude, spin = rotate(attitude, 1e-3 * half), spin + 1e-3 * turn(middle, half)
+        track.append(attitude)
+        rates.append(spin)
+    rng = np.random.default_rng(3)
+    seen = rotate(np.array(track)[::10], 2e-3 * rng.standard_normal((600, 3)))
+    return 1e-2 * np.arange(600), seen, np.array(rates)[::10] + 0.01 * rng.standard_normal((600, 3))
+
+
+def test_what_hangs_by_a_ball_joint_is_told_too(tmp_path: Path) -> None:
+    """Attitudes from a parent that is tilted, w last, or rates about the world's axes: refused, and mended."""
+    time, seen, rates = swing()
+    logged = multiply_attitudes(POST * [1.0, -1.0, -1.0, -1.0], seen)
+    (tmp_path / "rod.xml").write_text(SWING)
+
+    def read(attitude: np.ndarray, rate: np.ndarray, order: str, frame: str) -> Measurements:
+        table = np.column_stack([time, attitude, rate])
+        np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="time,a,b,c,d,gx,gy,gz", comments="")
+        joint = f"{{hip: {{topic: log, attitude: {order}}}}}"
+        site = f"{{imu: {{topic: log, rate: {{path: [gx, gy, gz], frame: {frame}}}}}}}"
+        (tmp_path / "t.yaml").write_text(f"model: rod.xml\nsignals: {{joints: {joint}, sites: {site}}}\n")
+        twin = load_twin(tmp_path / "t.yaml")
+        return read_measurements(twin, read_flight(tmp_path / "log.csv", signals=twin.robot.signals.entries))
+
+    last, world = np.roll(logged, -1, axis=1), turn_to_world(seen, rates)
+    with pytest.raises(InputError, match=r"write `attitude: \[d, a, b, c\]` for hip"):
+        read(last, rates, "[a, b, c, d]", "body")
+    with pytest.raises(InputError, match=r"frame: world}` for imu"):
+        read(logged, world, "[a, b, c, d]", "body")
+    for found in (read(last, rates, "[d, a, b, c]", "body"), read(logged, world, "[a, b, c, d]", "world")):
+        assert np.abs((found.attitudes[0].value * logged).sum(axis=1)).min() > 1.0 - 1e-9
+        turned = np.column_stack([found.velocities[dof].value for dof in range(3)])
+        np.testing.assert_allclose(turned, rates, atol=0.02)
 
 
 def test_a_body_may_have_rates_of_its_own(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ FITS, CLEAR = 0.2, 2.0
 times as much."""
 SLIGHT = {"turns": 0.01, "pushes": 0.005}
 """Shares of either that are too slight for the given reading to be wrong."""
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 NEAR = np.deg2rad(30.0)
 """Axes that are turned by less are taken for the same."""
 BEND = 0.1
@@ -75,7 +76,7 @@ MIRRORS = (
 
 def tell_rates(
     time: np.ndarray, attitude: np.ndarray, clock: np.ndarray, rate: np.ndarray, frame: str = "body",
-    angled: bool = False,
+    angled: bool = False, base: np.ndarray = UPRIGHT,
 ) -> Reading | None:  # fmt: skip
     """How attitudes or rates must be read to turn alike, whichever way an IMU is mounted; None where they do as given.
 
@@ -88,11 +89,12 @@ def tell_rates(
         rate: about what `frame` says, (m, 3) in any unit.
         frame: of `FRAMES`.
         angled: whether attitudes came as roll, pitch and yaw.
+        base: attitude in the world, (4,), of what they are from.
     """
     begin, end = max(time[0], clock[0]) - LAGS[0], min(time[-1], clock[-1]) - LAGS[-1]
     step = max(min(LONGEST, (end - begin) / STEPS), 2.0 * float(np.median(np.diff(time))))
     at = np.arange(begin, end, step)
-    tracks = sum_turns(attitude)
+    tracks = sum_turns(attitude, base)
     if len(at) <= FEWEST or np.ptp(tracks["body"], axis=0).max() < MIN_TURN:
         return None
     told = np.diff(look_up(at, clock, integrate(rate, clock)), axis=0)
@@ -108,7 +110,7 @@ def tell_rates(
     others = [(Reading("frame", frame=name), (tracks[name], name == "euler")) for name in FRAMES if name != frame]
     if frame != "euler":
         read = [(each, read_attitude(each, attitude)) for each in (ANGLES if angled else QUATERNIONS)]
-        others += [(each, (sum_turns(numbers)[frame], False)) for each, numbers in read]
+        others += [(each, (sum_turns(numbers, base)[frame], False)) for each, numbers in read]
         others += [(each, (tracks[frame], False, each.read(told))) for each in MIRRORS]
     found = []
     for reading, compared in others:
@@ -180,13 +182,13 @@ def read_attitude(reading: Reading, attitude: np.ndarray) -> np.ndarray:
     return turn_by_angles(reading.read(read_angles(attitude)))
 
 
-def sum_turns(attitude: np.ndarray) -> dict[str, np.ndarray]:
-    """What attitudes (n, 4) have turned by since the first, about what rates may be about, (n, 3) rad each."""
+def sum_turns(attitude: np.ndarray, base: np.ndarray = UPRIGHT) -> dict[str, np.ndarray]:
+    """What attitudes (n, 4) from a `base` have turned by since the first, about what rates may be, (n, 3) rad each."""
     attitude = follow_sign(attitude)
     steps = difference_attitudes(attitude[:-1], attitude[1:])
     summed = (
         np.concatenate([np.zeros((1, 3)), np.cumsum(way, axis=0)])
-        for way in (steps, turn_to_world(attitude[:-1], steps))
+        for way in (steps, turn_to_world(base, turn_to_world(attitude[:-1], steps)))
     )
     return dict(zip(FRAMES, (*summed, np.unwrap(read_angles(attitude), axis=0)), strict=True))
 

@@ -22,9 +22,9 @@ from vpptwin.estimation.sound import vet_joint
 from vpptwin.estimation.turns import TURN, follow_turns, measure_counter, unwrap_turns
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.actuation import INTEGRATES, JOINT, integrate_input, tell_control
-from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, turn_to_world
+from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, multiply_attitudes, turn_to_world
 from vpptwin.twin.model import HINGE, is_indifferent
-from vpptwin.twin.signals import Tracked, turn_from_parent
+from vpptwin.twin.signals import Tracked, find_base, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02
@@ -233,7 +233,8 @@ def read_rates(
         rate = turn_from_site(spec, name, rate)
     rates = Stream(stream.time, {"rate": rate})
     vet_turns(spec, str(flight.path), tracked, pose, (topic, name), rates, rate is stream["rate"])
-    attitude = look_up(rates.time, pose.time, pose["attitude"])
+    base = find_base(spec.model, tracked)
+    attitude = multiply_attitudes(base, look_up(rates.time, pose.time, pose["attitude"]))
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
     return Stream(rates.time, {"rate": turn_rates_to_body(attitude, rate, frame)})
 

@@ -18,7 +18,7 @@ from vpptwin.logs.channels import EULER
 from vpptwin.logs.check import MIN_LIKENESS, MIN_TURN, compare_steps
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.manifold import turn_to_world
-from vpptwin.twin.signals import Tracked
+from vpptwin.twin.signals import Tracked, find_base
 from vpptwin.twin.spec import TwinSpec
 
 BORNE = 0.3
@@ -58,7 +58,8 @@ def vet_turns(
     """
     body, entry = find_entry(spec, tracked.topic, tracked.name), find_entry(spec, *source)
     frame = "body" if entry is None or entry.rate is None else entry.rate.frame
-    found = tell_rates(pose.time, pose["attitude"], rates.time, rates["rate"], frame, is_angled(body))
+    base = find_base(spec.model, tracked)
+    found = tell_rates(pose.time, pose["attitude"], rates.time, rates["rate"], frame, is_angled(body), base)
     if found is None:
         return
     told = f"{1.0 - found.missed:.0%} of the turning, {1.0 - found.given:.0%} as given"
@@ -154,7 +155,9 @@ def refuse_attitude(label: str, tracked: Tracked, entry: SignalEntry | None, rea
     line = compose_line("attitude", given, [f"pose.orientation.{axis}" for axis in "wxyz"], reading)
     return InputError(
         f"{label}: attitudes of {tracked.name} {why} only {' and '.join(filter(None, (order, signs)))}",
-        "w, x, y, z of the body in the world" if len(reading.order) == 4 else "its roll, pitch and yaw in the world",
+        f"w, x, y, z of the body {'in the world' if tracked.posed else 'from its parent'}"
+        if len(reading.order) == 4
+        else "its roll, pitch and yaw in the world",
         f"write `{line}` for {tracked.name} in the twin's signals",
     )
 

@@ -153,7 +153,8 @@ def tell_gyro(stem: str, group: Sequence[Signal], attitude: Sequence[Signal]) ->
         share = (np.nan, np.nan) if still else (np.corrcoef(shown, turned)[0, 1], shown @ turned / (turned @ turned))
         results.append((float(share[0]), float(share[1])))
     unit, sure, numbers = choose_unit(results, TURNS)
-    text = f"gyro: {stem}x, y, z{about} in {unit or 'no known unit'}; shares of the turning {numbers}"
+    kind = "gyro" if is_gyro(stem) else "rates"
+    text = f"{kind}: {stem}x, y, z{about} in {unit or 'no known unit'}; shares of the turning {numbers}"
     text += f", {1e3 * lag:.0f} ms after the attitude" if lag else ""
     sure = sure and (found is None or found.of == "frame")
     return Told("rate", text, sure, tuple(ordered), "" if unit == "rad/s" else unit, more)

@@ -105,10 +105,22 @@ def turn_from_parent(model: mujoco.MjModel, tracked: Tracked, attitude: np.ndarr
     """What a ball joint turns by, (n, 4), of logged attitudes: as they are, or those of its body in the world."""
     if not tracked.posed:
         return attitude
+    return multiply_attitudes(conjugate(find_upright(model, tracked.joint)), attitude)
+
+
+def find_base(model: mujoco.MjModel, tracked: Tracked) -> np.ndarray:
+    """The attitude in the world, (4,), of what logged ones are from; of what hangs from something that stands."""
+    if tracked.posed or model.jnt_type[tracked.joint] == FREE:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return find_upright(model, tracked.joint)
+
+
+def find_upright(model: mujoco.MjModel, joint: int) -> np.ndarray:
+    """The attitude in the world, (4,), that a joint's body has in the reference pose."""
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
-    return multiply_attitudes(conjugate(data.xquat[model.jnt_bodyid[tracked.joint]]), attitude)
+    return np.asarray(data.xquat[model.jnt_bodyid[joint]])
 
 
 def check_signals(name: str, model: mujoco.MjModel, signals: Signals | None) -> None:
