@@ -223,3 +223,16 @@ def test_stretches_that_overlap_do_not_judge_each_other(
         open_flights(["bag@1-", "bag/@1-"])
     assert len(open_flights(["runs/a.mcap@-4", "runs/a.mcap@4-"], apart=True)) == 2
     assert len(open_flights(["runs/a.mcap@-5", "runs/a.mcap@2-"])) == 2
+
+
+def test_a_stretch_is_diagnosed_to_the_end(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With nothing left out: what the pendulum loses is found, and the command that says so again names the stretch."""
+    monkeypatch.chdir(folder)
+    log = "first.mcap+second.mcap@.5-7.5"
+    assert main(["diagnose", log, "--twin", "twin.yaml", "--out", str(tmp_path / "out")]) == 0
+    verdict = json.loads((tmp_path / "out/verdict.json").read_text())
+    assert verdict["logs"] == [log]
+    assert verdict["causes"][0]["effect"] == "swing.viscous"
+    assert len(read_flight(tmp_path / "out/prediction.mcap").joints["/twin/before/joint_states"]["swing"]) > 200
+    command = yaml.safe_load((tmp_path / "out/twin.yaml").read_text())["provenance"]["command"]
+    assert command.startswith(f"vpptwin diagnose {log} --twin ")
