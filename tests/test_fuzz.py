@@ -15,7 +15,7 @@ from tests.fuzzers import DRAW
 from tests.measured import read_peak
 from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
-from vpptwin.logs.recording import list_flights
+from vpptwin.logs.spelling import list_flights
 from vpptwin.logs.survey import survey
 from vpptwin.train.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.evaluate import Conditions, evaluate

@@ -13,7 +13,7 @@ from pyarrow import parquet
 
 from tests.logs.test_foreign import write_lerobot
 from vpptwin.errors import InputError
-from vpptwin.logs.recording import list_flights
+from vpptwin.logs.spelling import list_flights
 from vpptwin.logs.survey import survey
 
 INFO, INDEX, DATA = "meta/info.json", "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
