@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from vpptwin.estimation.clean import clean_series
 from vpptwin.estimation.outliers import find_frozen, find_spikes, find_strays, wrap_angle
+from vpptwin.estimation.series import Series
 
 TIME = np.arange(0.0, 4.0, 0.01)
 STD = 0.003
@@ -79,3 +81,15 @@ def test_angles_are_wrapped() -> None:
     np.testing.assert_allclose(
         wrap_angle(np.array([0.1, 3.5, -3.5, 7.0])), [0.1, 3.5 - 2 * np.pi, 2 * np.pi - 3.5, 7.0 - 2 * np.pi]
     )
+
+
+def test_what_a_slower_publisher_says_of_a_joint_goes() -> None:
+    """Zeros among the positions of a joint that moves, as of a second publisher on its topic: all but those near it."""
+    time = np.sort(np.concatenate([TIME, TIME[::20] + 0.003]))
+    false = np.isin(time, TIME[::20] + 0.003)
+    value = np.where(false, 0.0, 0.8 * np.sin(2.0 * time) + 1e-3 * np.random.default_rng(4).normal(size=len(time)))
+    kept, told = clean_series(Series("arm", "rad", time, value, 1e-3, white=False), "arm")
+    left = ~np.isin(time, kept.time)
+    assert left[false & (np.abs(np.sin(2.0 * time)) > 0.2)].all()
+    assert not left[~false].any()
+    assert len(told) == 1

@@ -12,11 +12,14 @@ from scipy.io import savemat
 
 from benchmarks.guesses import write_model
 from tests.logs.bags import EPOCH, JOINTS, Bag, stamp_header
+from tests.logs.test_foreign import write_dataflash
 from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.estimation.inspect import inspect_logs
 from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
+from vpptwin.logs.spelling import list_flights
+from vpptwin.logs.survey import survey
 from vpptwin.logs.transcribe import transcribe
 from vpptwin.twin import load_twin
 
@@ -102,6 +105,37 @@ def test_a_table_stands_beside_our_topics(tmp_path: Path, topic: str) -> None:
     joints = read_arm(f"{log}+{tmp_path}/drive.mcap", twin).joints
     np.testing.assert_allclose(joints["/joint_states"]["arm"]["position"], SWING, atol=1e-9)
     np.testing.assert_allclose(joints["/actuator_command"]["arm"]["effort"], RATE)
+
+
+def test_names_of_files_may_be_in_capitals(tmp_path: Path) -> None:
+    """As ArduPilot's `00000001.BIN` are: of every kind, in a folder, and of what is written."""
+    write_table(tmp_path / "log.csv").rename(tmp_path / "LOG.CSV")
+    for kind in ("npz", "parquet", "mat"):
+        write_table(tmp_path / f"log.{kind}").rename(tmp_path / f"LOG.{kind.upper()}")
+    write_dataflash(tmp_path / "LOG.BIN")
+    transcribe(tmp_path / "LOG.CSV", tmp_path / "OUT.MCAP")
+    logs = list_flights(tmp_path)
+    assert {log.suffix for log in logs} == {".CSV", ".NPZ", ".PARQUET", ".MAT", ".BIN", ".MCAP"}
+    assert all(survey(log)[1] for log in logs)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_of_two_publishers_the_first_of_one_stamp_is_believed(tmp_path: Path, every: int) -> None:
+    """A second one that publishes zeros at stamps of the first changes nothing, and is counted."""
+
+    def add(bag: Bag, moved: np.ndarray, step: int = 1) -> None:
+        rows = [{"header": stamp_header(EPOCH + round(1e9 * t)), "name": ["arm"], "position": [q], "velocity": [],
+                 "effort": []} for t, q in zip(TIME[::step], moved[::step])]  # fmt: skip
+        bag.add("/joint_states", JOINTS, rows)
+
+    bag = Bag(tmp_path / "log.mcap")
+    add(bag, SWING)
+    add(bag, 0.0 * SWING, every)
+    bag.entries.sort(key=lambda entry: entry[3])
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.joints["/joint_states"]["arm"]["position"], SWING)
+    count = len(TIME[::every])
+    assert flight.warnings == (f"{count} of {len(TIME) + count} messages on /joint_states arm repeat a stamp, dropped",)
 
 
 def test_a_table_in_place_of_messages_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

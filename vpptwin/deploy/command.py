@@ -31,7 +31,7 @@ def export(checkpoint: Path, kind: str, out: Path | None, twin: str | None = Non
     Raises:
         InputError: if the checkpoint or twin is not what it should be, or a file cannot be written.
     """
-    if checkpoint.suffix in (".yaml", ".yml"):
+    if checkpoint.suffix.lower() in (".yaml", ".yml"):
         raise InputError(f"{checkpoint} as {kind}", "a policy; twins go as mjcf or mjlab", "choose another --format")
     content = collect_content(checkpoint, twin)
     name = checkpoint.resolve().stem if checkpoint.stem else "policy"
@@ -41,7 +41,7 @@ def export(checkpoint: Path, kind: str, out: Path | None, twin: str | None = Non
             check_own(folder / file for file in FILES)
         return write_c(content, folder)
     target = out or Path(f"{name}.onnx")
-    if target.suffix != ".onnx":
+    if target.suffix.lower() != ".onnx":
         raise InputError(f"--out {target}", "a name that ends in .onnx", f"e.g. --out {name}.onnx")
     if not force:
         check_own([target])
@@ -75,7 +75,7 @@ def export_twin(
     spec = load_twin(name, effect_files)
     default, suffix = TWINS[kind]
     target = out or Path(default.format(Path(name).stem))
-    if target.suffix != suffix:
+    if target.suffix.lower() != suffix:
         raise InputError(f"--out {target}", f"a name that ends in {suffix}", f"e.g. --out {default.format('twin')}")
     if target.resolve() == spec.model_file.resolve():
         raise InputError(f"--out {target} is the twin's own MJCF", "another file", "choose another name")

@@ -151,7 +151,7 @@ def load_exported(path: Path) -> Exported:
     """
     if not path.is_file():
         raise InputError(f"no file {path}", "a controller, .so or .onnx", "`vpptwin export` writes one")
-    if path.suffix == ".onnx":
+    if path.suffix.lower() == ".onnx":
         return OnnxController(path)
     if path.suffix == ".so":
         return CompiledController(path)

@@ -71,7 +71,7 @@ def check_out(out: Path) -> None:
     Raises:
         InputError: saying which.
     """
-    if out.suffix not in (".yaml", ".yml"):
+    if out.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
     if not out.parent.is_dir() or out.is_dir():
         raise InputError(f"--out {out} cannot be written", "a file in an existing folder", "choose another")

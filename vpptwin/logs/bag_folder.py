@@ -38,7 +38,9 @@ def read_metadata(folder: Path) -> list[str]:
         content = read_yaml(folder / _METADATA)
         return [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
-        return sorted(file.name for file in folder.iterdir() if strip_packed(file.name).endswith((".mcap", ".db3")))
+        return sorted(
+            file.name for file in folder.iterdir() if strip_packed(file.name.lower()).endswith((".mcap", ".db3"))
+        )
 
 
 def find_file(folder: Path, name: str) -> Path:

@@ -32,7 +32,7 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     Raises:
         InputError: if the log cannot be read, is `out` itself, or `out` cannot be written.
     """
-    if out.suffix != ".mcap":
+    if out.suffix.lower() != ".mcap":
         raise InputError(f"{out} as the file to write", "a name that ends with .mcap", "rename it")
     if out.resolve() in [file.resolve() for file in list_sources(log)]:
         raise InputError(f"{out} is the log itself", "another file to write", "choose another name")
