@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from vpptwin.cli import main
 from vpptwin.errors import InputError
 from vpptwin.fields import SignalEntry
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
-from vpptwin.logs.spelling import list_flights
+from vpptwin.logs.spelling import list_flights, list_sources, stem_log
+from vpptwin.logs.survey import survey
 
 TIME = 0.01 * np.arange(400)
 SWING = np.sin(TIME)
@@ -139,3 +142,93 @@ def test_what_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(head + struct.pack("<II", 15, len(zeros)) + zeros)
     with pytest.raises(InputError, match=r"^\S+ holds arrays of more than 1 GB; expected less"):
         read(tmp_path / "log.mat", "log", "swing")
+
+
+def list_of(*tests: dict[str, Any]) -> np.ndarray:
+    """An array of structures, as MATLAB's tests(1:n)."""
+    names = list(tests[0])
+    return np.array([[tuple(test[name] for name in names) for test in tests]], dtype=[(name, "O") for name in names])
+
+
+EMPTY = np.zeros((0, 0))
+TESTS: dict[str, dict[str, Any]] = {
+    "structures": {"tests": list_of({"t": TIME, "q": TIME}, {"t": TIME, "q": SWING})},
+    "structures within one": {"day": {"tests": list_of({"t": TIME, "q": TIME}, {"t": TIME, "q": SWING})}},
+    "cells": {"runs": np.array([{"t": TIME, "q": TIME}, {"t": TIME, "q": SWING}], dtype=object)},
+    "with names, flags and gaps": {
+        "tests": list_of(
+            {"name": "slow", "t": TIME[:9], "q": TIME[:9], "ok": TIME[:9] > 1, "note": EMPTY},
+            {"name": "fast", "t": TIME, "q": SWING, "ok": TIME > 1, "note": "windy"},
+            {"name": "", "t": EMPTY, "q": EMPTY, "ok": EMPTY, "note": EMPTY},
+        ),
+        "who": np.array(["ab", "cde"]),
+    },
+    "a grid": {"grid": list_of({"t": TIME, "q": TIME}, {"t": TIME, "q": SWING}).T},
+    "Simulink's": {"out": list_of(simulink("p") | {"n": 1}, simulink("q") | {"n": 2})},
+}
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_a_file_of_several_tests_is_as_many_flights(tmp_path: Path, name: str) -> None:
+    """FILE#0 is the first of an array of structures; where one flight is wanted the line lists them."""
+    log = save(tmp_path / "log.mat", TESTS[name])
+    assert list_flights(log) == [Path(f"{log}#0"), Path(f"{log}#1")]
+    joint = read(Path(f"{log}#1"), "log", "q").joints["/joint_states"]["j"]
+    np.testing.assert_allclose(joint["position"], SWING)
+    with pytest.raises(
+        InputError, match=r"holds [23] tests: #0 .*\(1\) \(.*times\), #1 .*\(2\) .*give one, such as .*log\.mat#0"
+    ):
+        read(log, "log", "q")
+    with pytest.raises(InputError, match=r"log\.mat#7: [23] tests; expected #0 to #[12]; correct the number"):
+        read(Path(f"{log}#7"), "log", "q")
+    assert main(["inspect", f"{log}#1"]) == 0
+
+
+def test_an_array_of_signals_is_one_flight(tmp_path: Path) -> None:
+    """Each with a name, a time and values of its own; a file with one test has one flight."""
+    signals = list_of({"name": "q", "time": TIME, "data": SWING}, {"name": "u", "time": TIME[:5], "data": TIME[:5]})
+    log = save(tmp_path / "log.mat", {"logs": signals})
+    np.testing.assert_allclose(read(log, "q", "data").joints["/joint_states"]["j"]["position"], SWING)
+    one = save(tmp_path / "one.mat", {"tests": list_of({"t": TIME, "q": SWING}, {"t": EMPTY, "q": EMPTY})})
+    assert list_flights(one) == [one]
+    np.testing.assert_allclose(read(one, "one", "q").joints["/joint_states"]["j"]["position"], SWING)
+
+
+def test_records_of_numpy_are_a_table(tmp_path: Path) -> None:
+    """As a structure is."""
+    records = np.rec.fromarrays([TIME, SWING], names="t,q")
+    np.testing.assert_allclose(read(save(tmp_path / "log.npz", {"log": records}), "log", "q").duration, TIME[-1])
+
+
+def test_what_has_another_length_than_its_time_is_left_out_and_told(tmp_path: Path) -> None:
+    """33 times 0.5 s apart, which are seconds, and 3201 values; refused where it is what is wanted."""
+    signals = [{"values": np.arange(33.0), "label": "slow"}, {"values": np.arange(3201.0), "label": "fast"}]
+    content = {"out": {"time": 0.5 * np.arange(33), "signals": np.array(signals, dtype=object)}}
+    log = save(tmp_path / "log.mat", content)
+    recording, found = survey(log)
+    assert recording.files[0].notes == ["/log: fast has 3201 values for 33 times: left out"]
+    assert found[0].time[-1] == 16.0
+    assert read(log, "log", "slow").duration == 16.0
+    with pytest.raises(InputError, match="/log: fast has 3201 values for 33 times; expected one at each time"):
+        read(log, "log", "fast")
+
+
+@pytest.mark.parametrize(
+    "head", ["{'descr': [", "{'descr': '<f8', 'fortran_order': (", "'''", "{'a': lambda: 1}", "\\x", "1" * 900]
+)
+def test_a_head_of_an_array_that_makes_no_sense_is_refused(tmp_path: Path, head: str) -> None:
+    """Whatever Python's own parser raises on it."""
+    text = head.encode().ljust(118) + b"\n"
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
+        archive.writestr("t.npy", b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text + bytes(80))
+    with pytest.raises(InputError, match=r"log\.npz is damaged"):
+        read(tmp_path / "log.npz", "log", "q")
+
+
+def test_tests_of_a_file_are_told_apart_by_name(tmp_path: Path) -> None:
+    """What is written of each, and what a stretch of one is; in a folder too."""
+    log = save(tmp_path / "log.mat", TESTS["structures"])
+    assert [stem_log(test) for test in list_flights(tmp_path)] == ["log_0", "log_1"]
+    assert list_sources(f"{log}#1") == [log]
+    part = read_flight(f"{log}#1@1-2", None, {"/joint_states": {"j": SignalEntry(topic="log", position="q")}})
+    assert part.joints["/joint_states"]["j"]["position"].tolist() == SWING[100:200].tolist()

@@ -223,6 +223,41 @@ def test_parquet_is_read(tmp_path: Path) -> None:
         read_joint(tmp_path / "state.parquet", "state", position="q[1]")
 
 
+def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of another length, or empty ones, are no samples; lists whose mean length alone is one are none at all."""
+    monkeypatch.setattr("vpptwin.logs.columnar._ROWS", 15)
+    lists = [None if k == 3 else [7.0, q] if k != 30 else [7.0] for k, (_, q) in enumerate(ROWS)]
+    odd = [[1.0] * (1 + 2 * (k % 2)) for k in range(len(ROWS))]
+    late = [[k, k] if k < 30 else [k] for k in range(len(ROWS))]
+    table = pa.table({"t": [t for t, _ in ROWS], "q": lists, "odd": odd, "late": late, "p": [q for _, q in ROWS]})
+    parquet.write_table(table, log := tmp_path / "state.parquet")
+    assert len(read_joint(log, "state", position="q[1]").joints["/joint_states"]["j"]) == len(ROWS) - 2
+    assert len(read_joint(log, "state", position="p").joints["/joint_states"]["j"]) == len(ROWS)
+    with pytest.raises(InputError, match="late holds lists of several lengths"):
+        read_joint(log, "state", position="late[0]")
+    recording, signals = survey(log)
+    assert recording.files[0].notes == ["/state: no numbers in odd, left out"]
+    assert {"t", "p", "q[0]", "q[1]"} <= {signal.field for signal in signals}
+
+
+def test_episodes_of_a_file_without_its_folder_are_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Parquet out of a LeRobot data set: FILE#EPISODE, never one laid over another."""
+    file = tmp_path / "some.parquet"
+    file.write_bytes((write_lerobot(tmp_path / "set") / "data/chunk-000/file-000.parquet").read_bytes())
+    entry = SignalEntry.model_validate({"topic": "some", "position": "observation.state[0]"})
+    flights = [read_flight(part, None, {"/joint_states": {"j": entry}}) for part in expand_logs([file])]
+    assert [len(flight.joints["/joint_states"]["j"]) for flight in flights] == [30, 20]
+    assert "some.parquet stands for 2 flights" in capsys.readouterr().err
+    with pytest.raises(
+        InputError, match=r"holds 2 tests: #0 episode_index 0, #1 episode_index 1.*give one, such as .*#0"
+    ):
+        survey(file)
+    with pytest.raises(InputError, match="no episode 5; expected #0, #1"):
+        survey(Path(f"{file}#5"))
+    assert main(["inspect", str(file)]) == 0
+    assert "some.parquet#1: " in capsys.readouterr().out
+
+
 def write_lerobot(folder: Path) -> Path:
     """A data set of version 3: two episodes in one file, as LeRobot lays it out."""
     names = {"names": ["shoulder.pos", "elbow.pos"], "dtype": "float32", "shape": [2]}

@@ -1,4 +1,4 @@
-"""Files of named arrays, as laboratories save them: MATLAB's .mat, NumPy's .npz."""
+"""Files of named arrays, as laboratories save them, read within bounds: MATLAB's .mat, NumPy's .npz."""
 
 from __future__ import annotations
 
@@ -7,25 +7,29 @@ import subprocess
 import sys
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
 
 from vpptwin.errors import InputError
-from vpptwin.logs.headings import check_times, count_ns, find_clock, guess_unit, part_units, split_time
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import Table, choose_fields, name_topic
+from vpptwin.logs.structures import holds_table, list_runs, part_tables, simplify, split_run
+from vpptwin.logs.tables import Table
 
 MOST = 10**9
 """Bytes that arrays may take."""
 _FIRST, _COMPRESSED = 128, 15  # bytes of the head of a .mat, and the kind of an element that is compressed
 _PIECE = 1 << 20
+_SMALL = 1 << 26  # bytes of a file whose content is kept for the next question
 _TRY = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1], simplify_cells=True)"
 """What a process of its own tries where no checksum vouches for a file: scipy crashes on some that are damaged."""
 _BROKEN = (ValueError, TypeError, KeyError, IndexError, EOFError, OSError, struct.error, zlib.error, MemoryError,
-           OverflowError, zipfile.BadZipFile, AttributeError, NotImplementedError)  # fmt: skip
+           OverflowError, zipfile.BadZipFile, AttributeError, NotImplementedError, RuntimeError,
+           SyntaxError, TokenError)  # fmt: skip
 # What readers raise on content that makes no sense.
 
 
@@ -34,6 +38,15 @@ def read_mat(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
 
     Raises:
         InputError: if it is damaged, of version 7.3, or no time is found in it.
+    """
+    yield from part_tables(path, topic, load_file(split_run(path)[0], notes), wish, notes)
+
+
+def load_mat(path: Path) -> dict[str, Any]:
+    """The variables of a MATLAB file.
+
+    Raises:
+        InputError: if it is damaged, or of version 7.3.
     """
     from scipy.io import loadmat  # which few logs wait for
     from scipy.io.matlab import MatReadError
@@ -50,12 +63,11 @@ def read_mat(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
             weigh(path, size)
         if not sealed and subprocess.run([sys.executable, "-c", _TRY, str(path)], capture_output=True).returncode < 0:
             raise ValueError("what reads it crashes")
-        content = loadmat(path, simplify_cells=True)
+        return loadmat(path, simplify_cells=True)
     except InputError:
         raise
     except (MatReadError, *_BROKEN) as error:
         raise damaged(path, "MATLAB", error) from None
-    yield from part_tables(path, topic, content, wish, notes)
 
 
 def read_npz(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
@@ -63,6 +75,36 @@ def read_npz(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
 
     Raises:
         InputError: if it is damaged, holds pickles alone, or no time is found in it.
+    """
+    yield from part_tables(path, topic, load_file(split_run(path)[0], notes), wish, notes)
+
+
+def load_file(path: Path, notes: list[str]) -> dict[str, Any]:
+    """The variables of a file, structures of arrays as mappings, arrays of structures and cells as lists.
+
+    Raises:
+        InputError: if it is damaged.
+    """
+    about = path.stat()
+    load = _load if about.st_size < _SMALL else _load.__wrapped__
+    content, said = load(path, (about.st_mtime_ns, about.st_size))
+    notes += said
+    return content
+
+
+@lru_cache(1)
+def _load(path: Path, about: tuple[int, int]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Variables and notes of a file as it was then: what tests it holds is asked before one is read."""
+    notes: list[str] = []
+    content = load_npz(path, notes) if path.suffix.lower() == ".npz" else load_mat(path)
+    return {name: simplify(value) for name, value in content.items() if not name.startswith("__")}, tuple(notes)
+
+
+def load_npz(path: Path, notes: list[str]) -> dict[str, Any]:
+    """The variables of a NumPy archive.
+
+    Raises:
+        InputError: if it is damaged.
     """
     content: dict[str, np.ndarray] = {}
     try:
@@ -80,7 +122,7 @@ def read_npz(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
         raise
     except _BROKEN as error:
         raise damaged(path, "NumPy", error) from None
-    yield from part_tables(path, topic, content, wish, notes)
+    return content
 
 
 def damaged(path: Path, kind: str, error: Exception) -> InputError:
@@ -122,71 +164,12 @@ def measure_mat(path: Path, order: str) -> tuple[int, bool]:
     return total, sealed
 
 
-def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """The tables of a file: of arrays with their time, of structures, of matrices whose first column is the time.
-
-    The only one is called as the file, others as their variables.
+def list_array_tests(path: Path) -> list[int]:
+    """The numbers of the tests of a file that is an array of them, those without time left out, [] for other files.
 
     Raises:
-        InputError: if there is none.
+        InputError: if it is damaged.
     """
-    tables = list(list_tables("", {k: v for k, v in content.items() if not k.startswith("__")}, wish))
-    if not tables:
-        held = ", ".join(f"{k} {describe(v)}" for k, v in content.items() if not k.startswith("__")) or "nothing"
-        found = f"{path} holds {held[:300]}"
-        raise InputError(found, "a vector `t` or `time`, or one in a structure or a first column",
-                         "save the time too; of Simulink, `Structure With Time` or arrays")  # fmt: skip
-    for name, columns in tables:
-        called = topic if len(tables) == 1 or not name else name_topic(Path(name.replace(".", "_")))
-        units: dict[str, str] = {}
-        given = dict(zip(part_units(list(columns), units), columns.values()))
-        stamp = wish.stamps.get(called)
-        clock = find_clock(path, list(given), stamp, units)
-        time = given[clock]
-        check_times(path, clock, time)
-        unit = (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
-        if unit not in ("s", units.get(clock)) and stamp is None:
-            notes.append(f"{called}: {clock} is taken to count {unit}")
-        yield Table(called, count_ns(time, unit), given, units, choose_fields(wish, called, given))
-
-
-def describe(value: object) -> str:
-    """A variable's kind, for a message."""
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
-        return " x ".join(map(str, value.shape)) or "a number"
-    return "a structure" if isinstance(value, dict) else f"of {type(value).__name__}"
-
-
-def list_tables(name: str, content: Mapping[str, Any], wish: Wish) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
-    """Name and columns, (n,) or (n, k), of every group of arrays with its time, depth first."""
-    content = unpack_signals(content)
-    arrays = {k: v for k, v in content.items() if isinstance(v, np.ndarray) and v.dtype.kind in "iufb" and v.size > 1}
-    named = {stamp.path for stamp in wish.stamps.values()}
-    clocks = [k for k, v in arrays.items() if v.ndim == 1 and (split_time(k)[0] or k in named)]
-    if clocks:
-        length = len(arrays[clocks[0]])
-        fitting = {k: v for k, v in arrays.items() if 1 <= v.ndim <= 2 and length in v.shape}
-        yield name, {k: v if v.shape[0] == length else v.T for k, v in fitting.items()}
-    else:
-        for key, value in arrays.items():
-            rows = value.T if value.ndim == 2 and value.shape[0] < value.shape[1] else value
-            if rows.ndim == 2 and rows.shape[1] > 1 and (np.diff(rows[:, 0]) > 0.0).all():
-                yield f"{name}.{key}".strip("."), {"time": rows[:, 0], key: rows[:, 1:]}
-    for key, value in content.items():
-        if isinstance(value, dict):
-            yield from list_tables(f"{name}.{key}".strip("."), value, wish)
-
-
-def unpack_signals(content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Simulink's structure with time as a structure of its signals, called by their labels."""
-    signals = content.get("signals")
-    listed = [signals] if isinstance(signals, dict) else signals
-    if "time" not in content or not isinstance(listed, list | np.ndarray):
-        return content
-    columns: dict[str, Any] = {"time": content["time"]}
-    for i, signal in enumerate(listed):
-        if isinstance(signal, dict) and "values" in signal:
-            label = signal.get("label")
-            label = label if isinstance(label, str) and label else f"signal_{i + 1}"  # an empty one is an empty array
-            columns[label if label not in columns else f"{label}_{i + 1}"] = signal["values"]
-    return columns
+    content = load_file(path, [])
+    runs = [] if holds_table(content) else list_runs(content)
+    return [number for number, (_, part) in enumerate(runs) if holds_table(part)]

@@ -19,7 +19,7 @@ from vpptwin.fields import NANOSECONDS
 from vpptwin.logs.csv_form import DATE, NULLS, NUMBER, Format, open_bytes, part_list, part_rows, refuse_damaged, sniff
 from vpptwin.logs.headings import count_ns, find_clock, guess_unit
 from vpptwin.logs.raw import Wish
-from vpptwin.logs.tables import NAMES, Table, choose_fields, find_named
+from vpptwin.logs.tables import NAMES, Table, choose_fields, find_named, list_some
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -73,12 +73,6 @@ def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[T
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     unread = [name for name in form.names if name in fields and name not in told]
     notes += [f"{topic}: {note}" for note in (list_some("no numbers in", unread), cells.describe_lost()) if note]
-
-
-def list_some(what: str, names: Sequence[str]) -> str:
-    """What is so of some columns, "" if none is."""
-    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
-    return f"{what} {', '.join(names[:8])}{more}, left out" if names else ""
 
 
 class CellError(Exception):

@@ -24,6 +24,7 @@ from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
 from vpptwin.logs.spelling import ARRAYS, LOG, TEXTS, PathLike, find_files, is_episode, spell
+from vpptwin.logs.structures import split_run
 from vpptwin.logs.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
 from vpptwin.logs.unpack import ZSTD, unpack_file
 from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
@@ -221,7 +222,9 @@ def read_start(path: Path) -> bytes:
     """
     check_name(str(path))
     try:
-        with (path if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open("rb") as file:
+        with (split_run(path)[0] if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open(
+            "rb"
+        ) as file:
             start = file.read(64)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror})", LOG, "check its permissions") from None
@@ -263,8 +266,8 @@ def find_kind(path: Path, start: bytes) -> str | None:
     for beginning, kind in _BEGINNINGS.items():
         if start.startswith(beginning):
             return kind
-    if path.suffix.lower() in ARRAYS:
-        return path.suffix.lower()[1:]
+    if (ending := split_run(path)[0].suffix.lower()) in ARRAYS:
+        return ending[1:]
     if start[:1] == b"\xbc" and start[2:3] == b"\0":
         return "usd"
     text = path.name.lower().endswith(TEXTS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))

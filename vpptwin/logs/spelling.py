@@ -1,4 +1,4 @@
-"""How logs are spelled: FILE, FOLDER, FOLDER#EPISODE, a pattern, A+B, and LOG@START-END of each; what that stands for.
+"""How logs are spelled: FILE, FOLDER, FILE#TEST, FOLDER#EPISODE, a pattern, A+B, LOG@START-END of each; what they are.
 
 Whoever is given a log asks here which recordings it is, of which files, and what to call it. What is there under the
 very name that was given is that, whatever signs the name has.
@@ -9,14 +9,18 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from glob import glob, has_magic
 from itertools import takewhile
 from pathlib import Path
 
 from vpptwin.errors import InputError
+from vpptwin.logs.arrays import list_array_tests
 from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
+from vpptwin.logs.columnar import list_file_episodes
 from vpptwin.logs.lerobot import find_episode, is_lerobot, list_episodes, read_info, split_episode
 from vpptwin.logs.span import part_span
+from vpptwin.logs.structures import split_run
 
 PathLike = str | os.PathLike[str]
 LOG = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
@@ -48,16 +52,25 @@ def list_flights(log: PathLike) -> list[Path]:
     if span is not None:
         return [_cut(flight, given, plain) for flight in list_flights(plain)]
     if not os.path.isdir(given) or is_bag(given):
-        return [given]
+        return list_tests(given)
     if is_lerobot(given):
         return list_episodes(given)
     held = sorted(given.iterdir())
-    logs = [item for item in held if item.is_file() and item.name.lower().endswith(_LOGS)]
+    logs = [test for item in held if item.is_file() and item.name.lower().endswith(_LOGS) for test in list_tests(item)]
     logs += [item for item in held if item.is_dir() and is_bag(item)]
     if not logs:
         shown = ", ".join(item.name for item in held[:5]) or "nothing"
         raise InputError(f"folder {given} holds {shown}", "logs, or a rosbag2 folder", "give a log")
     return logs
+
+
+def list_tests(file: Path) -> list[Path]:
+    """The flights that a file stands for: FILE#NUMBER each where it holds several; whoever reads tells damage."""
+    find = {".parquet": list_file_episodes, **dict.fromkeys(ARRAYS, list_array_tests)}.get(file.suffix.lower())
+    numbers: list[int] = []
+    with suppress(InputError):
+        numbers = find(file) if find is not None and file.is_file() else []
+    return [Path(f"{file}#{number}") for number in numbers] if len(numbers) > 1 else [file]
 
 
 def expand(log: PathLike) -> list[Path]:
@@ -87,7 +100,7 @@ def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
             raise InputError("no log given", LOG, "name at least one file")
         return [file for item in log for file in find_files(item)]
     given = spell(log)
-    if is_episode(given):
+    if is_part(given):
         return [given]
     if os.path.exists(given) and not os.path.isdir(given):
         if not os.path.isfile(given):
@@ -124,7 +137,7 @@ def list_sources(log: PathLike) -> list[Path]:
             folder, episode = split_episode(plain)
             found += [folder / "meta" / "info.json", *find_episode(folder, episode, read_info(folder))]
         else:
-            found.append(plain)
+            found.append(split_run(plain)[0])
     return list(dict.fromkeys(found))
 
 
@@ -136,7 +149,7 @@ def list_parts(log: PathLike) -> list[tuple[Path, float, float]]:
     """
     found = []
     for plain, span in map(part_span, find_files(log)):
-        folder, mark, number = str(plain).rpartition("#") if is_episode(plain) else (str(plain), "", "")
+        folder, mark, number = str(plain).rpartition("#") if is_part(plain) else (str(plain), "", "")
         place = Path(f"{Path(folder).resolve()}{mark}{number}")
         found.append((place, span.start if span else 0.0, span.end if span else math.inf))
     return found
@@ -170,7 +183,7 @@ def stem_log(log: PathLike) -> str:
     """What files that belong to a log are called: its name without ending, in signs that links and shells take."""
     plain, span = part_span(spell(log))
     files = [part_span(Path(piece))[0] for piece in split_sum(str(plain))]
-    stems = [_base(file) if os.path.isdir(file) or is_episode(file) else file.stem for file in files]
+    stems = [_base(file) if os.path.isdir(file) or is_episode(file) else _stem(*split_run(file)) for file in files]
     stem = "_".join(stems) if len(stems) <= _NAMED else f"{stems[0]}_and_{len(stems) - 1}_more"
     whole = stem + (str(spell(log))[len(str(plain)) :] if span is not None else "")
     return whole.replace("#", "_").replace("@", "_").encode()[:_LONGEST].decode(errors="ignore")
@@ -181,6 +194,16 @@ def is_episode(path: Path) -> bool:
     folder, mark, number = str(path).rpartition("#")
     known = bool(mark) and _is_number(number) and os.path.isdir(folder) and not os.path.exists(path)
     return known and is_lerobot(Path(folder))
+
+
+def is_part(path: Path) -> bool:
+    """Whether a path is FOLDER#EPISODE of a LeRobot data set, or FILE#NUMBER of a file of several tests."""
+    return is_episode(path) or split_run(path)[1] is not None
+
+
+def _stem(file: Path, number: int | None) -> str:
+    """A file's name without its ending, with the number of a test."""
+    return file.stem if number is None else f"{file.stem}#{number}"
 
 
 def _cut(file: Path, given: Path, plain: Path) -> Path:
@@ -215,7 +238,10 @@ def _refuse_absent(given: Path) -> InputError:
     text = str(given)
     if text == "-":
         return InputError("- as a log", "a file, as logs are read more than once", "write it to a file first")
-    for mark, wanted in (("@", "LOG@START-END in seconds, one of them at least"), ("#", "FOLDER#EPISODE of LeRobot")):
+    for mark, wanted in (
+        ("@", "LOG@START-END in seconds, one of them at least"),
+        ("#", "FOLDER#EPISODE of LeRobot"),
+    ):
         log, _, rest = text.rpartition(mark)
         if log and os.path.exists(log):
             return InputError(f"{mark}{rest} of {log}", wanted, f"correct it, or give {log}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -50,6 +50,12 @@ def find_named(wish: Wish, topic: str, names: Mapping[str, str]) -> list[str]:
     paths = wish.fields.get(topic, ())
     wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
     return [column for column, name in names.items() if column in wanted or name in wanted]
+
+
+def list_some(what: str, names: Sequence[str]) -> str:
+    """What is so of some columns, "" if none is."""
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return f"{what} {', '.join(names[:8])}{more}, left out" if names else ""
 
 
 def name_topic(path: Path) -> str:
