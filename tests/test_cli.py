@@ -216,7 +216,7 @@ def check_power(verdict: dict) -> None:
 def check_verdict(verdict: dict) -> None:
     """verdict.json has the form of SPEC 7, key by key; the last line of keys is ours."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
-    ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings")
+    ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings", "stopped", "only")
     assert set(verdict) == {*keys, "suggested_experiment", *ours}
     assert all(isinstance(log, str) for log in verdict["logs"])
     assert isinstance(verdict["twin"], str)

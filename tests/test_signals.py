@@ -15,6 +15,7 @@ import pytest
 from tests.twin.own_effect_files import WAVE
 from vpptwin.errors import InputError
 from vpptwin.files import DRAFTS, LEFT, replace_files
+from vpptwin.signals import defer_signal, heed_signals
 from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -139,6 +140,30 @@ def test_compiled_code_that_does_not_end_is_not_waited_for(failing: Path) -> Non
     assert finish(child) == (130, STOPPED)
     assert time.monotonic() - began < 10.0
     assert not (failing / "flight.mcap").exists()
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_a_signal_that_is_deferred_interrupts_nothing_and_the_next_one_does(
+    monkeypatch: pytest.MonkeyPatch, taken: bool
+) -> None:
+    """Where it is taken; one that is not, and one behind the block, interrupt as ever."""
+    monkeypatch.setattr("vpptwin.signals.AGAIN", 0.0)
+    told: list[int] = []
+
+    def take(number: int) -> bool:
+        told.append(number)
+        return taken
+
+    with heed_signals() as heard:
+        with defer_signal(take):
+            if taken:
+                os.kill(os.getpid(), signal.SIGTERM)
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGHUP)
+    assert heard == [signal.SIGINT, signal.SIGHUP]
+    assert told == [signal.SIGTERM if taken else signal.SIGINT]
 
 
 def test_effects_that_never_return_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -158,6 +158,9 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
     add("--rrd", action="store_true", help="write the twins' predictions for Rerun as well as for Foxglove")
+    only = "effects that are candidates, by id or pattern, e.g. elbow.*,wrist.viscous; may be repeated (default: all)"
+    add("--only", action="append", default=[], metavar="IDS", help=only)
+    add("--limit", metavar="TIME", help="stop after so long, e.g. 90s, 10m, 1h, with what was found so far")
     add("--device", help="simulate on a card, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
 
 

@@ -38,12 +38,16 @@ def run_effects(options: argparse.Namespace) -> None:
     print_catalogue(spec.catalogue, options.markdown, spec.robot.pictures)
 
 
-def run_diagnose(options: argparse.Namespace) -> None:
+def run_diagnose(options: argparse.Namespace) -> int:
     """`vpptwin diagnose`."""
+    from vpptwin.deadline import Deadline, read_limit
     from vpptwin.diagnosis.report.command import diagnose_logs
 
+    deadline = Deadline(None if options.limit is None else read_limit(options.limit))
+    only = [name for text in options.only for name in text.split(",") if name]
     given = (options.logs, choose_twin(options, [options.twin])[0], options.out, options.topic_map, options.json)
-    diagnose_logs(*given, options.effects, options.force, options.rrd, options.device)
+    diagnose_logs(*given, options.effects, options.force, options.rrd, options.device, only, deadline)
+    return deadline.code
 
 
 def run_compare(options: argparse.Namespace) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import select
 import signal
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn
 
@@ -19,8 +20,9 @@ from vpptwin.files import discard_all
 
 AGAIN = 1.0
 """A signal so soon [s] after another is the same impatience; it interrupts no tidying up."""
-PATIENCE = 3.0
-"""Compiled code that has not come back so long [s] after a signal is not waited for."""
+PATIENCE, PATIENT = 3.0, 30.0
+"""Compiled code that has not come back so long [s] after a signal is not waited for; the latter where that would lose
+what was found, unless a second signal comes."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -42,10 +44,60 @@ def until_interrupted() -> Iterator[None]:
 def end(code: int, line: str = "stopped") -> NoReturn:
     """End the process at once, without drafts left behind."""
     discard_all()
+    write_line(line)
+    os._exit(code)
+
+
+def write_line(line: str) -> None:
+    """A line on stderr, from wherever a signal came; streams may be in the middle of something."""
     begin = "\n" if getattr(sys.stderr, "midline", False) else ""
     with contextlib.suppress(OSError):
         os.write(2, f"{begin}vpptwin: {line}\n".encode())
-    os._exit(code)
+
+
+class Handler:
+    """What happens at Ctrl-C, SIGTERM and a closed terminal.
+
+    Attributes:
+        heard: numbers of the signals that interrupted.
+        last: when the last one came [s].
+        deferred: asked whether the next one is to interrupt nothing, as it was told of it; None for nobody.
+    """
+
+    def __init__(self) -> None:
+        self.heard: list[int] = []
+        self.last = -math.inf
+        self.deferred: Callable[[int], bool] | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Interrupt, or end the process where that would lead nowhere."""
+        before, self.last = self.last, time.monotonic()
+        if self.last <= before + AGAIN:
+            return
+        if self.deferred is not None and self.deferred(number):
+            self.deferred = None
+            return
+        if is_importing(frame):
+            end(128 + number)
+        self.heard.append(number)
+        raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
+@contextlib.contextmanager
+def defer_signal(tell: Callable[[int], bool]) -> Iterator[None]:
+    """Tell the number of a signal in the block, which goes on if the answer is yes; the next one is heeded as ever.
+
+    Only where `heed_signals` heeds them: elsewhere, as in somebody's notebook, they do what they did.
+    """
+    handler = next((h for h in map(signal.getsignal, SIGNALS) if isinstance(h, Handler)), None)
+    if handler is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler.deferred = tell
+    try:
+        yield
+    finally:
+        handler.deferred = None
 
 
 @contextlib.contextmanager
@@ -56,26 +108,24 @@ def heed_signals() -> Iterator[list[int]]:
     them for an error of their own; in finalizers, where Python prints and forgets it; in code that does not come back.
     So does what compiled code raises, which Python would print and forget too.
     """
-    heard: list[int] = []
+    handler = Handler()
+    heard = handler.heard
     if threading.current_thread() is not threading.main_thread():
         yield heard
         return
-    last, done, crashed = -math.inf, threading.Event(), threading.Lock()
+    done, crashed = threading.Event(), threading.Lock()
     reader, writer = os.pipe()
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal last
-        before, last = last, time.monotonic()
-        if last > before + AGAIN:
-            if is_importing(frame):
-                end(128 + number)
-            heard.append(number)
-            raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
     def watch() -> None:
         while number := os.read(reader, 1):
-            came = time.monotonic()
-            if not done.wait(PATIENCE) and last < came - AGAIN:
+            came, again = time.monotonic(), False
+            patience = PATIENCE if handler.deferred is None else PATIENT
+            while handler.last < came - AGAIN and time.monotonic() < came + patience and not again:
+                if done.is_set():
+                    return
+                if select.select([reader], [], [], 0.1)[0]:
+                    again = time.monotonic() > came + AGAIN or not os.read(reader, 1)
+            if handler.last < came - AGAIN and not done.is_set():
                 end(128 + number[0])
 
     def forget(lost: sys.UnraisableHookArgs) -> None:
@@ -88,7 +138,7 @@ def heed_signals() -> Iterator[list[int]]:
 
     os.set_blocking(writer, False)
     heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    handlers = {number: signal.signal(number, stop) or signal.SIG_DFL for number in heeded}
+    handlers = {number: signal.signal(number, handler) or signal.SIG_DFL for number in heeded}
     woken = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     hook, sys.unraisablehook = sys.unraisablehook, forget
     watcher = threading.Thread(target=watch, daemon=True)
@@ -96,8 +146,8 @@ def heed_signals() -> Iterator[list[int]]:
     try:
         yield heard
     finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        for number, earlier in handlers.items():
+            signal.signal(number, earlier)
         signal.set_wakeup_fd(woken)
         sys.unraisablehook = hook
         done.set()

@@ -10,7 +10,7 @@ others gave.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -100,6 +100,7 @@ class Findings:
 def judge_blows(
     spec: TwinSpec, measurements: Sequence[Measurements], known: Mapping[Key, float], stage: Callable[[str], None],
     progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin,
+    only: Collection[str] = (),
 ) -> Findings:  # fmt: skip
     """What blows tell of contacts, beside causes that other windows told.
 
@@ -111,10 +112,10 @@ def judge_blows(
         progress: as for `diagnose`, like the next two.
         criteria: thresholds.
         make_twin: makes simulations.
+        only: effects that are candidates; none named for all.
     """
-    suspects = {
-        e.id: [Unknown(e, p, spec.value(e, p.name)) for p in e.parameters] for e in spec.catalogue if e.touching
-    }
+    contacts = [e for e in spec.catalogue if e.touching and (not only or e.id in only)]
+    suspects = {e.id: [Unknown(e, p, spec.value(e, p.name)) for p in e.parameters] for e in contacts}
     if not suspects:
         return Findings()
     clear = [replace(flight, strikes=np.zeros((0, 2))) for flight in measurements]

@@ -38,6 +38,7 @@ SOFT = (
 )
 UNCONFIRMED = "{}: held-out log does not show it by itself, so that it is no more than suggested"
 PASSING = "{}: a wave that does not come again along the way is any force that depends on place; no more than suggested"
+UNRIVALLED = "{}: not everything that might explain as much was fitted in its place; no more than suggested"
 UNFELT = "{}: it takes away less of the held-out error than sensor noise makes, so that it is no more than suggested"
 HARMING = "{}: the held-out error is smaller without it, so that it is no more than an even chance"
 OUTWEIGHED = "{}: more of the held-out error stays unexplained than it explains, so that it is no more than suggested"
@@ -73,6 +74,7 @@ def conclude(
     doubtful = selection.reduced or is_doubtful(search, held_out, fit, unexplained, after.chi2)
     most = criteria.suggested if doubtful else 1.0
     causes, doubts = [], dict.fromkeys(selection.unconfirmed, UNCONFIRMED)
+    doubts |= dict.fromkeys(selection.unrivalled & fit.effects, UNRIVALLED)
     doubts |= dict.fromkeys(list_passing(search, fit), PASSING)
     for effect in sorted(fit.effects):
         rest = {key: value for key, value in fit.values.items() if key[0] != effect}
@@ -87,6 +89,8 @@ def conclude(
     causes = order_causes(causes, selection.unconfirmed)
     alike = {rival.effect for cause in causes for rival in cause.also_explained_by}
     cleared, unseen = judge_power(search, fit, fit.effects | alike)
+    if selection.not_done:  # what comes near nothing beside these may do so beside all causes
+        cleared = []
     warnings = describe_other_motors(spec, measurements) if guessed else []
     warnings += [*describe_turned(spec), *denied.values(), *(doubts[e].format(e) for e in sorted(doubts))]
     if missed:

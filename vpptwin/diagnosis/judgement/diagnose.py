@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from vpptwin.deadline import Deadline
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
@@ -29,7 +31,7 @@ from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
 from vpptwin.diagnosis.judgement.logged_inputs import turn_as_logged
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
-from vpptwin.diagnosis.judgement.verdict import Cause, Experiment, Verdict
+from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
@@ -74,7 +76,7 @@ class Diagnosis:
 def diagnose(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage = lambda text: None,
     progress: Callable[[int], None] | None = None, criteria: Criteria = CRITERIA, causes: Sequence[str] | None = None,
-    make_twin: MakeTwin = Twin,
+    make_twin: MakeTwin = Twin, only: Collection[str] = (), deadline: Deadline | None = None,
 ) -> Diagnosis:  # fmt: skip
     """Find what a twin gets wrong.
 
@@ -86,30 +88,53 @@ def diagnose(
         criteria: thresholds that decide.
         causes: effects to fit and judge whatever the evidence, as if they were known; None looks for them.
         make_twin: makes the simulations, as `Bench` says.
+        only: effects that are candidates; none named for all.
+        deadline: when to stop with what was found so far; None for never.
 
     Raises:
+        Stopped: if that is before all candidates have been tried once.
         InputError: if a log is too short, lacks what the twin needs, or never moves.
         KeyError: if the catalogue lacks one of the causes.
     """
     for effect in causes or ():
         find_effect(spec.catalogue, effect)
     return_memory()
+    deadline = deadline or Deadline()
+    progress = deadline.watch(progress)
     # Thousands of small factorisations: BLAS threads cost more than they give, and steal the engine's cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        material = prepare(spec, flights, stage, progress, criteria, make_twin, contacts=causes is None)
+        material = prepare(spec, flights, stage, progress, criteria, make_twin, contacts=causes is None, only=only)
         spec = material.search.bench.spec
         if causes is None:
-            selection = select_causes(material.search, material.held_out, stage)
+            selection = select_causes(material.search, material.held_out, stage, deadline)
         else:
             selection = impose_causes(material.search, causes)
-        selection = replace(selection, fit=material.search.follow(selection.fit))
+        deadline.held = True  # what a verdict takes, and pictures of it
+        deadline.not_done += selection.not_done
+        selection = follow(material, selection, deadline)
         selection = keep_better(material, selection) if causes is None else selection
-        found = judge(spec, flights, material, selection, stage)
+        if only:
+            selection = replace(selection, unrivalled=selection.fit.effects)
+        found = judge(spec, flights, material, selection, stage, deadline)
         if causes is not None:
             return found
         if (blows := material.blows) is None or not blows.causes:  # other causes may have hidden them
-            blows = judge_blows(spec, material.measurements, found.values, stage, progress, criteria, make_twin)
-        return add_blows(found, blows)
+            given = stage, progress, criteria, make_twin, only
+            work = partial(judge_blows, spec, material.measurements, found.values, *given)
+            struck = any(len(flight.blows) for flight in material.measurements)
+            blows = deadline.attempt(["judging contacts by blows"], work, Findings()) if struck else work()
+        found = add_blows(found, blows)
+        cut = Cut(deadline.why, round(deadline.passed, 1), deadline.not_done) if deadline.not_done else None
+        return replace(found, verdict=replace(found.verdict, stopped=cut, only=sorted(only)))
+
+
+def follow(material: Material, selection: Selection, deadline: Deadline) -> Selection:
+    """The selection about the motion that is likeliest with it, where it sticks and there is time for that."""
+    search, fit = material.search, selection.fit
+    if search.bench.track is None or not search.sticks(fit.effects):
+        return selection
+    what = "fitting what sticks about the motion that is likeliest with it"
+    return replace(selection, fit=deadline.attempt([what], partial(search.follow, fit), fit))
 
 
 def add_blows(found: Diagnosis, blows: Findings) -> Diagnosis:
@@ -152,7 +177,7 @@ class Material:
 
 def prepare(
     spec: TwinSpec, flights: Sequence[Flight], stage: Stage, progress: Callable[[int], None] | None,
-    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False,
+    criteria: Criteria = CRITERIA, make_twin: MakeTwin = Twin, contacts: bool = False, only: Collection[str] = (),
 ) -> Material:  # fmt: skip
     """Cut flights into windows, choose those that judge, and linearise the twin about the others.
 
@@ -167,10 +192,10 @@ def prepare(
     spec = scale_twin(spec, measurements)
     blows = None
     if contacts and strikes_on(spec, measurements):
-        blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin)
+        blows = judge_blows(spec, measurements, {}, stage, progress, criteria, make_twin, only)
         spec = spec.with_effects({**spec.effects, **blows.effects})
     window = spec.robot.window
-    unknowns = list_unknowns(spec)
+    unknowns = list_unknowns(spec, only)
     judges: set[int] = set()
     if len(flights) > 1:
         stage("choosing the flights that judge")
@@ -195,8 +220,9 @@ def is_followed(spec: TwinSpec) -> bool:
 
 
 def judge(
-    spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, stage: Stage
-) -> Diagnosis:
+    spec: TwinSpec, flights: Sequence[Flight], material: Material, selection: Selection, stage: Stage,
+    deadline: Deadline,
+) -> Diagnosis:  # fmt: skip
     """The verdict on selected causes."""
     search, held_out, fit = material.search, material.held_out, selection.fit
     stage("judging on held-out windows")
@@ -204,7 +230,9 @@ def judge(
     verdict = conclude(spec, flights, material.measurements, search, held_out, selection, leftover.unexplained)
     if any(cause.also_explained_by for cause in verdict.causes):
         stage("looking for the manoeuvre that tells rivals apart")
-        verdict = replace(verdict, experiment=suggest_experiment(spec, search, selection, verdict.causes))
+        work = partial(suggest_experiment, spec, search, selection, verdict.causes)
+        experiment = deadline.attempt(["looking for the manoeuvre that tells rivals apart"], work, None)
+        verdict = replace(verdict, experiment=experiment)
     preflight = [inspect_flight(spec, measured) for measured in material.measurements]
     return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight)
 

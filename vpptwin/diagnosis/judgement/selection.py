@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from vpptwin.deadline import Deadline, Stopped
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rivals import (
@@ -45,6 +46,8 @@ class Selection:
         left_out: effects that fitted windows asked for, and held-out ones are predicted worse with.
         unconfirmed: causes that held-out windows by themselves would not show, where errors have the last word.
         reduced: whether others were left out of what is written, so that these were found beside what is not there.
+        unrivalled: causes in whose place no other was fitted.
+        not_done: what was left out as it was stopped, in words.
     """
 
     fit: Fit
@@ -55,6 +58,8 @@ class Selection:
     left_out: frozenset[str] = frozenset()
     unconfirmed: frozenset[str] = frozenset()
     reduced: bool = False
+    unrivalled: frozenset[str] = frozenset()
+    not_done: tuple[str, ...] = ()
 
     def reduce_to(self, fit: Fit) -> Selection:
         """The selection with a fit of fewer causes: with all of them held-out log was predicted worse."""
@@ -79,9 +84,15 @@ class Selection:
         return float(min((1.0 - others) * (1.0 - 0.5 * doubt), criteria.most_confident))
 
 
-def select_causes(search: Search, held_out: HeldOut, stage: Stage) -> Selection:
-    """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals."""
-    return Choosing(search, held_out, stage).choose()
+def select_causes(
+    search: Search, held_out: HeldOut, stage: Stage, deadline: Deadline | None = None
+) -> Selection:  # fmt: skip
+    """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals.
+
+    Raises:
+        Stopped: before suspects have been tried once; later the causes so far are what is returned.
+    """
+    return Choosing(search, held_out, stage, deadline or Deadline()).choose()
 
 
 class Choosing:
@@ -96,10 +107,12 @@ class Choosing:
         seen: sets of causes.
         first: every suspect's drop in cost as the only cause.
         steps, swaps: how many suspects were looked for, and how many causes were exchanged.
+        passed: cause → drop in cost as it passed for one, and by how much others tried then fell short of that.
+        pending: causes with one that has passed and is not settled yet.
     """
 
-    def __init__(self, search: Search, held_out: HeldOut, stage: Stage) -> None:
-        self.search, self.held_out, self.stage = search, held_out, stage
+    def __init__(self, search: Search, held_out: HeldOut, stage: Stage, deadline: Deadline) -> None:
+        self.search, self.held_out, self.stage, self.deadline = search, held_out, stage, deadline
         self.fit = search.start
         self.barred, self.left_out = frozenset[str](), frozenset[str]()
         self.drops: dict[str, float] = {}
@@ -107,8 +120,19 @@ class Choosing:
         self.seen: set[frozenset[str]] = set()
         self.first: list[tuple[str, float]] = []
         self.steps = self.swaps = 0
+        self.passed: dict[str, tuple[float, dict[str, float]]] = {}
+        self.pending: Fit | None = None
 
     def choose(self) -> Selection:
+        """The causes for which nothing better is found, or those so far where it is stopped."""
+        try:
+            return self.go_on()
+        except Stopped:
+            if not self.deadline.worth:
+                raise
+            return self.break_off()
+
+    def go_on(self) -> Selection:
         """The causes for which nothing better is found."""
         while True:
             self.seen.add(self.fit.effects)
@@ -138,9 +162,15 @@ class Choosing:
         step = self.search.extend(fit, self.barred)
         self.first, self.steps = self.first or rank_first(self.search, step), self.steps + 1
         step, accepted = accept_cause(self.search, self.held_out, step, self.drops)
+        self.deadline.worth = True  # every suspect has been tried, and held against held-out windows
         if accepted is None or len(fit.effects) >= criteria.most_causes or self.steps >= criteria.most_steps:
             return False
-        if not self.take(step.tried[accepted], {accepted: find_near(self.search, step, accepted)}):
+        self.pending = step.tried[accepted]
+        short = {other: self.pending.evidence_against(tried) for other, tried in step.tried.items()}
+        self.passed[accepted] = step.drop(accepted), short
+        taken = self.take(self.pending, {accepted: find_near(self.search, step, accepted)})
+        self.pending = None
+        if not taken:
             self.barred, self.left_out = self.barred | {accepted}, self.left_out | {accepted}
             return True
         self.drops[accepted] = step.drop(accepted)
@@ -257,6 +287,19 @@ class Choosing:
         unconfirmed = {e for e, fit in before.items() if not confirms(self.search, self.held_out, fit, self.fit)}
         left_out = self.left_out - self.fit.effects
         return Selection(self.fit, self.first, rivals, instead, beside, left_out, frozenset(unconfirmed))
+
+    def break_off(self) -> Selection:
+        """The causes so far; their rivals are those that came near as they were found, none fitted in their place."""
+        fit = self.pending or self.fit
+        evidence, rivals = dict[str, float](), dict[str, list[Rival]]()
+        for effect in sorted(fit.effects):
+            evidence[effect], short = self.passed.get(effect, (0.0, {}))
+            others = {name: found for name, found in short.items() if name not in fit.effects}
+            rivals[effect] = weigh_rivals(others, self.search.criteria)
+        not_done = ["looking for further causes", *(f"fitting others in the place of {e}" for e in evidence)]
+        instead, left_out = {effect: list[Fit]() for effect in evidence}, self.left_out - fit.effects
+        given = fit, self.first, rivals, instead, evidence, left_out
+        return Selection(*given, unrivalled=fit.effects, not_done=tuple(not_done))
 
 
 def rank_first(search: Search, first: Step) -> list[tuple[str, float]]:

@@ -130,8 +130,17 @@ class Experiment:
 
 
 @dataclass(frozen=True)
+class Cut:
+    """Why a diagnosis was stopped, how long it had gone on [s], and what was not done."""
+
+    why: str
+    after_s: float
+    not_done: list[str]
+
+
+@dataclass(frozen=True)
 class Verdict:
-    """What the twin gets wrong (SPEC 7)."""
+    """What the twin gets wrong (SPEC 7); of a diagnosis that was stopped so far, or of `only` some candidates."""
 
     logs: list[str]
     twin: str
@@ -149,6 +158,13 @@ class Verdict:
     experiment: Experiment | None = None
     misfit: Misfit | None = None
     warnings: list[str] = field(default_factory=list)
+    stopped: Cut | None = None
+    only: list[str] = field(default_factory=list)
+
+    @property
+    def partial(self) -> bool:
+        """Whether less was looked at than a diagnosis looks at."""
+        return self.stopped is not None or bool(self.only)
 
     def as_dict(self) -> dict[str, object]:
         """The verdict in the form of SPEC 7."""
@@ -165,5 +181,6 @@ class Verdict:
             "cleared": [asdict(suspect) for suspect in self.cleared],
             "unseen": [asdict(suspect) for suspect in self.unseen], "improvement": self.improvement,
             "warnings": self.warnings,
+            "stopped": asdict(self.stopped) if self.stopped is not None else None, "only": self.only or None,
         }  # fmt: skip
         return content

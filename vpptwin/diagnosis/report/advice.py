@@ -23,6 +23,9 @@ FOLLOWED = ("velocity", "position")
 UNSAVED = Path("out")
 """Folder for results that were not saved yet, as in a notebook."""
 
+SHORTER = "give a part of the log (LOG@0-10), put joints under `driven` in the twin, or name candidates with --only"
+"""What makes a diagnosis shorter."""
+
 
 @dataclass(frozen=True)
 class Step:
@@ -63,6 +66,8 @@ def list_steps(verdict: Verdict, session: Session, experiment: str | None, meani
     """
     twin = session.extended if verdict.causes else session.spec.name
     steps = [Step("Save the results, in Python.", f'result.save("{UNSAVED}")')] if session.out is None else []
+    if verdict.stopped is not None:
+        steps.append(Step(f"Diagnose again with more time, or make it shorter: {SHORTER}."))
     if verdict.causes:
         told = "Compare both twins. Best on a log that was not diagnosed: put its name in the place of these."
         steps.append(

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from signal import Signals
 
+from vpptwin.deadline import Deadline
 from vpptwin.diagnosis.report.export import name_files
 from vpptwin.diagnosis.report.output import Pieces, give_json, stage_results
 from vpptwin.diagnosis.report.result import REPORT, TWIN, VERDICT, Result, judge_logs, list_stale
@@ -15,11 +18,13 @@ from vpptwin.errors import load_extra
 from vpptwin.files import STDOUT
 from vpptwin.logs.flight import Flight
 from vpptwin.progress import tell_wait
+from vpptwin.signals import defer_signal, write_line
 
 
 def diagnose_logs(
     logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
     effects: Sequence[Path] = (), force: bool = False, rrd: bool = False, device: str | None = None,
+    only: Sequence[str] = (), deadline: Deadline | None = None,
 ) -> Result:  # fmt: skip
     """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
 
@@ -33,6 +38,8 @@ def diagnose_logs(
         force: overwrite files in `out` that vpptwin did not write, too.
         rrd: write the predictions for Rerun as well.
         device: where simulations run, as `diagnose` has it.
+        only: effects that are candidates, likewise.
+        deadline: when to stop the search; the first signal that comes stops it, too.
 
     Raises:
         InputError: on bad logs, a bad twin or device, or a folder that cannot be written; old results are left as they
@@ -43,8 +50,9 @@ def diagnose_logs(
         load_extra("rerun", "--rrd")  # before the work
     read = [Path(log) for log in flown if not isinstance(log, Flight)]
     files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
-    with stage_results(out, files, [*list_stale(out), *files], force) as folder:
-        found = judge_logs(flown, twin, topic_map, effects, True, device)
+    deadline = deadline or Deadline()
+    with stage_results(out, files, [*list_stale(out), *files], force) as folder, defer_signal(partial(stop, deadline)):
+        found = judge_logs(flown, twin, topic_map, effects, True, device, only, deadline)
         kept = found.write(folder, out)
     result = complete(found, kept, out, rrd)
     for line in result.lost:
@@ -54,6 +62,14 @@ def diagnose_logs(
     if json != STDOUT:
         print_summary(result.verdict, result.summary, out, [name for name in files if (out / name).exists()])
     return result
+
+
+def stop(deadline: Deadline, number: int) -> bool:
+    """Stop at a signal with what was found so far, and say so; whether there is anything."""
+    kept = deadline.interrupt(number)
+    told = "what was found so far is kept; once more ends it" if kept else "nothing was found yet; old files stay"
+    write_line(f"{Signals(number).name}: {told}")
+    return kept
 
 
 def complete(found: Result, kept: Result, out: Path, rrd: bool) -> Result:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fnmatch
 import html
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -11,11 +13,14 @@ from os import PathLike
 from pathlib import Path
 from textwrap import shorten
 
+from tqdm import tqdm
+
+from vpptwin.deadline import Deadline, Stopped, read_limit, tell_time
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.diagnose import diagnose as judge
 from vpptwin.diagnosis.judgement.verdict import Verdict
-from vpptwin.diagnosis.report.advice import Session, list_steps
+from vpptwin.diagnosis.report.advice import SHORTER, Session, list_steps
 from vpptwin.diagnosis.report.export import name_files, write_prediction
 from vpptwin.diagnosis.report.output import Pieces, stage_results
 from vpptwin.diagnosis.report.page import render_report
@@ -27,6 +32,8 @@ from vpptwin.diagnosis.report.rerun import write_rrd
 from vpptwin.diagnosis.report.sources import Log, open_flights, open_twin
 from vpptwin.diagnosis.report.summary import Summary, summarise
 from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
+from vpptwin.diagnosis.report.words import join_words
+from vpptwin.errors import InputError, suggest
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.files import write_json, write_whole
 from vpptwin.logs.flight import Flight
@@ -37,6 +44,8 @@ from vpptwin.twin.warp_replay import choose_maker
 VERDICT, REPORT, TWIN = "verdict.json", "report.html", "twin.yaml"
 LINES, COLUMNS = 10, 160
 """A result prints in no more than so many lines of so many characters."""
+LONG = 60.0
+"""Time after which a run says how to make it shorter [s]."""
 UNDRAWN = "pictures and predictions are not there: the run ended before they were made"
 
 
@@ -184,7 +193,7 @@ class Result:
 def diagnose(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec = "nominal",
     topic_map: str | PathLike[str] | None = None, effects: Sequence[str | PathLike[str]] = (), progress: bool = True,
-    device: str | None = None,
+    device: str | None = None, only: Sequence[str] = (), limit: str | float | None = None,
 ) -> Result:  # fmt: skip
     """Find what a twin gets wrong: what the command `vpptwin diagnose` does, its files aside.
 
@@ -195,30 +204,75 @@ def diagnose(
         effects: Python files with effects of the user's own, which are run; not for a twin that was read already.
         progress: whether a bar is shown on standard error.
         device: where simulations run: `cuda`, a card, or `cpu`, both through Warp; None for the processor's cores.
+        only: effects that are candidates, by ids or patterns such as `elbow.*`; none named for all.
+        limit: time [s], or text such as `10m`, after which the search stops; what it has by then is the verdict.
 
     Raises:
-        InputError: on bad logs or a bad twin, a device that is not there, or a rig that none steps.
+        InputError: on bad logs or a bad twin, a device that is not there, or a rig that none steps; or if the limit
+            comes before all candidates have been tried once.
     """
-    return judge_logs(logs, twin, topic_map, effects, progress, device).draw()
+    deadline = Deadline(None if limit is None else read_limit(limit, "limit"))
+    return judge_logs(logs, twin, topic_map, effects, progress, device, only, deadline).draw()
 
 
 def judge_logs(
     logs: Log | Sequence[Log], twin: str | PathLike[str] | TwinSpec, topic_map: str | PathLike[str] | None,
-    effects: Sequence[str | PathLike[str]], progress: bool, device: str | None,
+    effects: Sequence[str | PathLike[str]], progress: bool, device: str | None, only: Sequence[str],
+    deadline: Deadline,
 ) -> Result:  # fmt: skip
     """A diagnosis as `diagnose` has it, but for what is yet to be drawn."""
     spec = open_twin(twin, effects)
-    make_twin = choose_maker(spec, device)
+    make_twin, candidates = choose_maker(spec, device), choose_candidates(spec, only)
     flights = open_flights(logs, topic_map, spec.robot.signals.entries, apart=True)
     options = ["--topic-map", str(topic_map)] if topic_map is not None else []
     options += [part for file in effects for part in ("--effects", str(file))]
     paths = [flight.path for flight in flights]
-    typed = [*map(str, paths), "--twin", spec.name, *options, *(["--device", device] if device else [])]
-    origin = trace_origin(["diagnose", *typed], spec.name, paths)
+    apart = [*(["--device", device] if device else []), *(["--only", ",".join(only)] if only else [])]
+    apart += ["--limit", f"{deadline.limit:g}s"] if deadline.limit is not None else []
+    origin = trace_origin(["diagnose", *map(str, paths), "--twin", spec.name, *options, *apart], spec.name, paths)
     with open_bar(desc="diagnose", disable=not progress) as bar:
-        diagnosis = judge(spec, flights, partial(tell_stage, bar), bar.update, make_twin=make_twin)
+        told = partial(tell_stage, bar), advise_meanwhile(bar, deadline)
+        try:
+            diagnosis = judge(spec, flights, *told, make_twin=make_twin, only=candidates, deadline=deadline)
+        except Stopped as stop:
+            found = f"{stop} was over before every candidate had been tried once"
+            raise InputError(found, "more time, or less to do", SHORTER) from stop
     spec = spec.with_robot(signals=diagnosis.held_out.short.spec.robot.signals)  # of what follows its log, too
     return collect_result(spec, flights, diagnosis, origin, options)
+
+
+def advise_meanwhile(bar: tqdm, deadline: Deadline) -> Callable[[int], None]:
+    """What tells a bar of progress, and says once, after `LONG`, how to make such a run shorter."""
+    told = bar.disable
+
+    def report(steps: int) -> None:
+        nonlocal told
+        bar.update(steps)
+        if not told and deadline.passed > LONG:
+            told = True
+            bar.write(f"vpptwin: {tell_time(LONG)} so far; to make it shorter {SHORTER}; or --limit 10m", sys.stderr)
+
+    return report
+
+
+def choose_candidates(spec: TwinSpec, only: Sequence[str]) -> frozenset[str]:
+    """Ids of the effects that ids and patterns name.
+
+    Raises:
+        InputError: if one names none, or all together name none that shows but in blows.
+    """
+    known = {effect.id: effect for effect in spec.catalogue}
+    chosen = set[str]()
+    for name in only:
+        if not (found := fnmatch.filter(known, name)):
+            expected = f"ids of effects of {spec.name}, or patterns such as NAME.*"
+            listed = f"`vpptwin effects --twin {spec.name}` lists them"
+            raise InputError(f"--only {name}", expected, suggest(name, known, listed))
+        chosen.update(found)
+    if chosen and not any(not spec.robot.hides(known[effect]) for effect in chosen):
+        found_ids = join_words(sorted(chosen))
+        raise InputError(f"--only {found_ids}", "an effect that shows without blows, too", "name one more")
+    return frozenset(chosen)
 
 
 def collect_result(

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from vpptwin.deadline import tell_time
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (
@@ -63,6 +64,7 @@ class Summary:
     """What a verdict says, in sentences."""
 
     headline: str  # the sentence to read if one reads no other
+    partial: str  # what was not looked at; "" where everything was
     remedy: str  # what would help against an error far above the sensors' noise; "" where there is none
     others: list[str]  # one sentence for each cause that the headline is not about
     certainty: list[str]  # for each cause how sure it is, then what else it could be
@@ -80,12 +82,12 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
         describe_cause(cause, meanings, verdict.before.chi2, is_suggested(cause, verdict)) for cause in verdict.causes
     ]
     return Summary(
-        headline=headline(verdict, meanings), remedy=describe_remedy(verdict),
+        headline=headline(verdict, meanings), partial=describe_partial(verdict), remedy=describe_remedy(verdict),
         others=told[0 if verdict.misfit is not None else 1 :],
         certainty=[
             line
             for cause in verdict.causes
-            for line in describe_certainty(cause, meanings, is_suggested(cause, verdict))
+            for line in describe_certainty(cause, meanings, is_suggested(cause, verdict), verdict.partial)
         ],
         share=SHARE if any("of the error" in sentence for sentence in told) else "",
         error=describe_error(verdict, tables), tables=tables, unexplained=describe_unexplained(verdict),
@@ -94,17 +96,45 @@ def summarise(verdict: Verdict, noise: NoiseFloor, meanings: Mapping[str, str]) 
 
 
 def headline(verdict: Verdict, meanings: Mapping[str, str]) -> str:
-    """The sentence to read if one reads no other: how far off the twin is where that is far, else the first cause."""
+    """The sentence to read if one reads no other, which says so if not everything was looked at."""
+    told = say_first(verdict, meanings)
+    if verdict.stopped is None:
+        return f"Of some candidates only: {told}" if verdict.only else told
+    return f"Partial, stopped by {verdict.stopped.why}: {told}"
+
+
+def describe_partial(verdict: Verdict) -> str:
+    """What was not looked at; "" where everything was."""
+    told = []
+    if (cut := verdict.stopped) is not None:
+        told.append(f"This verdict is partial: {cut.why} stopped the run after {tell_time(cut.after_s)}.")
+        told.append(f"What was not done: {join_words(cut.not_done)}.")
+    if verdict.only:
+        told.append(f"No candidates were tried but {join_words(verdict.only)}; others may explain as much.")
+    return " ".join(told)
+
+
+def say_first(verdict: Verdict, meanings: Mapping[str, str]) -> str:
+    """How far off the twin is where that is far, else the first cause."""
     if verdict.misfit is not None:
         return describe_misfit(verdict.misfit, verdict, meanings)
     if verdict.causes:
         first = verdict.causes[0]
         return describe_cause(first, meanings, verdict.before.chi2, is_suggested(first, verdict))
-    if verdict.unexplained.significant:
+    if verdict.unexplained.significant and not verdict.partial:
         return "Something that no known effect explains separates the twin from these logs."
+    if verdict.unexplained.significant:
+        return f"Something separates the twin from these logs; {name_nothing(verdict)}."
     if not is_floor(verdict):
-        return f"The twin misses these logs by {describe_miss(verdict)}; nothing can be named for it."
+        return f"The twin misses these logs by {describe_miss(verdict)}; {name_nothing(verdict)}."
+    if verdict.partial:
+        return "What separates the twin from these logs may be noise; nothing of what was tried is named."
     return "The twin explains these logs as well as sensor noise and disturbances allow; nothing is accused."
+
+
+def name_nothing(verdict: Verdict) -> str:
+    """That nothing is named, for good or so far."""
+    return "nothing of what was tried is named for it" if verdict.partial else "nothing can be named for it"
 
 
 def is_floor(verdict: Verdict) -> bool:
@@ -139,7 +169,7 @@ def describe_misfit(misfit: Misfit, verdict: Verdict, meanings: Mapping[str, str
         named = (
             f" with {name_effect(verdict.causes[0].effect, meanings) if count == 1 else f'the {count} causes below'}"
         )
-    nothing = "" if verdict.causes else "; nothing can be named for it"
+    nothing = "" if verdict.causes else f"; {name_nothing(verdict)}"
     return f"The twin{named} misses these logs by {describe_miss(verdict)}{where}{nothing}."
 
 
@@ -178,9 +208,9 @@ def describe_remedy(verdict: Verdict) -> str:
 
 
 def is_suggested(cause: Cause, verdict: Verdict) -> bool:
-    """Whether a cause is only suggested: not sure, while something material is left."""
+    """Whether a cause is only suggested: not sure, while something material is left, or was not looked at."""
     left = verdict.unexplained.significant or verdict.misfit is not None or not is_floor(verdict)
-    return left and cause.confidence <= SUGGESTED
+    return (left or verdict.partial) and cause.confidence <= SUGGESTED
 
 
 def describe_cause(cause: Cause, meanings: Mapping[str, str], chi2: float = math.inf, suggested: bool = False) -> str:
@@ -226,11 +256,25 @@ def describe_gain(cause: Cause, chi2: float) -> str:
     return share
 
 
-def describe_certainty(cause: Cause, meanings: Mapping[str, str], suggested: bool = False) -> list[str]:
-    """How sure the naming is, and a sentence for everything else that it could be; meanings: effect id → summary."""
+def describe_certainty(
+    cause: Cause, meanings: Mapping[str, str], suggested: bool = False, partial: bool = False
+) -> list[str]:
+    """How sure the naming is, and a sentence for everything else that it could be.
+
+    Args:
+        cause: what is named.
+        meanings: effect id → summary.
+        suggested: whether it is no more than suggested.
+        partial: whether not everything was looked at.
+    """
     sure = f"{name_effect(cause.effect, meanings)}: {100.0 * cause.confidence:.3g} % sure"
     sure = sure[0].upper() + sure[1:] if cause.effect in meanings else sure
-    sure += ", suggested and no more while something is left" if suggested else ""
+    if partial:
+        sure += ", suggested and no more, as not everything was fitted in its place"
+    else:
+        sure += ", suggested and no more while something is left" if suggested else ""
+    if not cause.also_explained_by and partial:
+        return [f"{sure}."]
     if not cause.also_explained_by:
         held = " as far as the noise is what was assumed" if suggested else ""
         return [f"{sure}; no other effect of the catalogue comes close{held}."]

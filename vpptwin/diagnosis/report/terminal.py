@@ -26,6 +26,8 @@ def print_summary(verdict: Verdict, summary: Summary, out: Path, files: Sequence
         console.print(sentence, style="bold")
         if sentence == summary.headline and summary.remedy:
             console.print(summary.remedy)
+    if summary.partial:
+        console.print(summary.partial)
     console.print()
     console.print(list_findings(verdict, summary))
     if verdict.experiment is not None:  # not in the grid, whose breaks would not survive copying

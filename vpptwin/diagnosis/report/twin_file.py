@@ -11,6 +11,7 @@ import yaml
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.diagnosis.report.provenance import Provenance
+from vpptwin.diagnosis.report.summary import describe_partial
 from vpptwin.effects import find_effect
 from vpptwin.installed import list_installed
 from vpptwin.resources import models_dir
@@ -36,7 +37,8 @@ def compose_twin(spec: TwinSpec, effects: EffectValues, verdict: Verdict, origin
         for cause in verdict.causes
         for name, e in cause.parameters.items()
     }
-    content["provenance"] = {
+    partial = describe_partial(verdict)
+    content["provenance"] = ({"partial": partial} if partial else {}) | {
         "command": origin.command, "date": origin.date, "diagnosed_twin": origin.twin, "versions": origin.versions,
         "logs": origin.logs, "intervals_90_percent": intervals,
     }  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -74,9 +74,9 @@ class Unknown:
         return high - value if high - value > value - low else low - value
 
 
-def list_unknowns(spec: TwinSpec) -> tuple[Unknown, ...]:
-    """All parameters of all effects that this rig can have and a log can show."""
-    suspects = (effect for effect in spec.catalogue if not spec.robot.hides(effect))
+def list_unknowns(spec: TwinSpec, only: Collection[str] = ()) -> tuple[Unknown, ...]:
+    """All parameters of all effects, or of `only` those named, that this rig can have and a log can show."""
+    suspects = (e for e in spec.catalogue if not spec.robot.hides(e) and (not only or e.id in only))
     return tuple(Unknown(e, p, spec.value(e, p.name)) for e in suspects for p in e.parameters)
 
 
