@@ -23,6 +23,11 @@ WRITERS = {
     "played.html": ["play", str(FLIP), "--html", "played.html"],
     "typical.xml": ["export", "typical", "--format", "mjcf"],
     "typical_mjlab.py": ["export", "typical", "--format", "mjlab"],
+    "copy.mcap": ["convert", str(FLIP), "copy.mcap"],
+    "layouts/plotjuggler.xml": ["layouts", "layouts"],
+    "layouts/foxglove.json": ["layouts", "layouts"],
+    "rail_rig_twin.yaml": ["inspect", str(FLIP), "--model", "rail_rig.xml"],
+    "rail.yaml": ["inspect", str(FLIP), "--model", "rail_rig.xml", "--out", "rail.yaml"],
     "c/vpptwin.c": ["export", "flip", "--format", "c", "--out", "c"],
 }
 """A file, and the command that writes it."""
@@ -51,6 +56,59 @@ def test_one_rule(name: str, command: Sequence[str], capsys: pytest.CaptureFixtu
     assert main([*command, "--force"]) == 0
     assert file.read_bytes() != before
     assert main(command) == 0
+
+
+@pytest.mark.parametrize("name", ["copy.mcap", "layouts/foxglove.json", "rail.yaml", "copy.json", "typical.xml"])
+def test_links_that_lead_nowhere_are_somebodys(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Such as one to itself: a line, and --force puts a file in its place."""
+    file, command = Path(name), WRITERS[name]
+    file.parent.mkdir(exist_ok=True)
+    file.symlink_to(file.name)
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert f"{file} is a link that leads nowhere" in said
+    assert said.count("\n") == 1
+    assert main([*command, "--force"]) == 0
+    assert not file.is_symlink()
+    assert file.is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [("actuator.html", ["identify", "none.mcap", "--out", "actuator.yaml"]),
+     ("pictures/air.drag.png", ["effects", "--pictures", "pictures"]),
+     pytest.param("run/config.yaml", ["train", "task=hover", "out=run"], marks=pytest.mark.slow)],  # brings torch
+)  # fmt: skip
+def test_files_beside_are_asked_for_too(name: str, command: Sequence[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever a command writes besides what it was told to, before any work."""
+    Path(name).parent.mkdir(exist_ok=True)
+    Path(name).write_text("mine")
+    assert main(command) == 2
+    assert f"{name} is there, and vpptwin did not write it" in capsys.readouterr().err
+    assert Path(name).read_text() == "mine"
+
+
+def test_a_twin_that_was_corrected_stays(capsys: pytest.CaptureFixture[str]) -> None:
+    """What somebody changed in what `inspect` wrote is not guessed over; comments alone are."""
+    command, twin = WRITERS["rail_rig_twin.yaml"], Path("rail_rig_twin.yaml")
+    assert main(command) == 0
+    written = twin.read_text()
+    twin.write_text(f"# of today\n{written}")
+    assert main(command) == 0
+    assert twin.read_text() == written
+    twin.write_text(f"{written}effects: {{}}\n")
+    assert main(command) == 2
+    assert "rail_rig_twin.yaml is there, and vpptwin did not write it, or it may" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["inspect"], ["compare"], ["plot"], ["diagnose", "--out", "out"]])
+def test_an_input_that_is_a_link_to_itself_is_a_line(
+    command: Sequence[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of every command that reads logs."""
+    Path("log.mcap").symlink_to("log.mcap")
+    assert main([*command, "log.mcap"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_an_empty_file_is_nobodys() -> None:

@@ -20,8 +20,8 @@ from vpptwin.signals import heed_signals
 from vpptwin.terminal import show_plainly
 from vpptwin.trust import EVERY, trust
 
-WRITTEN = ("out", "json", "html", "video")
-"""Options that name what a command writes: a file, or, by their metavar, a folder, whose files the command looks at."""
+WRITTEN = ("out", "json", "html", "video", "pictures")
+"""Options that name what a command writes: a file, or, where they have a metavar, what the command looks at itself."""
 PARTS = "FILE+FILE is one flight of several files, LOG@600-900 a part of a log [s]"
 
 
@@ -109,6 +109,8 @@ def explain(error: BaseException) -> InputError | None:
     if isinstance(error, OSError):  # what no check foresaw: a full disk, a drive that went away
         where = f"{error.filename}: " if error.filename else ""
         return InputError(f"{where}{error.strerror or error}", "a file to read or write", "check path and disk")
+    if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Python's of before 3.13
+        return InputError(f"{str(error).rpartition(' ')[2]} is a link to itself", "a file", "name another")
     if isinstance(error, MemoryError):
         return InputError("memory ran out", "input that this machine can hold", "give less, or a larger machine")
     if isinstance(error, ModuleNotFoundError):
@@ -219,12 +221,12 @@ def describe_inspect(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
     add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
-    add("--out", type=Path, help="twin YAML to write with the guesses (default MODEL_twin.yaml)")
+    add("--out", type=Path, metavar="YAML", help="twin to write with the guesses (default MODEL_twin.yaml)")
 
 
 def describe_layouts(parser: argparse.ArgumentParser) -> None:
     """Arguments of `vpptwin layouts`."""
-    parser.add_argument("folder", type=Path, help="where to write foxglove.json and plotjuggler.xml")
+    parser.add_argument("out", type=Path, metavar="DIR", help="where to write foxglove.json and plotjuggler.xml")
 
 
 def describe_fly(parser: argparse.ArgumentParser) -> None:

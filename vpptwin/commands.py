@@ -32,7 +32,7 @@ def run_effects(options: argparse.Namespace) -> None:
     if options.pictures:
         from vpptwin.viz.fingerprint import draw_catalogue
 
-        files = draw_catalogue(spec, Path(options.pictures))
+        files = draw_catalogue(spec, Path(options.pictures), options.force)
         print(f"{len(files)} pictures in {options.pictures}")
         return
     print_catalogue(spec.catalogue, options.markdown, spec.robot.pictures)
@@ -124,6 +124,8 @@ def run_convert(options: argparse.Namespace) -> None:
     """`vpptwin convert`."""
     from vpptwin.logs.transcribe import list_kept, transcribe
 
+    if not options.force:
+        check_own([options.out])
     recording = transcribe(options.log, options.out)
     for note in (note for file in recording.files for note in file.notes):
         print(note, file=sys.stderr)
@@ -135,14 +137,14 @@ def run_inspect(options: argparse.Namespace) -> None:
     """`vpptwin inspect`."""
     from vpptwin.estimation.inspect import inspect_logs
 
-    inspect_logs(options.logs, options.model, options.out)
+    inspect_logs(options.logs, options.model, options.out, options.force)
 
 
 def run_layouts(options: argparse.Namespace) -> None:
     """`vpptwin layouts`."""
     from vpptwin.viz.layouts import write_layouts
 
-    for file in write_layouts(options.folder):
+    for file in write_layouts(options.out, options.force):
         print(file)
 
 

@@ -24,7 +24,7 @@ LEFT = 86_400.0
 """Drafts that nobody has touched for so long [s] are those of a run that was killed."""
 OWN = {
     ".mcap": rb"\x07\0\0\0vpptwin",
-    ".yaml": rb"\bvpptwin (diagnose|identify)\b",
+    ".yaml": rb"\bvpptwin (diagnose|identify|train)\b",
     ".json": rb'"horizons_s"|"vpptwin"',
     ".xml": rb"ritten by vpptwin export",
     ".py": rb"ritten by vpptwin export",
@@ -119,16 +119,23 @@ def exchange(drafts: Path, folder: Path, stale: Collection[str]) -> None:
         os.close(held)
 
 
-def check_own(paths: Iterable[Path]) -> None:
+def check_own(paths: Iterable[Path], action: str = ANYWAY) -> None:
     """Refuse to overwrite what vpptwin did not write, before the work rather than after it.
 
     Raises:
-        InputError: naming the first such file.
+        InputError: naming the first such file, or link that leads nowhere; `action` is what to do.
     """
     for path in paths:
+        if path.is_symlink() and not path.exists():
+            raise InputError(f"{path} is a link that leads nowhere", "a new file, or one of vpptwin's", action)
         if path.is_file() and not is_own(path):
             found = f"{path} is there, and vpptwin did not write it, or it may have been edited"
-            raise InputError(found, "a new file, or one of vpptwin's", ANYWAY)
+            raise InputError(found, "a new file, or one of vpptwin's", action)
+
+
+def is_same(path: Path, others: Iterable[Path]) -> bool:
+    """Whether a path leads to one of others; a link to itself leads nowhere."""
+    return os.path.realpath(path) in [os.path.realpath(other) for other in others]
 
 
 def check_target(path: Path, json: bool = False) -> None:
@@ -163,16 +170,17 @@ def is_own(path: Path) -> bool:
             return re.search(OWN.get(path.suffix.lower(), rb"vpptwin"), content) is not None
 
 
-def write_whole(path: Path, content: str | bytes) -> Path:
+def write_whole(path: Path, content: str | bytes, force: bool = True) -> Path:
     """Write a file and return its path; see `write_files`."""
-    return write_files({path: content})[0]
+    return write_files({path: content}, force)[0]
 
 
-def write_files(contents: Mapping[Path, str | bytes]) -> list[Path]:
+def write_files(contents: Mapping[Path, str | bytes], force: bool = True) -> list[Path]:
     """Write files that lie in one folder, all or none; what was there stays if anything fails.
 
     Args:
         contents: by path; folders are made if need be, text is written as UTF-8.
+        force: overwrite files that vpptwin did not write and that say something else, too.
 
     Returns:
         The paths.
@@ -181,10 +189,13 @@ def write_files(contents: Mapping[Path, str | bytes]) -> list[Path]:
         InputError: if they cannot be written.
     """
     paths = list(contents)
+    data = {path: text.encode() if isinstance(text, str) else text for path, text in contents.items()}
     try:
+        if not force:
+            check_own(path for path in paths if not (path.is_file() and path.read_bytes() == data[path]))
         with replace_files(paths[0].parent, [path.name for path in paths]) as drafts:
-            for path, content in contents.items():
-                (drafts / path.name).write_bytes(content.encode() if isinstance(content, str) else content)
+            for path in paths:
+                (drafts / path.name).write_bytes(data[path])
     except OSError as error:
         found = f"cannot write {paths[0]} ({error.strerror or error})"
         raise InputError(found, "a writable path", "choose another") from error

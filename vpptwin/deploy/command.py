@@ -8,7 +8,7 @@ from pathlib import Path
 from vpptwin.deploy.c_source import FILES, write_c
 from vpptwin.deploy.content import collect_content
 from vpptwin.errors import InputError
-from vpptwin.files import check_own, write_whole
+from vpptwin.files import check_own, is_same, write_whole
 from vpptwin.twin.spec import load_twin
 
 TWINS = {"mjcf": ("{}.xml", ".xml"), "mjlab": ("{}_mjlab.py", ".py")}
@@ -77,7 +77,7 @@ def export_twin(
     target = out or Path(default.format(Path(name).stem))
     if target.suffix.lower() != suffix:
         raise InputError(f"--out {target}", f"a name that ends in {suffix}", f"e.g. --out {default.format('twin')}")
-    if target.resolve() == spec.model_file.resolve():
+    if is_same(target, [spec.model_file]):
         raise InputError(f"--out {target} is the twin's own MJCF", "another file", "choose another name")
     if not force:
         check_own([target])

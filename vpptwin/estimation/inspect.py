@@ -20,7 +20,7 @@ from vpptwin.estimation.free_body import guess_all
 from vpptwin.estimation.guess import Guess
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.models import find_model
-from vpptwin.files import check_target, write_whole
+from vpptwin.files import check_own, check_target, is_same, write_whole
 from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.raw import LARGE
 from vpptwin.logs.read import read_flight
@@ -40,13 +40,14 @@ ROS_VECTORS = {f"{path}.{c}" for columns in SPATIAL.values() for path in columns
 """Components that are read without being named, in messages of poses, of odometry and of an IMU."""
 
 
-def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> list[Guess]:
+def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, force: bool = False) -> list[Guess]:
     """Show what is in logs and, with a model, which of the first one's signals is what; write a twin that says so.
 
     Args:
         logs: each a flight, or a folder of them.
         model: as of `find_model`.
         out: twin YAML to write; None for one called as the model, in the current folder.
+        force: overwrite one that says something else, as somebody may have corrected it.
 
     Returns:
         What was guessed, [] without a model.
@@ -61,7 +62,7 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
     target = out or Path(f"{path.stem if path else ''}_twin.yaml")
     if path is not None:
         read = [path, *(file for flight in flights for file in list_sources(flight))]
-        if target.resolve() in [file.resolve() for file in read]:
+        if is_same(target, read):
             raise InputError(f"{target} is what was read", "another file to write", "name one with --out")
         check_target(target)
     first: list[Signal] = []
@@ -77,7 +78,11 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None) -> l
     doubt_efforts(path, flights[0], guesses)
     guesses = ask(guesses) if sys.stdin.isatty() and sys.stdout.isatty() else guesses
     print_guesses(guesses)
-    write_whole(target, compose_twin(path, target, str(flights[0]), guesses))
+    content = compose_twin(path, target, str(flights[0]), guesses)
+    there = target.read_text(errors="replace") if target.is_file() else ""
+    if not force and list_entries(there) != list_entries(content):
+        check_own([target])
+    write_whole(target, content)
     print(f"wrote {target}")
     return guesses
 
@@ -95,6 +100,19 @@ def doubt_efforts(model: Path, log: Path, guesses: Sequence[Guess]) -> None:
         for far in judge_efforts(spec, [read_measurements(spec, flight)]):
             named[far.actuator].doubts.append(f"{far.tell()}: write scale: {far.scale:.4g}")
             named[far.actuator].sure = False
+
+
+def list_entries(text: str) -> object:
+    """What a twin YAML says, without its comments; its only topic goes unnamed, as it is called as the log."""
+    try:
+        content = yaml.safe_load(text)
+        entries = [e for group in content["signals"].values() for e in group.values() if isinstance(e, dict)]
+        if len({entry["topic"] for entry in entries}) == 1:
+            for entry in entries:
+                entry["topic"] = ""
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError):
+        return text
+    return content
 
 
 def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -> None:
@@ -153,7 +171,7 @@ def ask(guesses: Sequence[Guess]) -> list[Guess]:
 
 def compose_twin(model: Path, target: Path, log: str, guesses: Sequence[Guess]) -> str:
     """A twin YAML with a comment at each guess; what is unknown is commented out."""
-    relative = os.path.relpath(model.resolve(), target.resolve().parent)
+    relative = os.path.relpath(model.resolve(), target.parent.resolve())
     lines = [f"# Written by vpptwin inspect from {one_line(log)}; lines with DOUBT want a look.",
              f"model: {yaml.safe_dump(relative).splitlines()[0]}"]  # fmt: skip
     lines += ["signals:"] * bool(guesses)

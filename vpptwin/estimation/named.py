@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from vpptwin.errors import InputError
 from vpptwin.estimation.free_body import guess_all
-from vpptwin.estimation.inspect import compose_twin, print_guesses
+from vpptwin.estimation.inspect import compose_twin, list_entries, print_guesses
 from vpptwin.estimation.models import find_model
 from vpptwin.files import write_whole
 from vpptwin.logs.spelling import list_flights
@@ -49,16 +47,3 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
     if list_entries(out.read_text()) != list_entries(content):
         raise InputError(f"{out} is there already, and says something else", "none", f"give --twin {out}, or move it")
     return out
-
-
-def list_entries(text: str) -> object:
-    """What a twin YAML says, without its comments; its only topic goes unnamed, as it is called as the log."""
-    try:
-        content = yaml.safe_load(text)
-        entries = [e for group in content["signals"].values() for e in group.values() if isinstance(e, dict)]
-        if len({entry["topic"] for entry in entries}) == 1:
-            for entry in entries:
-                entry["topic"] = ""
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError):
-        return text
-    return content

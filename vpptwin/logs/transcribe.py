@@ -11,7 +11,7 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
 from vpptwin.errors import InputError
-from vpptwin.files import replace_files
+from vpptwin.files import is_same, replace_files
 from vpptwin.logs.raw import Block, RawChannel, Wish
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_sources
@@ -34,7 +34,7 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     """
     if out.suffix.lower() != ".mcap":
         raise InputError(f"{out} as the file to write", "a name that ends with .mcap", "rename it")
-    if out.resolve() in [file.resolve() for file in list_sources(log)]:
+    if is_same(out, list_sources(log)):
         raise InputError(f"{out} is the log itself", "another file to write", "choose another name")
     try:
         out.parent.stat()  # a log goes where somebody keeps logs

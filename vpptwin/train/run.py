@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from vpptwin.errors import InputError
-from vpptwin.files import replace_files, write_whole
+from vpptwin.files import check_own, replace_files, write_whole
 from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
 from vpptwin.train.devices import find_device
@@ -26,6 +26,8 @@ NEXT = """next: vpptwin evaluate {0}
       vpptwin fly {0} --out flight.mcap
       vpptwin plot {0} --out curves.png"""
 """What to do with a run that is over."""
+MARK = "# Written by vpptwin train.\n"
+"""By which a configuration of ours is known."""
 
 
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
@@ -51,7 +53,7 @@ def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     with explain_exhaustion(config):
         training = build_training(config, folder, saved)
     trim_logs(folder, saved["steps"] if saved else 0)
-    write_whole(folder / "config.yaml", yaml.safe_dump(to_plain(config), sort_keys=False))
+    write_whole(folder / "config.yaml", MARK + yaml.safe_dump(to_plain(config), sort_keys=False))
     started, begun = time.monotonic(), training.trainer.collected_frames
     try:
         with explain_exhaustion(config):
@@ -108,6 +110,8 @@ def open_folder(config: TrainConfig) -> Path:
     if config.resume is None and (folder / FILE_NAME).exists():
         advice = f"resume={folder} continues it; else choose another out"
         raise InputError(f"{folder} holds a run", "a new folder", advice)
+    if config.resume is None:
+        check_own([folder / "config.yaml"], "choose another out")
     try:
         with replace_files(folder, [FILE_NAME]):
             pass

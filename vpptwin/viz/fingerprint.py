@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vpptwin.effects import Effect
-from vpptwin.files import write_files
+from vpptwin.files import check_own, write_files
 from vpptwin.pilot import Script, pilot_commands
 from vpptwin.twin import Twin, TwinSpec, TwinState
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
@@ -160,13 +160,19 @@ def draw_fingerprint(print_: Fingerprint) -> bytes:
         right.set_xlabel(print_.cause_name)
         for axes in (left, right):
             axes.axhline(0.0, color=INK, linewidth=0.4)
-        figure.savefig(content, format="png", dpi=150, transparent=True, metadata={"Software": None})
+        figure.savefig(content, format="png", dpi=150, transparent=True, metadata={"Software": "vpptwin"})
     return content.getvalue()
 
 
-def draw_catalogue(spec: TwinSpec, folder: Path) -> list[Path]:
-    """Write a picture of every effect of a drone's catalogue that acts in flight into a folder, `ID.png`."""
+def draw_catalogue(spec: TwinSpec, folder: Path, force: bool = False) -> list[Path]:
+    """Write a picture of every effect of a drone's catalogue that acts in flight into a folder, `ID.png`.
+
+    Raises:
+        InputError: if it cannot be written to, or, without `force`, holds others of these names.
+    """
     flown = [effect for effect in spec.catalogue if not effect.touching]
+    if not force:
+        check_own(folder / f"{effect.id}.png" for effect in flown)
     return write_files(
         {folder / f"{effect.id}.png": draw_fingerprint(take_fingerprint(spec, effect)) for effect in flown}
     )

@@ -10,10 +10,10 @@ from vpptwin.files import write_files
 NAMES = ("foxglove.json", "plotjuggler.xml")
 
 
-def write_layouts(folder: Path) -> list[Path]:
+def write_layouts(folder: Path, force: bool = False) -> list[Path]:
     """Copy the layouts into a folder, which is made if need be; returns their paths.
 
     Raises:
-        InputError: if it cannot be written to.
+        InputError: if it cannot be written to, or, without `force`, holds others of these names.
     """
-    return write_files({folder / name: (files(__name__) / name).read_bytes() for name in NAMES})
+    return write_files({folder / name: (files(__name__) / name).read_bytes() for name in NAMES}, force)
