@@ -43,7 +43,7 @@ def make_twin(logs: Sequence[Path], model: str) -> Path:
     out = Path(f"{path.stem}_twin.yaml")
     content = compose_twin(path, out, str(log), guesses)
     if not out.exists():
-        return write_whole(out, content)
+        return write_whole(out, content, force=False)
     if list_entries(out.read_text()) != list_entries(content):
         raise InputError(f"{out} is there already, and says something else", "none", f"give --twin {out}, or move it")
     return out
