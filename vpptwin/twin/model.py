@@ -18,6 +18,7 @@ from vpptwin.twin.bounds import MOST_BYTES, bound_memory, check_claims, check_si
 from vpptwin.twin.manifold import BALL, FREE
 from vpptwin.twin.parts import read_parts
 from vpptwin.twin.trial import try_model
+from vpptwin.twin.urdf import check_urdf, drive_joints, explain_urdf, is_urdf, tell_drives
 
 HEAVY = 1e6
 """Inertia of a joint that follows its log, as a multiple of what it carries: what its motion is off by, inverted."""
@@ -48,6 +49,7 @@ def compile_model(
     """
     elements = read_parts(path)
     check_claims(path, elements)
+    check_urdf(path, elements)
     try_model(path, elements, MOST_BYTES)
     try:
         with bound_memory(), left_alone():  # a callback in Python would fail there
@@ -55,9 +57,8 @@ def compile_model(
     except InputError:
         raise
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
-        raise InputError(
-            f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer"
-        ) from error
+        told = InputError(f"{path}: MuJoCo says {error}", "an MJCF that compiles", "open it in MuJoCo's viewer")
+        raise (is_urdf(elements) and explain_urdf(path, elements, str(error))) or told from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
     check_names(path, bytes(model.names).decode("utf-8", "replace").split("\0"))
@@ -66,6 +67,8 @@ def compile_model(
     check_size(model, path)
     check_engine(model, path)
     check_inertia(model, path)
+    if is_urdf(elements):
+        tell_drives(path, elements)
     return model
 
 
@@ -86,14 +89,6 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
             joint.parent.simple = 0  # whose centre of mass effects may move
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
-
-
-def drive_joints(spec: mujoco.MjSpec) -> None:
-    """Give every joint of a URDF that may exert an effort a motor of its name: it says no more of what drives it."""
-    for joint in spec.joints if not spec.actuators else ():
-        if np.ptp(joint.actfrcrange) > 0.0:
-            motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.gainprm[0] = 1.0
 
 
 def check_names(path: Path, names: Iterable[str]) -> None:
