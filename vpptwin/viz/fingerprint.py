@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from vpptwin.effects import Effect
-from vpptwin.files import check_own, write_files
+from vpptwin.files import check_own, check_target, write_files
 from vpptwin.pilot import Script, pilot_commands
 from vpptwin.twin import Twin, TwinSpec, TwinState
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
@@ -171,8 +171,8 @@ def draw_catalogue(spec: TwinSpec, folder: Path, force: bool = False) -> list[Pa
         InputError: if it cannot be written to, or, without `force`, holds others of these names.
     """
     flown = [effect for effect in spec.catalogue if not effect.touching]
+    files = [folder / f"{effect.id}.png" for effect in flown]
+    check_target(files[0])
     if not force:
-        check_own(folder / f"{effect.id}.png" for effect in flown)
-    return write_files(
-        {folder / f"{effect.id}.png": draw_fingerprint(take_fingerprint(spec, effect)) for effect in flown}
-    )
+        check_own(files)
+    return write_files({file: draw_fingerprint(take_fingerprint(spec, effect)) for file, effect in zip(files, flown)})
