@@ -54,9 +54,8 @@ from same_rig.report import describe_machine  # noqa: E402
 from threadpoolctl import threadpool_limits  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import write_whole  # noqa: E402
+from vpptwin.files import check_target, write_whole  # noqa: E402
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -158,7 +157,7 @@ def check_tools(args: argparse.Namespace) -> None:
     if shutil.which(COMPILE[0]) is None:
         raise InputError(f"no {COMPILE[0]}", "a C compiler for the exported policies", "apt install gcc libc6-dev")
     if args.json:
-        check_target(args.json)
+        check_target(args.json, json=True)
 
 
 def read_rigs(path: Path) -> list[dict[str, Any]]:

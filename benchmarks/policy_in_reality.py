@@ -33,9 +33,8 @@ from tqdm import tqdm  # noqa: E402
 
 from tests.policy_flights import Sky, fly_assignments, load_flyer, measure, summarise  # noqa: E402
 from tests.reality import write_mcap  # noqa: E402
-from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import write_whole  # noqa: E402
+from vpptwin.files import check_target, write_whole  # noqa: E402
 from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402
 from vpptwin.train.evaluate import arm  # noqa: E402
 from vpptwin.train.randomize import PAPER_EFFECTS  # noqa: E402
@@ -149,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         for path in (options.json, options.log):
             if path:
-                check_target(path)
+                check_target(path, json=True)
         results = [run(options, controller) for controller in options.controller]
     except InputError as error:
         print(error, file=sys.stderr)

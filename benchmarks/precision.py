@@ -26,9 +26,8 @@ import torch  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
-from vpptwin.diagnosis.report.output import check_target  # noqa: E402
 from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import write_whole  # noqa: E402
+from vpptwin.files import check_target, write_whole  # noqa: E402
 from vpptwin.train.checkpoint import build_policy, read_checkpoint  # noqa: E402
 from vpptwin.train.env import VppEnv, make_env  # noqa: E402
 from vpptwin.train.evaluate import Conditions, configure_flights  # noqa: E402
@@ -193,7 +192,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         if options.json:
-            check_target(options.json)
+            check_target(options.json, json=True)
         result = report(options)
     except InputError as error:
         print(error, file=sys.stderr)

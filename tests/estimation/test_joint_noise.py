@@ -10,9 +10,9 @@ import pytest
 
 from vpptwin.errors import InputError
 from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, read_track
+from vpptwin.estimation.misread import vet_rates
 from vpptwin.estimation.noise import estimate_noise, find_count
 from vpptwin.estimation.series import align_rates, integrate
-from vpptwin.estimation.sound import vet_rates
 from vpptwin.logs.flight import Stream
 from vpptwin.twin.manifold import turn_to_world
 
