@@ -11,6 +11,8 @@ import pytest
 
 from tests.crafts import write_log
 from tests.diagnosis.rigs import CARTS, record
+from tests.mechanisms.recording import record as record_session
+from tests.mechanisms.session import draw_session
 from tests.torque_arm import Truth, swing_arm, write_arm
 from vpptwin.cli import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
@@ -135,6 +137,19 @@ def test_inspect_doubts_it_with_the_scale(tmp_path: Path) -> None:
     assert doubt.startswith("the effort of m_elbow looks like current: torque is 1")
     assert "write scale: 1" in doubt
     assert f"DOUBT: {doubt}" in (tmp_path / "found.yaml").read_text()
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(12.0, ""), (1e-3, "mN m")])
+def test_another_arm_with_hysteresis_and_gears(tmp_path: Path, factor: float, unit: str) -> None:
+    """Drawn, with an effect in it that no catalogue has, and gains of its motors in the MJCF."""
+    recorded = record_session(draw_session(4711, 10), tmp_path)
+    spec, flight = load_twin(recorded.twin), read_flight(recorded.logs[0])
+    (topic,) = set(spec.robot.signals.actuators.values())
+    scaled = {name: Stream(s.time, {"effort": s["effort"] / factor}) for name, s in flight.joints[topic].items()}
+    found = judge_efforts(spec, [read_measurements(spec, replace(flight, joints={**flight.joints, topic: scaled}))])
+    assert [each.unit for each in found] == [unit, unit]
+    np.testing.assert_allclose([each.scale for each in found], factor, rtol=0.25)
+    assert judge_efforts(spec, [read_measurements(spec, flight)]) == []
 
 
 @pytest.mark.slow

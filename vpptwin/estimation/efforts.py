@@ -17,14 +17,14 @@ from vpptwin.twin.spec import TwinSpec
 
 FAR = 3.3
 """Factor from which on a force is in another unit: `gain` reaches to 3, and no drive has less than a third of it."""
-LIKE, ALIKE, SAME = 0.96, 0.99, 0.999
-"""Correlation with the force that motion asks for from which on a factor above 1 tells, one below 1 that is a unit's,
-and those of all actuators together."""
+BESIDE, LIKE, ALIKE, SAME = 0.9, 0.96, 0.99, 0.999
+"""Correlation with the force that motion asks for from which on a factor above 1 tells beside another one, by itself,
+one below 1 that is a unit's, and those of all actuators together."""
 EXCITED, AGREE = 0.05, 0.3
 """Share of that force that either part of it, inertia and the rest, must have to tell the factor by itself; by how
 much both may differ."""
-UNIT, BEYOND = 0.03, 50.0
-"""How near a factor comes to that of a unit; from which on no load or rotor explains a smaller one."""
+UNIT, NEAR, BEYOND = 0.03, 0.25, 50.0
+"""How near a factor comes to that of a unit, and where no load or rotor explains it: those below 1 over the last."""
 FEWEST = 50
 
 
@@ -53,15 +53,17 @@ class Factor:
     def unit(self) -> str:
         """The unit that the effort is in, where the factor is that of one; else ""."""
         kind = "N m" if self.rotary else "N"
-        near = [unit for unit, (si, size) in UNITS.items()
-                if si == kind and size != 1.0 and abs(np.log(abs(self.factor) / size)) < UNIT]  # fmt: skip
-        return near[0] if near and self.factor > 0.0 else ""
+        off = {u: abs(np.log(abs(self.factor) / size)) for u, (si, size) in UNITS.items() if si == kind and size != 1.0}
+        nearest = min(off, key=lambda unit: off[unit])
+        near = NEAR if self.agree and abs(self.factor) < 1.0 / BEYOND else UNIT
+        return nearest if off[nearest] < near and self.factor > 0.0 else ""
 
     @property
     def scale(self) -> float:
         """The `scale` that the twin's signals must have for it, with that which they have."""
         had = self.entry.effort.scale if self.entry is not None and self.entry.effort is not None else 1.0
-        return self.factor * (had if isinstance(had, float) else 1.0)
+        size = UNITS[self.unit][1] if self.unit else self.factor
+        return size * (had if isinstance(had, float) else 1.0)
 
     @property
     def example(self) -> str:
@@ -95,15 +97,18 @@ def judge_efforts(spec: TwinSpec, measurements: Sequence[Measurements]) -> list[
     found = [fit_factor(spec, forces, name, dof) for name, dof in driving.items() if dof is not None]
     told = [each for each in found if each is not None and not 1.0 / FAR < abs(each.factor) < FAR]
     alike = len(told) == len(driving) > 1 and all(each.agree and each.likeness > SAME for each in told)
-    return [each for each in told if alike or is_clear(each)]
+    more = any(abs(each.factor) > 1.0 and is_clear(each) for each in told)
+    return [each for each in told if alike or is_clear(each, BESIDE if more else LIKE)]
 
 
-def is_clear(each: Factor) -> bool:
+def is_clear(each: Factor, likeness: float = LIKE) -> bool:
     """Whether no load and no rotor that the MJCF lacks would make such a factor."""
     if abs(each.factor) > 1.0:
-        return each.likeness > LIKE
+        return each.likeness > likeness
     beyond = abs(each.factor) < 1.0 / BEYOND
-    return each.likeness > ALIKE and ((beyond and each.agree) or (bool(each.unit) and (beyond or each.agree)))
+    if beyond and each.agree:
+        return each.likeness > (BESIDE if each.unit else ALIKE)
+    return bool(each.unit) and (beyond or each.agree) and each.likeness > ALIKE
 
 
 def find_own(spec: TwinSpec, actuator: int) -> int | None:

@@ -18,13 +18,11 @@ BLOCK, FOLDS = 1.0, 3
 SMOOTHED = 0.3
 """Over so long forces are compared as means [s]: motors know accelerations better than differences of rates do."""
 FORETOLD = 0.8
-"""Share of what nothing else explains that other motors must foretell."""
+"""Share of what nothing else explains that one other motor must foretell."""
 RIDGES = (1e-6, 1e-3, 1.0)
 """How much masses and the like may differ from the MJCF's: freely, somewhat, hardly. What foretells best holds."""
 MATERIAL, LEFT = 0.05, 0.01
 """Least shares of its own motor's force that others must add, and that nothing but them explains."""
-NAMED = 0.3
-"""Least share of what other motors foretell from which one of them is named."""
 ONE = 0.999
 """Correlation of two motors from which on they are asked for the same, and neither tells anything of the other."""
 STEP = 1e-3
@@ -55,7 +53,7 @@ def describe_other_motors(spec: TwinSpec, measurements: Sequence[Measurements]) 
 
 
 def tell_followed(spec: TwinSpec, forces: Forces, bodies: np.ndarray, dof: int, motors: Sequence[int]) -> list[str]:
-    """The sentences of one joint; `bodies` (n, k) is what a change of each of their numbers asks for there.
+    """The sentence of one joint, if any; `bodies` (n, k) is what a change of each of their numbers asks for there.
 
     Its own motor's force is what masses and laws of the joint ask for, whatever their sizes, less what others add.
     """
@@ -67,20 +65,18 @@ def tell_followed(spec: TwinSpec, forces: Forces, bodies: np.ndarray, dof: int, 
     loose = np.column_stack([bodies, chart(spec.model, forces.pose), forces.velocity, forces.acceleration])
     sure, loose, given = (smooth(forces, part) for part in (sure, loose, forces.actuator[:, others]))
     own, fold = smooth(forces, own[:, None])[:, 0], ((forces.time // BLOCK).astype(int) + forces.flight) % FOLDS
-    with_others = np.column_stack([sure, given])
     before = min(foretell(sure, loose, own, fold, ridge) for ridge in RIDGES)
-    after, ridge = min((foretell(with_others, loose, own, fold, ridge), ridge) for ridge in RIDGES)
+    tried = []
+    for i, other in enumerate(others):
+        beside = np.column_stack([sure, given[:, i]])
+        after, ridge = min((foretell(beside, loose, own, fold, ridge), ridge) for ridge in RIDGES)
+        tried.append((after, -float(solve(beside, loose, own, ridge)[sure.shape[1]]), float(given[:, i].std()), other))
+    after, slope, size, other = min(tried)
     share = 1.0 - (after / max(before, 1e-300)) ** 2
-    slopes = -solve(with_others, loose, own, ridge)[sure.shape[1] : with_others.shape[1]]
-    made = np.abs(slopes) * given.std(axis=0)
-    if share < FORETOLD or before < LEFT * own.std() or made.max() < MATERIAL * own.std():
+    if share < FORETOLD or before < LEFT * own.std() or abs(slope) * size < MATERIAL * own.std():
         return []
     name, units = spec.robot.name_dof, ["N m" if turns else "N" for turns in spec.robot.rotary]
-    return [
-        HINT.format(name(dof), name(other), slope, units[dof], units[other], np.sqrt(share))
-        for other, slope, size in zip(others, slopes, made, strict=True)
-        if size > NAMED * made.max()
-    ]
+    return [HINT.format(name(dof), name(other), slope, units[dof], units[other], np.sqrt(share))]
 
 
 def list_friction(forces: Forces, dof: int) -> np.ndarray:
