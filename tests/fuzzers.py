@@ -8,12 +8,14 @@ import json
 import os
 import re
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import scipy.io
 import torch
 import yaml
 from pyarrow import parquet
@@ -374,7 +376,55 @@ def draw_parts(rng: np.random.Generator, folder: Path) -> Path:
     return path
 
 
+CELLS = (
+    "", '"', '"' + "y" * 200_000, "z" * 300_000, "[1, 2", '"[1, 2]"', '"[0.1 0.2\n 0.3]"', "()", "1.000", "1,000",
+    "1e400", "-", "\0", "\r", "é", "\U0001f600", "#REF!", "0x1F", "nan", "inf", "2026-01-31 12:00:00",
+    "2026-99-99 12:00:00", "9" * 400, "1'000", "=1+1", ";;;;", "\t", "true", "sep=;", "\ufeff", "1 000,5", "12:00:00",
+)  # fmt: skip
+"""What a cell of a CSV may hold."""
+HEADS = (
+    "{'descr': [", "{'descr': '<f8', 'fortran_order': False, 'shape': (",
+    "{'descr': '|O', 'fortran_order': False, 'shape': (9,), }",
+    "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
+    "{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999,), }",
+    "{'descr': [('t', '<f8'), ('q', '<f8')], 'fortran_order': False, 'shape': (4,), }",
+    "'" * 3, "(" * 5000, "1_", "\\", "\0", "{}", "é",
+)  # fmt: skip
+"""What the head of a NumPy array may say."""
+
+
+def draw_table(rng: np.random.Generator, folder: Path) -> Path:
+    """A CSV, NumPy, MATLAB or Parquet file of a clock and a few columns, some of several tests, spoilt."""
+    time = 0.01 * np.arange(60)
+    columns: dict[str, Any] = {"t": time, "q": np.sin(time), "n": np.arange(60)}
+    tests = np.array([(time, time), (time[:9], time), ([], "x")], dtype=[("t", "O"), ("q", "O")])
+    path = folder / f"fuzz_{rng.integers(1 << 30)}{('.csv', '.npz', '.mat', '.parquet')[rng.integers(4)]}"
+    if path.suffix == ".csv":
+        marks = ",;\t |"
+        rows = [list(columns), *([f"{value:.3f}" for value in row] for row in zip(*columns.values()))]
+        for _ in range(rng.integers(0, 4)):
+            rows[rng.integers(len(rows))][rng.integers(3)] = CELLS[rng.integers(len(CELLS))]
+        mark = marks[rng.integers(len(marks))]
+        text = "\n" * int(rng.integers(2)) + "\n".join(mark.join(row) for row in rows) + "\n"
+        path.write_bytes(text.encode(("utf-8", "utf-16", "utf-16-le", "cp1252")[rng.integers(4)], "replace"))
+    elif path.suffix == ".npz":
+        np.savez(path, **columns, log=np.rec.fromarrays([time, time], names="t,q"))
+        if rng.random() < 0.5:
+            head = HEADS[rng.integers(len(HEADS))].encode()
+            with zipfile.ZipFile(path, "a") as archive:
+                archive.writestr("u.npy", b"\x93NUMPY\1\0" + len(head).to_bytes(2, "little") + head + bytes(80))
+    elif path.suffix == ".mat":
+        content: dict[str, Any] = {"tests": tests} if rng.random() < 0.5 else {**columns, "who": np.array(["ab", "c"])}
+        scipy.io.savemat(path, content, do_compression=True)
+    else:
+        columns |= {"episode_index": [k // 30 for k in range(60)], "l": [[1.0] * int(rng.integers(2, 4)) for _ in time]}
+        parquet.write_table(pa.table(columns), path)
+    if rng.random() < 0.5:
+        path.write_bytes(spoil_bytes(rng, path.read_bytes()))
+    return path
+
+
 DRAW: dict[str, Draw] = {
     "log": draw_log, "twin": draw_twin, "model": draw_model, "checkpoint": draw_checkpoint,
-    "set": draw_set, "bag": draw_bag, "parts": draw_parts,
+    "set": draw_set, "bag": draw_bag, "parts": draw_parts, "table": draw_table,
 }  # fmt: skip

@@ -48,7 +48,7 @@ def look(path: Path) -> None:
 
 USES: dict[str, Callable[[Path], object]] = {
     "log": read_flight, "twin": fly_twin, "model": fly_twin, "checkpoint": fly_checkpoint,
-    "set": look, "bag": read_flight, "parts": fly_twin,
+    "set": look, "bag": read_flight, "parts": fly_twin, "table": look,
 }  # fmt: skip
 
 

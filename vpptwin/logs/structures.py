@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,7 +36,8 @@ def split_run(path: Path) -> tuple[Path, int | None]:
     """File and number of FILE#NUMBER, a file alone without one."""
     file, mark, number = str(path).rpartition("#")
     found = mark and number.isdecimal() and len(number) < 10 and file.lower().endswith(RUN_FILES)
-    return (Path(file), int(number)) if found and not path.exists() and Path(file).is_file() else (path, None)
+    is_part = found and not os.path.exists(path) and os.path.isfile(file)
+    return (Path(file), int(number)) if is_part else (path, None)
 
 
 def simplify(value: Any) -> Any:  # noqa: ANN401
