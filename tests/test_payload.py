@@ -80,4 +80,4 @@ def test_a_load_ten_times_the_flange_is_found(load: float, place: float, tmp_pat
     assert low <= load <= high
     assert high - low < 0.2 * load
     assert load > 10.0 * LINKS[1][0]
-    assert verdict.after.chi2 < 1e-5 * verdict.before.chi2
+    assert verdict.after.chi2 < 1e-4 * verdict.before.chi2
