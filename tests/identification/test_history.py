@@ -137,6 +137,24 @@ def test_one_rule_about_files(known: History, tmp_path: Path, capsys: pytest.Cap
         assert main(command) == 0
 
 
+def test_a_page_that_fails_costs_only_itself(
+    known: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The figures are there, no old page lies beside them, and a line says why."""
+
+    def fail(*given: object) -> str:
+        raise IndexError("no such flight")
+
+    monkeypatch.setattr(module, "render_history", fail)
+    (tmp_path / "history.html").write_text("an old one, by vpptwin")
+    logs = [flight.log for flight in known.flights]
+    assert main(["history", *logs, "--twin", known.twin, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert "history.html could not be made: IndexError: no such flight" in said.err
+    assert "history.html" not in said.out
+    assert [file.name for file in tmp_path.iterdir()] == ["history.json"]
+
+
 def test_a_flight_that_shows_nothing(known: History) -> None:
     """Its place stays empty, on the page too; the trend is that of the others."""
     empty = replace(known.flights[2].fit, values={})

@@ -221,6 +221,21 @@ def test_bad_runs_are_told_so(folder: Path, tmp_path: Path, capsys: pytest.Captu
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_page_that_fails_does_not_cost_the_actuator(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is written, and a line says what is missing and why; no old page lies beside it."""
+
+    def fail(*given: object) -> str:
+        raise ZeroDivisionError("no runs")
+
+    monkeypatch.setattr("vpptwin.identification.command.render_page", fail)
+    (tmp_path / "a.html").write_text("an old one, by vpptwin")
+    assert main(["identify", str(plain), "--out", str(tmp_path / "a.yaml")]) == 0
+    assert "a.html could not be made: ZeroDivisionError: no runs" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
+
+
 def test_bad_files_are_told_so(plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An output that cannot be written, an actuator YAML that is none, one without the drone."""
     assert "a .yaml file" in refuse(["identify", str(plain), "--out", str(tmp_path / "actuator.json")], capsys)

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from vpptwin.actuators.file import ActuatorFile
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
+from vpptwin.diagnosis.report.output import Pieces
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.sources import open_flights
 from vpptwin.diagnosis.report.twin_file import extend_effects, name_twin, round_digits
@@ -58,11 +59,14 @@ def identify_bench(
     print_warnings(warning for run in runs for warning in run.warnings)
     content = compose_file(found, believed, origin)
     ActuatorFile.model_validate(content)
-    write_files({
-        out: yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120),
-        page: render_page(found, runs, origin),
-    })  # fmt: skip
-    print_found(found, out, page)
+    pieces = Pieces()
+    told = pieces.attempt(page.name, partial(render_page, found, runs, origin), "")
+    actuator = {out: yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)}
+    write_files({**actuator, page: told} if told else actuator)
+    if not told:
+        page.unlink(missing_ok=True)  # it is of another actuator
+    print_warnings(pieces.lost)
+    print_found(found, out, page if told else None)
 
 
 def check_out(out: Path) -> None:
@@ -123,7 +127,7 @@ def compose_file(found: Actuator, vehicle: Vehicle, origin: Provenance) -> dict[
     }  # fmt: skip
 
 
-def print_found(found: Actuator, out: Path, page: Path) -> None:
+def print_found(found: Actuator, out: Path, page: Path | None) -> None:
     """Print constants with their intervals, the thrust maps, and where the files lie."""
     console = open_console(110)
     table = Table("constant", "value", "90 % interval", "unit", box=None)
@@ -140,7 +144,7 @@ def print_found(found: Actuator, out: Path, page: Path) -> None:
     for constant in found.constants:
         if constant.note:
             console.print(f"{constant.name} {constant.note}")
-    console.print(f"{out} (a twin YAML refers to it by `actuator:`), {page}", soft_wrap=True)
+    console.print(f"{out} (a twin YAML refers to it by `actuator:`){f', {page}' if page else ''}", soft_wrap=True)
 
 
 def identify_flights(

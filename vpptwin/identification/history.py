@@ -6,13 +6,14 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.report.output import give_json, stage_results
+from vpptwin.diagnosis.report.output import Pieces, give_json, stage_results
 from vpptwin.diagnosis.report.provenance import Provenance, trace_origin
 from vpptwin.diagnosis.report.sources import Log, list_logs, open_flights, open_twin
 from vpptwin.effects import find_effect
@@ -65,13 +66,16 @@ class History(Record):
         Raises:
             InputError: if the folder cannot be written to, or holds such a file.
         """
-        with stage_results(Path(folder), [PAGE, DATA], force=force) as drafts:
+        with stage_results(Path(folder), [PAGE, DATA], [PAGE], force) as drafts:
             self.write(drafts, Path(folder))
 
-    def write(self, folder: Path, out: Path) -> None:
-        """Write both files into `folder`, to lie in `out` in the end."""
-        write_whole(folder / PAGE, self.render(["--out", str(out)]))
+    def write(self, folder: Path, out: Path) -> list[str]:
+        """Write both files into `folder`, to lie in `out` in the end; returns why the page could not be made, if so."""
+        pieces = Pieces()
         write_json(self.as_dict(), folder / DATA)
+        if page := pieces.attempt(PAGE, partial(self.render, ["--out", str(out)]), ""):
+            write_whole(folder / PAGE, page)
+        return pieces.lost
 
 
 @dataclass(frozen=True)
@@ -224,14 +228,14 @@ def follow_logs(
         InputError: as `history`, or if `out` cannot be written; old results are left as they were.
     """
     belongs, flown = parse_bands(bands), list_logs(logs)
-    with stage_results(out, [PAGE, DATA], force=force) as folder:
+    with stage_results(out, [PAGE, DATA], [PAGE], force) as folder:
         found = history(flown, twin, parameters, belongs, jobs, topic_map, effects)
-        found.write(folder, out)
-    print_warnings(found.warnings)
+        lost = found.write(folder, out)
+    print_warnings([*found.warnings, *lost])
     if json is not None:
         give_json(found.as_dict(), json)
     if json != STDOUT:
         console = open_console()
-        for told in [*found.sentences, str(out / PAGE), str(out / DATA)]:
+        for told in [*found.sentences, *([] if lost else [str(out / PAGE)]), str(out / DATA)]:
             console.print(told, soft_wrap=True)
     return LEFT_BAND if found.left else 0
