@@ -138,6 +138,13 @@ def test_of_two_publishers_the_first_of_one_stamp_is_believed(tmp_path: Path, ev
     assert flight.warnings == (f"{count} of {len(TIME) + count} messages on /joint_states arm repeat a stamp, dropped",)
 
 
+def test_a_time_in_two_columns_is_told(tmp_path: Path) -> None:
+    """Seconds and nanoseconds apart are no clock; the line says what to make of them."""
+    np.savetxt(tmp_path / "log.csv", np.eye(3), delimiter=",", header="s,ns,V", comments="")
+    with pytest.raises(InputError, match="write s \\+ 1e-9 ns as one column"):
+        survey(tmp_path / "log.csv")
+
+
 def test_a_table_in_place_of_messages_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A twin that names topics is given a CSV called as one of them: what would map its columns."""
     write_model(tmp_path / "arm.xml", {"arm": None}, "motor")

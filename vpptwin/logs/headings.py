@@ -97,6 +97,9 @@ def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None, units: Map
         wanted = stamp.path if stamp is not None else "time, t or timestamp"
         listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
         action = "call it so, or name it: `stamp: {path: NAME, unit: ms}`"
+        parts = [[n for n in names if list_names(n)[2] in _SPELLED[unit].split()] for unit in ("s", "ns")]
+        if all(parts):
+            action = f"write {parts[0][0]} + 1e-9 {parts[1][0]} as one column, `time`"
         raise InputError(f"{path}: columns {listed}", f"a column {wanted} with the time", action)
     return known[0]
 
