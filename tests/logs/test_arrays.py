@@ -203,7 +203,7 @@ def test_records_of_numpy_are_a_table(tmp_path: Path) -> None:
 def test_what_has_another_length_than_its_time_is_left_out_and_told(tmp_path: Path) -> None:
     """33 times 0.5 s apart, which are seconds, and 3201 values; refused where it is what is wanted."""
     signals = [{"values": np.arange(33.0), "label": "slow"}, {"values": np.arange(3201.0), "label": "fast"}]
-    content = {"out": {"time": 0.5 * np.arange(33), "signals": np.array(signals, dtype=object)}}
+    content = {"out": {"time": 0.5 * np.arange(33), "signals": np.array(signals, dtype=object), "gain": np.eye(3)}}
     log = save(tmp_path / "log.mat", content)
     recording, found = survey(log)
     assert recording.files[0].notes == ["/log: fast has 3201 values for 33 times: left out"]

@@ -37,6 +37,8 @@ SHEETS = {
     "a title of one cell": "Versuch 3\n\n" + sheet("Zeit [ms];Weg", ",", "."),
     "titles of as many cells": "Versuch 3;\nDatum;12.03.2026\n" + sheet("Zeit [ms];Weg", ",", "."),
     "a title with commas and a row of units": "links, vorn, ohne Last\nt;Weg\n" + sheet("ms;mm", ",", "."),
+    "titles that are no units": "Ensayo nº 4\nOperador;J. García;\n"
+    + sheet("Tiempo (ms);Weg;Par (Nm)", ",", ".", end=";0,1\n").replace("(Nm);0,1", "(Nm)"),
     "what Excel is told of the delimiter": sheet("sep=;\r\nZeit [ms];Weg", ",", ".", end="\r\n"),
     "a delimiter at the end of rows": sheet("Zeit [ms];Weg", ",", "", end=";\n").replace("Weg;", "Weg"),
 }
@@ -70,10 +72,10 @@ def test_a_sign_of_windows_is_read(tmp_path: Path) -> None:
     assert flight.warnings == ("run.csv is not in UTF-8, read as Windows-1252 (Latin-1)",)
 
 
-def write_odd(path: Path, cell: str, first: int = 0, names: str = "t,x,odd") -> Path:
+def write_odd(path: Path, cell: str, first: int = 0, before: str = "nan") -> Path:
     """Rows of whose third column the cells are these from row `first` on, with {k} for its number."""
-    cells = [cell.format(k=k, many=[0.0899] * (k % 4)) if k >= first else "nan" for k in range(COUNT)]
-    return write_csv(path, f"{names}\n" + "".join(f'{t},{x},"{odd}"\n' for t, x, odd in zip(TIME, PLACE, cells)))
+    cells = [cell.format(k=k, many=[0.0899] * (k % 4)) if k >= first else before for k in range(COUNT)]
+    return write_csv(path, "t,x,odd\n" + "".join(f'{t},{x},"{odd}"\n' for t, x, odd in zip(TIME, PLACE, cells)))
 
 
 ODD = {
@@ -82,6 +84,7 @@ ODD = {
     "lists over several lines": ("[0.0899\n {k}]", 0, ""),
     "text": ("run {k}", 0, "no numbers in odd, left out"),
     "numbers, then text": ("off {k}", 200, "cells that are not as the others in odd (100, the first 'off 200'), left"),
+    "text after blank cells": ("kicked, {k}", 100, "no numbers in odd, left out"),
     "errors of a spreadsheet": ("#DIV/0!", 100, ""),
     "structures": ("{{'gain': {k}}}", 0, "no numbers in odd, left out"),
 }
@@ -92,7 +95,7 @@ def test_columns_that_nobody_maps_stop_no_log(tmp_path: Path, monkeypatch: pytes
     """What a twin names is read whatever else a row holds; whoever looks at everything is told what was left out."""
     monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 2000)
     cell, first, note = ODD[name]
-    log = write_odd(tmp_path / "run.csv", cell, first)
+    log = write_odd(tmp_path / "run.csv", cell, first, "" if "blank" in name else "nan")
     flight = read_joint(log, "run", position="x")
     assert flight.joints["/joint_states"]["j"]["position"].tolist() == PLACE.tolist()
     assert flight.warnings == ()

@@ -229,9 +229,13 @@ def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.Monkey
     lists = [None if k == 3 else [7.0, q] if k != 30 else [7.0] for k, (_, q) in enumerate(ROWS)]
     odd = [[1.0] * (1 + 2 * (k % 2)) for k in range(len(ROWS))]
     late = [[k, k] if k < 30 else [k] for k in range(len(ROWS))]
-    table = pa.table({"t": [t for t, _ in ROWS], "q": lists, "odd": odd, "late": late, "p": [q for _, q in ROWS]})
+    half = [[1.0, q] if k % 3 else None for k, (_, q) in enumerate(ROWS)]
+    table = pa.table(
+        {"t": [t for t, _ in ROWS], "half": half, "q": lists, "odd": odd, "late": late, "p": [q for _, q in ROWS]}
+    )
     parquet.write_table(table, log := tmp_path / "state.parquet")
     assert len(read_joint(log, "state", position="q[1]").joints["/joint_states"]["j"]) == len(ROWS) - 2
+    assert len(read_joint(log, "state", position="half[1]").joints["/joint_states"]["j"]) == 26
     assert len(read_joint(log, "state", position="p").joints["/joint_states"]["j"]) == len(ROWS)
     with pytest.raises(InputError, match="late holds lists of several lengths"):
         read_joint(log, "state", position="late[0]")

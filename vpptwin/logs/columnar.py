@@ -165,8 +165,8 @@ def read_lists(column: Any, widths: dict[str, int], name: str) -> np.ndarray | N
         return None
     lengths = np.asarray(compute.list_value_length(column).fill_null(0).to_numpy(zero_copy_only=False))
     if name not in widths:
-        values, counts = np.unique(lengths, return_counts=True)
-        widths[name] = int(values[np.argmax(counts)]) if 4 * counts.max() > 3 * len(lengths) else 0
+        values, counts = np.unique(lengths[lengths > 0], return_counts=True)
+        widths[name] = int(values[np.argmax(counts)]) if len(values) and 4 * counts.max() > 3 * counts.sum() else 0
     width, good = widths[name], np.flatnonzero(lengths == widths[name])
     if not width or (len(good) < len(lengths) and not types.is_floating(kind)):
         return None

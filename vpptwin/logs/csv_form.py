@@ -84,7 +84,7 @@ def sniff(path: Path, notes: list[str]) -> Format:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     delimiter = told.group(1) if told else find_delimiter(sample)
     places, rows = part_lines(path, lines[start:], delimiter)
-    kinds = find_kinds(rows[:_LINES])
+    kinds = find_kinds(rows[:_LINES], rows)
     begin, named, united = find_heads(rows[:_LINES], kinds)
     if begin == len(rows):
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
@@ -140,13 +140,15 @@ def find_kind(cell: str) -> str:
     return "list" if cell.startswith(LISTS) else "number" if is_number(cell) else "text"
 
 
-def find_kinds(rows: Sequence[Sequence[str]]) -> list[str]:
-    """The kind of each column: that of most of its cells in the later half of the first rows."""
-    width = Counter(len(row) for row in reversed(rows)).most_common(1)[0][0]
-    body = [row for row in rows if len(row) == width]
+def find_kinds(first: Sequence[Sequence[str]], more: Sequence[Sequence[str]]) -> list[str]:
+    """The kind of each column: that of most of its cells in the later half of the first rows, or else of `more`."""
+    width = Counter(len(row) for row in reversed(first)).most_common(1)[0][0]
+    body = [row for row in first if len(row) == width]
     kinds = []
-    for column in zip(*body[len(body) // 2 :]):
+    for place, column in enumerate(zip(*body[len(body) // 2 :])):
         found = Counter(kind for cell in reversed(column) if (kind := find_kind(cell)))
+        if not any(column):  # blank, where NaN would say that numbers come
+            found = Counter(kind for row in more[len(first) :] if len(row) == width and (kind := find_kind(row[place])))
         kind = found.most_common(1)[0][0] if found else "number"
         widths = Counter(len(part_list(cell)) for cell in column if cell.startswith(LISTS)) if kind == "list" else {}
         ragged = bool(widths) and 2 * max(widths.values()) <= sum(widths.values())
@@ -169,10 +171,15 @@ def find_heads(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> tuple[int
     if not words:
         return (1, 0, None) if begin else (0, None, None)  # names that are numbers, or none
     last, before = words[-1], words[-2] if len(words) > 1 else None
-    if before is None or begin == len(rows) or not is_units(rows[last], rows[begin]):
+    filled = sum(map(bool, rows[last]))
+    if before is None or begin == len(rows) or sum(map(bool, rows[before])) < filled:
+        return last + 1, last, None
+    if not is_units(rows[last], rows[begin]):
         return last + 1, last, None
     known = sum(clean_unit(word) in UNITS for word in rows[last])
-    is_named = 2 * known < sum(map(bool, rows[last])) and any(split_time(cell)[0] for cell in rows[last])
+    united: dict[str, str] = {}
+    part_units(rows[last], united)
+    is_named = 2 * known < filled and (bool(united) or any(split_time(cell)[0] for cell in rows[last]))
     return (last + 1, last, None) if is_named else (last + 1, before, last)
 
 

@@ -61,6 +61,8 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
     Raises:
         InputError: if there is none, or what is wanted has another length than its time.
     """
+    beside = list_runs(content) if split_run(path)[1] is None and holds_table(content) else []
+    notes += [f"{path.name}: {name} is a test beside: {path}#{k}" for k, (name, _) in enumerate(beside[:3])]
     content = choose_run(path, content)
     groups = list(list_tables("", content, wish))
     if not groups:
@@ -75,12 +77,13 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
         stamp = wish.stamps.get(called)
         clock = find_clock(path, list(given), stamp, units)
         time = given[clock]
-        said = [f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()]
+        said = {name: f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()}
         if named := find_named(wish, called, {name: name_field(name) for name in group.odd}):
-            found = f"{path}: {called}: {next(line for line in said if line.startswith(named[0]))}"
+            found = f"{path}: {called}: {said[named[0]]}"
             raise InputError(found, "one at each time", "save it with a time of its own, or resample it")
-        if said and called not in wish.fields and max(group.odd.values()) > _SHORT:
-            notes.append(f"{called}: {', '.join(said[:8])}: left out")
+        long = [said[name] for name, count in group.odd.items() if count > _SHORT]
+        if long and called not in wish.fields:
+            notes.append(f"{called}: {', '.join(long[:8])}: left out")
         check_times(path, clock, time)
         unit = (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
         if unit not in ("s", units.get(clock)) and stamp is None:
