@@ -37,6 +37,7 @@ def look(
     table = np.column_stack(list(columns.values()))
     np.savetxt(folder / "log.csv", table, delimiter=",", header=",".join(columns), comments="")
     (folder / "quad.xml").write_text(MJCF if site else MJCF.replace('<site name="imu"/>', ""))
+    (folder / "twin.yaml").unlink(missing_ok=True)
     guesses = inspect_logs([folder / "log.csv"], str(folder / "quad.xml"), folder / "twin.yaml")
     return {guess.target: guess for guess in guesses}
 
