@@ -141,5 +141,5 @@ def test_columns_of_another_kind_are_refused(tmp_path: Path, column: str, value:
 def test_odd_numbers_of_episodes_are_no_files(tmp_path: Path, number: str) -> None:
     """FOLDER#NUMBER with what is no number of an episode."""
     folder = write_lerobot(tmp_path / "set")
-    with pytest.raises((InputError, OSError), match=r"no file|too long|expected FOLDER#EPISODE"):
+    with pytest.raises(InputError, match="expected FOLDER#EPISODE of LeRobot"):
         survey(Path(f"{folder}#{number}"))
