@@ -247,6 +247,33 @@ def test_a_target_is_called_as_the_joint_that_its_servo_moves(tmp_path: Path) ->
     assert "arm_target: the name of the joint that it moves" in servos[0].reasons
 
 
+@pytest.mark.parametrize("asked", [False, True])
+def test_efforts_are_called_as_the_joints_that_motors_move(tmp_path: Path, asked: bool) -> None:
+    """By columns or in a message, in another order than motors; what was asked for comes before what was measured."""
+    path = write_model(tmp_path / "m.xml", {"arm": None, "wrist": None}, "motor")
+    path.write_text(re.sub("<motor name='(arm|wrist)'", r"<motor name='\1_drive'", path.read_text()))
+    path.write_text(path.read_text().replace("arm_drive", "m1").replace("wrist_drive", "m2"))
+    columns = {"time": TIME, "wrist_pos": -SWING, "arm_pos": SWING, "wrist_effort": -RATE, "arm_effort": RATE}
+    columns |= {"wrist_torque_cmd": 1.1 * -RATE, "arm_torque_cmd": 1.1 * RATE} if asked else {}
+    motors = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[
+        2:
+    ]
+    found = [(motor.target, motor.fields["effort"].label, motor.sure) for motor in motors]
+    ending = "torque_cmd" if asked else "effort"  # which may be measured, and is asked
+    assert found == [("m1", f"arm_{ending}", asked), ("m2", f"wrist_{ending}", asked)]
+
+
+def test_commands_are_held_against_ranges_in_their_unit(tmp_path: Path) -> None:
+    """1000 gf are within 10 N."""
+    path = write_model(tmp_path / "m.xml", {"arm": None}, "motor")
+    path.write_text(
+        path.read_text().replace("<motor ", "<motor ctrllimited='true' ctrlrange='-12 12' ").replace("hinge", "slide")
+    )
+    columns = {"time": TIME, "arm_pos": SWING, "arm_thrust_cmd_gf": 1000.0 * RATE / np.abs(RATE).max()}
+    motor = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[1]
+    assert (motor.units, motor.doubts) == ({"effort": "gf"}, [])
+
+
 def test_the_topic_tells_what_numbers_without_names_are(tmp_path: Path) -> None:
     """Of a Float64MultiArray by its order, by the log's time, as it has no header; `diagnose` reads what is written."""
     path = write_model(tmp_path / "m.xml", {"left": None, "right": None}, "motor")

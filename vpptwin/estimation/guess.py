@@ -96,11 +96,8 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         # As of joints: a column that is called like one of them, and nothing more but that it was asked for.
         called = [split_words(guess.target) for guess in chosen]
         pool += [s for s in bare if s not in pool and [w for w in split_words(s.label) if w not in COMMANDED] in called]
-        assign(chosen, [guess.target for guess in chosen], pool, "effort")
-        for guess in (guess for guess in chosen if not guess.fields):
-            joint_words = split_words(find_moved(model, motors.index(guess.target)))
-            own = [s for s in pool if [w for w in split_words(s.label) if w not in COMMANDED] == joint_words]
-            settle(guess, "effort", own, "the name of the joint that it moves")
+        moved = [find_moved(model, motors.index(guess.target)) for guess in chosen]
+        assign(chosen, [guess.target for guess in chosen], pool, "effort", moved)
     for i, guess in enumerate(commands):
         driven = next((g for g in guesses if g.target == find_moved(model, i)), Guess("", "joints"))
         if kinds[i] == "position" and not guess.fields:
@@ -167,10 +164,20 @@ def tell_drive(model: mujoco.MjModel, actuator: int) -> str:
     return "lift" if kind == "effort" and not find_moved(model, actuator) else kind
 
 
-def assign(guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str) -> None:
-    """Give each of them its signal of a pool: by name, as the only one, or by order."""
+def assign(
+    guesses: Sequence[Guess], names: Sequence[str], pool: Sequence[Signal], quantity: str, moved: Sequence[str] = ()
+) -> None:
+    """Give each of them its signal of a pool: by name, by the joint that it alone moves, as the only one, or by order.
+
+    Where anything in the pool was asked for, a joint's name tells that alone: a joint's effort may be measured.
+    """
     for guess in guesses:
         settle(guess, quantity, [s for s in pool if names_it(s, guess.target, names)], "its name")
+    among = [s for s in pool if is_commanded(s)] or pool
+    for guess, joint in zip(guesses, moved):
+        if quantity not in guess.fields and joint and moved.count(joint) == 1:
+            own = [s for s in among if names_it(s, joint, moved)]
+            settle(guess, quantity, own, "the name of the joint that it moves")
     open_guesses = [guess for guess in guesses if quantity not in guess.fields]
     if len(open_guesses) < len(guesses) or not guesses:
         return
@@ -362,7 +369,8 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
     raw = kind == "effort" and (tell_quantity(command) == "drive" or is_spin(command))
     if kind == "effort" and not raw and (force := tell_force(model, actuator)):
         guess.units |= check_unit(guess, "effort", command, force)
-    known, scale = np.isfinite(command.values), UNITS[guess.units.get("effort", length)][1] if length else 1.0
+    unit = guess.units.get("effort", length)
+    known, scale = np.isfinite(command.values), UNITS[unit][1] if unit else 1.0
     asked = replace(command, time=command.time[known], values=command.values[known] * scale)
     if length == "rad" and moved is not None and len(moved.values):
         stops = model.jnt_range[joint] if model.jnt_limited[joint := model.actuator_trnid[actuator, 0]] else None
