@@ -255,9 +255,8 @@ def test_efforts_are_called_as_the_joints_that_motors_move(tmp_path: Path, asked
     path.write_text(path.read_text().replace("arm_drive", "m1").replace("wrist_drive", "m2"))
     columns = {"time": TIME, "wrist_pos": -SWING, "arm_pos": SWING, "wrist_effort": -RATE, "arm_effort": RATE}
     columns |= {"wrist_torque_cmd": 1.1 * -RATE, "arm_torque_cmd": 1.1 * RATE} if asked else {}
-    motors = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[
-        2:
-    ]
+    log = write_log(tmp_path / "l.csv", columns)
+    motors = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(log)[1])[2:]
     found = [(motor.target, motor.fields["effort"].label, motor.sure) for motor in motors]
     ending = "torque_cmd" if asked else "effort"  # which may be measured, and is asked
     assert found == [("m1", f"arm_{ending}", asked), ("m2", f"wrist_{ending}", asked)]
@@ -265,10 +264,8 @@ def test_efforts_are_called_as_the_joints_that_motors_move(tmp_path: Path, asked
 
 def test_commands_are_held_against_ranges_in_their_unit(tmp_path: Path) -> None:
     """1000 gf are within 10 N."""
-    path = write_model(tmp_path / "m.xml", {"arm": None}, "motor")
-    path.write_text(
-        path.read_text().replace("<motor ", "<motor ctrllimited='true' ctrlrange='-12 12' ").replace("hinge", "slide")
-    )
+    path = write_model(tmp_path / "m.xml", {"arm": None}, "motor", slide=True)
+    path.write_text(path.read_text().replace("<motor ", "<motor ctrllimited='true' ctrlrange='-12 12' "))
     columns = {"time": TIME, "arm_pos": SWING, "arm_thrust_cmd_gf": 1000.0 * RATE / np.abs(RATE).max()}
     motor = guess_signals(mujoco.MjModel.from_xml_path(str(path)), survey(write_log(tmp_path / "l.csv", columns))[1])[1]
     assert (motor.units, motor.doubts) == ({"effort": "gf"}, [])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from vpptwin.effects import Parameter
 from vpptwin.estimation.dynamics import REACH, Forces, measure_forces
 from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
@@ -60,17 +61,31 @@ def scale_twin(spec: TwinSpec, measurements: Sequence[Measurements]) -> TwinSpec
     """The twin with sizes, bounds and disturbances of effects that suit what the logs show of its rig."""
     if spec.robot.disturbance.known:  # and its scales with it
         return spec
-    robot = spec.robot.scale(measure_loads(spec, measure_forces(spec, measurements)))
+    return scale_to(spec, measure_loads(spec, measure_forces(spec, measurements)))
+
+
+def scale_to(spec: TwinSpec, loads: Loads) -> TwinSpec:
+    """The twin with sizes, bounds and disturbances of effects by the scales of a rig."""
+    robot = spec.robot.scale(loads)
     scaled = {effect.id: effect for effect in robot.list_effects()}
     catalogue = []
     for effect in spec.catalogue:
         values, found = spec.effects.get(effect.id, {}), scaled.get(effect.id, effect)
-        parameters = tuple(  # what the twin has may lie beyond what these logs would ask for
-            replace(p, low=min(p.low, values.get(p.name, p.low)), high=max(p.high, values.get(p.name, p.high)))
-            for p in found.parameters
+        parameters = tuple(
+            limit_search(p, possible, values.get(p.name, p.off))
+            for p, possible in zip(found.parameters, effect.parameters)
         )
         catalogue.append(replace(found, parameters=parameters))
     return replace(spec, robot=robot, catalogue=tuple(catalogue))
+
+
+def limit_search(parameter: Parameter, possible: Parameter, value: float) -> Parameter:
+    """A parameter with bounds for a search: what logs ask for, and the twin's own `value`, within what a twin may have.
+
+    Whatever is found there the next command takes.
+    """
+    low, high = min(parameter.low, value), max(parameter.high, value)
+    return replace(parameter, low=max(low, possible.low), high=min(high, possible.high))
 
 
 def measure_loads(spec: TwinSpec, forces: Forces) -> Loads:
