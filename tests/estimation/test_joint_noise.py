@@ -175,7 +175,7 @@ def test_how_a_gyro_is_mounted_is_no_noise() -> None:
 @pytest.mark.parametrize(
     ("factor", "told"),
     [(57.3, " times the turning of the attitudes and look like deg/s; expected"), (0.0175, "`unit: rad/s`"),
-     (2.0, "with `scale: 0.5"), (1.2, "")],
+     (2.0, "which is no unit: a heading that wheels which slip have turned, or a gyro of another range"), (1.2, "")],
 )  # fmt: skip
 def test_a_gyro_in_another_unit_is_refused(factor: float, told: str) -> None:
     """Whichever way its axes lie; a scale that is an effect's passes, and so does what shows no such motion."""

@@ -244,8 +244,11 @@ def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.Monkey
     assert {"t", "p", "q[0]", "q[1]"} <= {signal.field for signal in signals}
 
 
-def test_episodes_of_a_file_without_its_folder_are_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_episodes_of_a_file_without_its_folder_are_flights(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Parquet out of a LeRobot data set: FILE#EPISODE, never one laid over another."""
+    monkeypatch.setenv("COLUMNS", "300")  # so that no line is folded
     file = tmp_path / "some.parquet"
     file.write_bytes((write_lerobot(tmp_path / "set") / "data/chunk-000/file-000.parquet").read_bytes())
     entry = SignalEntry.model_validate({"topic": "some", "position": "observation.state[0]"})
@@ -527,9 +530,9 @@ def test_transcription_keeps_everything(tmp_path: Path) -> None:
 def test_bad_conversions_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str, out: str, part: str
 ) -> None:
-    """In one line, with exit code 2."""
+    """In one line, with exit code 2, even with --force."""
     Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(5)).write()
-    assert main(["convert", str(tmp_path / source), str(tmp_path / out)]) == 2
+    assert main(["convert", "--force", str(tmp_path / source), str(tmp_path / out)]) == 2
     assert part in capsys.readouterr().err
 
 
