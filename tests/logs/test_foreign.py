@@ -244,11 +244,8 @@ def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.Monkey
     assert {"t", "p", "q[0]", "q[1]"} <= {signal.field for signal in signals}
 
 
-def test_episodes_of_a_file_without_its_folder_are_flights(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_episodes_of_a_file_without_its_folder_are_flights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Parquet out of a LeRobot data set: FILE#EPISODE, never one laid over another."""
-    monkeypatch.setenv("COLUMNS", "300")  # so that no line is folded
     file = tmp_path / "some.parquet"
     file.write_bytes((write_lerobot(tmp_path / "set") / "data/chunk-000/file-000.parquet").read_bytes())
     entry = SignalEntry.model_validate({"topic": "some", "position": "observation.state[0]"})
@@ -262,7 +259,7 @@ def test_episodes_of_a_file_without_its_folder_are_flights(
     with pytest.raises(InputError, match="no episode 5; expected #0, #1"):
         survey(Path(f"{file}#5"))
     assert main(["inspect", str(file)]) == 0
-    assert "some.parquet#1: " in capsys.readouterr().out
+    assert "some.parquet#1: " in capsys.readouterr().out.replace("\n", "")  # long paths are folded
 
 
 def write_lerobot(folder: Path) -> Path:

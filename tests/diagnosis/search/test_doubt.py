@@ -42,7 +42,13 @@ def test_noise_of_logged_torques_is_no_inertia(tmp_path: Path) -> None:
     assert judged.evidence_against(search.start) < 0.0
 
 
-@pytest.mark.parametrize(("number", "effect"), [(4, "joint1.inertia"), (7, "shoulder.inertia"), (1, "pole.inertia")])
+@pytest.mark.parametrize(
+    ("number", "effect"),
+    [
+        pytest.param(4, "joint1.inertia", marks=pytest.mark.slow), (1, "pole.inertia"),
+        pytest.param(7, "shoulder.inertia", marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_an_inertia_that_is_there_keeps_its_evidence(number: int, effect: str, tmp_path: Path) -> None:
     """Double pendulums and a cart-pole in which that is hidden."""
     search = search_logs(draw_session(901, number, "inertia"), tmp_path)
