@@ -84,9 +84,7 @@ class Selection:
         return float(min((1.0 - others) * (1.0 - 0.5 * doubt), criteria.most_confident))
 
 
-def select_causes(
-    search: Search, held_out: HeldOut, stage: Stage, deadline: Deadline | None = None
-) -> Selection:  # fmt: skip
+def select_causes(search: Search, held_out: HeldOut, stage: Stage, deadline: Deadline | None = None) -> Selection:
     """Add the best suspect as long as it clears the bar, matters and improves held-out windows; prune; try rivals.
 
     Raises:

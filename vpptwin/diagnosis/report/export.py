@@ -128,7 +128,7 @@ def list_topics(robot: Robot, twin: str, tracks: Sequence[Track], i: int) -> lis
             joints: dict[str, dict[str, np.ndarray]] = {}
             for index, row in rows.items():
                 joints.setdefault(dofs[own[index].dof], {})[own[index].kind] = own[index].predicted[i, row]
-            for columns in {tuple(held) for held in joints.values()}:
+            for columns in dict.fromkeys(tuple(held) for held in joints.values()):
                 alike = {joint: held for joint, held in joints.items() if tuple(held) == columns}
                 topics.append(Topic(f"/twin/{twin}{source}", time, joints=alike))
     return topics
