@@ -54,8 +54,8 @@ from same_rig.report import describe_machine  # noqa: E402
 from threadpoolctl import threadpool_limits  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import check_target, write_whole  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
+from vpptwin.system.files import check_target, write_whole  # noqa: E402
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:

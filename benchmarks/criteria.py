@@ -31,8 +31,8 @@ from hidden.session import find, fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria  # noqa: E402
-from vpptwin.files import write_json  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
+from vpptwin.system.files import write_json  # noqa: E402
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 MEASURED = ROOT / "benchmarks/results/criteria_8001.json"

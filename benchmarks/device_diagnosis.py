@@ -18,8 +18,8 @@ from typing import Any
 from same_rig.report import describe_machine
 
 from vpptwin import diagnose
-from vpptwin.demo import DIAGNOSED
-from vpptwin.resources import flights_dir
+from vpptwin.cli.demo import DIAGNOSED
+from vpptwin.system.resources import flights_dir
 
 
 def list_numbers(data: Any, where: str = "") -> Iterator[tuple[str, float]]:  # noqa: ANN401

@@ -36,8 +36,8 @@ from same_rig.report import describe_machine  # noqa: E402
 from tests.crafts import write_log  # noqa: E402
 from tests.mechanisms.session import draw_session  # noqa: E402
 from vpptwin.diagnosis.judgement.diagnose import diagnose  # noqa: E402
-from vpptwin.files import write_json  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
+from vpptwin.system.files import write_json  # noqa: E402
 from vpptwin.twin import Twin, load_twin  # noqa: E402
 
 MINUTE = 60.0

@@ -25,8 +25,8 @@ fi
 python - <<'PY' || exit 2
 import sys
 import torch
-from vpptwin.errors import InputError
-from vpptwin.train.devices import check_warp, find_device
+from vpptwin.system.errors import InputError
+from vpptwin.train.learn.devices import check_warp, find_device
 try:
     check_warp(find_device("cuda"))
 except InputError as error:

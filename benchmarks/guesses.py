@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 
-from vpptwin.estimation.free_body import tell_body
-from vpptwin.estimation.guess import Guess, guess_signals
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.free_body import tell_body
+from vpptwin.mapping.guess import Guess, guess_signals
+from vpptwin.mapping.survey import survey
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SO_ARM = {

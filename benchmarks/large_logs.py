@@ -23,8 +23,8 @@ from mcap.writer import MCAP0_MAGIC
 COLUMNS = [f"v{i}" for i in range(13)]
 ROWS = 1 << 17
 READ = """import sys
-from vpptwin.errors import InputError
-from vpptwin.fields import SignalEntry
+from vpptwin.system.errors import InputError
+from vpptwin.system.fields import SignalEntry
 from vpptwin.logs import read_flight
 entry = SignalEntry.model_validate({"topic": "one", "position": "v0", "velocity": "v1"})
 try:

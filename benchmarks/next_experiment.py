@@ -14,17 +14,17 @@ from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.flights import SETTLE, build_bench
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.experiment import Candidate, fly_library, observe_candidates
 from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import separate
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight
-from vpptwin.pilot.flight import SETTLING, fly
-from vpptwin.pilot.gusts import CARRIERS, Gusts
-from vpptwin.pilot.manoeuvre import Manoeuvre
-from vpptwin.pilot.recording import record_streams
-from vpptwin.pilot.scripted import ScriptedPilot
+from vpptwin.robots.planar_drone.experiment import Candidate, fly_library, observe_candidates
+from vpptwin.robots.planar_drone.pilot.flight import SETTLING, fly
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
+from vpptwin.robots.planar_drone.pilot.manoeuvre import Manoeuvre
+from vpptwin.robots.planar_drone.pilot.recording import record_streams
+from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
 from vpptwin.twin import Twin, TwinSpec, load_twin
 
 

@@ -27,10 +27,10 @@ sys.path.insert(0, str(ROOT))
 from same_rig.report import describe_machine  # noqa: E402
 from training.campaign import SETUPS, VARIANTS, Run, run_campaign  # noqa: E402
 
-from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import write_whole  # noqa: E402
-from vpptwin.viz.curves import draw_curves  # noqa: E402
-from vpptwin.viz.plot import write_story  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
+from vpptwin.system.files import write_whole  # noqa: E402
+from vpptwin.viz.plots.curves import draw_curves  # noqa: E402
+from vpptwin.viz.plots.plot import write_story  # noqa: E402
 
 PAPER = {
     "VA": (0.035, 0.082, 0.08),

@@ -22,7 +22,7 @@ from same_rig.report import describe_machine, format_table
 from same_rig.rig import FRICTION, SUBSTEPS, draw_actions, write_rig
 from same_rig.simulator import SIMULATORS, Simulator, find_simulator
 
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
 
 CHECK_STEPS = 20
 """Control steps of the flight that is compared, 0.2 s: long enough for an error of 10 % in any number to show."""

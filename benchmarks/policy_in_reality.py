@@ -33,13 +33,13 @@ from tqdm import tqdm  # noqa: E402
 
 from tests.policy_flights import Sky, fly_assignments, load_flyer, measure, summarise  # noqa: E402
 from tests.reality import write_mcap  # noqa: E402
-from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import check_target, write_whole  # noqa: E402
-from vpptwin.train.checkpoint import read_checkpoint  # noqa: E402
-from vpptwin.train.evaluate import arm  # noqa: E402
-from vpptwin.train.randomize import PAPER_EFFECTS  # noqa: E402
-from vpptwin.train.tasks import TASKS  # noqa: E402
-from vpptwin.vehicle import load_vehicle  # noqa: E402
+from vpptwin.robots.planar_drone.vehicle import load_vehicle  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
+from vpptwin.system.files import check_target, write_whole  # noqa: E402
+from vpptwin.train.env.randomize import PAPER_EFFECTS  # noqa: E402
+from vpptwin.train.env.tasks import TASKS  # noqa: E402
+from vpptwin.train.evaluate.evaluate import arm  # noqa: E402
+from vpptwin.train.learn.checkpoint import read_checkpoint  # noqa: E402
 
 EFFECTS = {"none": (), "paper": PAPER_EFFECTS, "worn": PAPER_EFFECTS}
 """What is hidden in every flight."""

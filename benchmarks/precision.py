@@ -26,13 +26,13 @@ import torch  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
-from vpptwin.errors import InputError  # noqa: E402
-from vpptwin.files import check_target, write_whole  # noqa: E402
-from vpptwin.train.checkpoint import build_policy, read_checkpoint  # noqa: E402
-from vpptwin.train.env import VppEnv, make_env  # noqa: E402
-from vpptwin.train.evaluate import Conditions, configure_flights  # noqa: E402
-from vpptwin.train.observe import OBSERVATION, wrap_angle  # noqa: E402
-from vpptwin.train.reward import compute_reward  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
+from vpptwin.system.files import check_target, write_whole  # noqa: E402
+from vpptwin.train.env.observe import OBSERVATION, wrap_angle  # noqa: E402
+from vpptwin.train.env.reward import compute_reward  # noqa: E402
+from vpptwin.train.env.vpp_env import VppEnv, make_env  # noqa: E402
+from vpptwin.train.evaluate.evaluate import Conditions, configure_flights  # noqa: E402
+from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint  # noqa: E402
 
 Controller = Callable[[torch.Tensor], torch.Tensor]
 """From observations (N, 11) to actions (N, 2)."""

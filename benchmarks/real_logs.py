@@ -30,7 +30,7 @@ from same_rig.report import describe_machine  # noqa: E402
 from examples.double_pendulum.convert import convert as convert_double  # noqa: E402
 from examples.simple_pendulum.convert import convert as convert_simple  # noqa: E402
 from examples.so101.convert import convert as convert_so101  # noqa: E402
-from vpptwin.files import write_json  # noqa: E402
+from vpptwin.system.files import write_json  # noqa: E402
 
 SURE = 0.9
 """Confidence from which a cause is claimed."""

@@ -22,9 +22,9 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
 
-from vpptwin.identification.thrust_map import CANDIDATES, ThrustMap, fit_map  # noqa: E402
-from vpptwin.viz.figure import name_axes, open_figure, write_svg  # noqa: E402
-from vpptwin.viz.palette import BLUE, GREEN, ORANGE, VERMILION  # noqa: E402
+from vpptwin.robots.planar_drone.thrust_stand.thrust_map import CANDIDATES, ThrustMap, fit_map  # noqa: E402
+from vpptwin.viz.plots.figure import name_axes, open_figure, write_svg  # noqa: E402
+from vpptwin.viz.plots.palette import BLUE, GREEN, ORANGE, VERMILION  # noqa: E402
 
 FORMS = [candidate for candidate in CANDIDATES if candidate.power == 1]
 """At one speed the power of ω makes no difference."""

@@ -112,7 +112,7 @@ def read_peak() -> float:
 
 def describe_device(device: str) -> str:
     """Warp's words for it, with its driver."""
-    from vpptwin.twin.warp_step import load_warp
+    from vpptwin.twin.warp.step import load_warp
 
     wp = load_warp()
     return f"{wp.get_device(device).name}, driver CUDA {wp.get_cuda_driver_version()}, Warp {wp.__version__}"

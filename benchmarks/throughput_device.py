@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 from throughput_rigs import FRICTION, SUBSTEPS, TASK, Rigs, Spent
 
-from vpptwin.resources import find_model_file
-from vpptwin.train.randomize import Priors, randomize
+from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS
+from vpptwin.system.resources import find_model_file
+from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.drone import CRAFT_JOINTS
-from vpptwin.twin.losses import take_out_losses
-from vpptwin.twin.warp_mujoco import WarpMujoco
-from vpptwin.twin.warp_step import WarpStep, load_warp
+from vpptwin.twin.robot.losses import take_out_losses
+from vpptwin.twin.warp.mujoco import WarpMujoco
+from vpptwin.twin.warp.step import WarpStep, load_warp
 
 FLIGHT = 50
 """Control steps after which all rigs start where they started."""
@@ -104,7 +104,7 @@ class DeviceEnvRigs(DeviceRigs):
         super().__init__(count, threads, seed, device)
         import torch
 
-        from vpptwin.train.device_env import DeviceEnv
+        from vpptwin.train.env.device_env import DeviceEnv
 
         spec, place = load_twin(), torch.device(device)
         every = [e.id for e in spec.catalogue]

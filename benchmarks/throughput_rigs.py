@@ -13,13 +13,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from vpptwin.engine.callback import stopped_clock
-from vpptwin.resources import find_model_file
-from vpptwin.train.randomize import Priors, randomize
-from vpptwin.train.tasks import HOVER, Task
+from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.system.resources import find_model_file
+from vpptwin.train.env.randomize import Priors, randomize
+from vpptwin.train.env.tasks import HOVER, Task
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.drone import CRAFT_JOINTS
-from vpptwin.twin.losses import take_out_losses
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.twin.robot.losses import take_out_losses
 
 FRICTION = 0.3
 """Dry friction on each rail [N]."""
@@ -179,7 +179,7 @@ class EnvRigs(Rigs):
         super().__init__(count, threads, seed)
         import torch
 
-        from vpptwin.train.env import VppEnv
+        from vpptwin.train.env.vpp_env import VppEnv
 
         torch.set_num_threads(1)
         spec = load_twin()

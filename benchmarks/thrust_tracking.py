@@ -27,8 +27,8 @@ from tqdm import tqdm  # noqa: E402
 
 from tests.thrust_tracking import COMMANDS, NOMINAL, Track, draw_stands, track_thrust  # noqa: E402
 from vpptwin.twin import Twin, load_twin  # noqa: E402
-from vpptwin.viz.figure import INK, name_axes, open_figure, write_svg  # noqa: E402
-from vpptwin.viz.palette import BLUE, VERMILION  # noqa: E402
+from vpptwin.viz.plots.figure import INK, name_axes, open_figure, write_svg  # noqa: E402
+from vpptwin.viz.plots.palette import BLUE, VERMILION  # noqa: E402
 
 DURATION, LEARNED, HOLD = 12.0, 2.0, 5.0
 """Of each run; of learning; until the command of "held" has settled [s]."""

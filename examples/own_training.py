@@ -9,7 +9,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env import make_env
+from vpptwin.train.env.vpp_env import make_env
 
 DRONES, STEPS = 64, 32  # side by side, and 0.01 s each between two updates
 env = make_env(TrainConfig(num_envs=DRONES, twin="typical"))  # hovers; any option of `vpptwin train --help`

@@ -36,7 +36,7 @@ def pytest_report_header() -> str:
 @pytest.fixture(autouse=True)
 def _trust_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     """What one test lets run, no other does."""
-    monkeypatch.setattr("vpptwin.trust._trusted", set())
+    monkeypatch.setattr("vpptwin.system.trust._trusted", set())
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from vpptwin.actuators.adaptive import start_memory
 from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.layer import layer_dtype
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
 
 STEP = 0.001  # s
 NOMINAL = load_vehicle()

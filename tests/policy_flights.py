@@ -21,16 +21,16 @@ from tests.reality.flight import FlightPlan
 from tests.reality.policy import Policy
 from tests.thrust_tracking import draw_worn
 from vpptwin.effects import Effect, Parameter
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import build_policy, read_checkpoint
-from vpptwin.train.evaluate import summarize
-from vpptwin.train.flights import TURN_GRACE, count_turns
-from vpptwin.train.observe import OBSERVATION, wrap_angle
-from vpptwin.train.randomize import PAPER_EFFECTS
-from vpptwin.train.rotors import strengthen
-from vpptwin.train.tasks import TASKS, Task
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import OBSERVATION, wrap_angle
+from vpptwin.train.env.randomize import PAPER_EFFECTS
+from vpptwin.train.env.rotors import strengthen
+from vpptwin.train.env.tasks import TASKS, Task
+from vpptwin.train.evaluate.evaluate import summarize
+from vpptwin.train.evaluate.flights import TURN_GRACE, count_turns
+from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint
 from vpptwin.twin import load_twin
-from vpptwin.vehicle import Vehicle, load_vehicle
 
 PERIOD, TICK = 0.01, 10  # s, samples of a recording's truth: of the policy
 CENTRAL = 2.0  # standard deviations of a prior that are flown: 95 % of what training draws

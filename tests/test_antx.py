@@ -10,9 +10,9 @@ import pytest
 import yaml
 from PIL import Image
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.verdict import Estimate
-from vpptwin.diagnosis.report.words import format_value
+from vpptwin.report.words import format_value
 
 ROOT = Path(__file__).resolve().parents[1]
 TWIN = ROOT / "examples/antx/rail.yaml"

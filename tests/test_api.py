@@ -14,7 +14,7 @@ import pytest
 
 import vpptwin
 from tests.diagnosis.made_up import FLIP, make_diagnosis
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def result() -> vpptwin.Result:
     """A made-up diagnosis of the demo's flip: these tests are about how it is given back."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("vpptwin.diagnosis.report.result.judge", lambda *given, **named: make_diagnosis())
+        patched.setattr("vpptwin.report.result.judge", lambda *given, **named: make_diagnosis())
         return vpptwin.diagnose(FLIP, progress=False)
 
 
@@ -64,7 +64,7 @@ def test_a_wrong_name_is_told() -> None:
 def test_what_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a line, as the commands do; for whoever asks whether it is there, it is not."""
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "vpptwin.train.environments", raising=False)
+    monkeypatch.delitem(sys.modules, "vpptwin.train.env.environments", raising=False)
     monkeypatch.delitem(vars(vpptwin), "make_env", raising=False)
     with pytest.raises(vpptwin.InputError, match=r"make_env needs torch, .* pip install 'vpptwin\[train\]'"):
         _ = vpptwin.make_env
@@ -116,7 +116,7 @@ def test_a_result_is_saved_as_the_command_saves_it(
     result: vpptwin.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same files; but for the moment they hold the same; its twin is the one that is written."""
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", lambda *given, **named: make_diagnosis())
+    monkeypatch.setattr("vpptwin.report.result.judge", lambda *given, **named: make_diagnosis())
     result.save(tmp_path / "mine")
     assert main(["diagnose", str(FLIP), "--out", str(tmp_path / "its")]) == 0
     names = sorted(file.name for file in (tmp_path / "its").iterdir())

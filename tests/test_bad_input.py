@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.bad_files import LOGS, MAPS, SHORT, TWINS, fill_shelf
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 

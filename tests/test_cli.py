@@ -18,14 +18,15 @@ from PIL import Image
 
 from tests import leg
 from tests.quadrotor import write_twin
-from vpptwin import __version__, demo
-from vpptwin.cli import main
+from vpptwin import __version__
+from vpptwin.cli import demo
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.verdict import Estimate
-from vpptwin.diagnosis.report.words import format_value
 from vpptwin.effects import CATALOGUE, find_effect
 from vpptwin.logs import read_flight
+from vpptwin.report.words import format_value
 from vpptwin.twin import load_twin
-from vpptwin.twin.signals import Signals
+from vpptwin.twin.robot.signals import Signals
 
 ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / "demo" / "flights"

@@ -7,7 +7,7 @@ import multiprocessing
 import numpy as np
 import pytest
 
-from vpptwin.cores import in_parts, map_rows
+from vpptwin.system.cores import in_parts, map_rows
 
 
 def double(rows: int) -> float:

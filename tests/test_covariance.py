@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.covariance import factor, invert, logdet, solve
-from vpptwin.errors import InputError
+from vpptwin.diagnosis.search.covariance import factor, invert, logdet, solve
+from vpptwin.system.errors import InputError
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vpptwin"
 ROWS = np.random.default_rng(0).standard_normal((5, 8))

@@ -6,8 +6,8 @@ import signal
 
 import pytest
 
-from vpptwin.deadline import Deadline, Stopped, read_limit, tell_time
-from vpptwin.errors import InputError
+from vpptwin.system.deadline import Deadline, Stopped, read_limit, tell_time
+from vpptwin.system.errors import InputError
 
 
 @pytest.mark.parametrize(

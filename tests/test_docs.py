@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from vpptwin import __version__
-from vpptwin.cli import build_parser
+from vpptwin.cli.main import build_parser
 from vpptwin.train.overrides import parse_overrides
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 LOOP = " ".join(f"benchmarks/results/close_the_loop_{seed}.json" for seed in range(3))

@@ -22,7 +22,7 @@ from examples.double_pendulum.by_hand import (
 )
 from examples.double_pendulum.convert import convert
 from tests.by_hand import check_causes
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs import read_flight
 from vpptwin.twin import load_twin
 

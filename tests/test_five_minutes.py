@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs/five_minutes.md"
 LENGTH, MIDDLE = 0.18, (0.13, 0.17)  # m: joint to joint, joint to the links' centres of mass

@@ -16,17 +16,17 @@ from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_t
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Track
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.diagnosis.report.prediction import predict_flight
-from vpptwin.diagnosis.report.twin_file import name_twin
-from vpptwin.errors import InputError
 from vpptwin.estimation.initial import estimate_states
-from vpptwin.estimation.inspect import inspect_logs
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.replay import replay
 from vpptwin.estimation.windows import cut_windows, fly_windows
 from vpptwin.logs.read import read_flight
+from vpptwin.mapping.inspect import inspect_logs
+from vpptwin.report.prediction import predict_flight
+from vpptwin.report.twin_file import name_twin
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
-from vpptwin.twin.manifold import (
+from vpptwin.twin.robot.manifold import (
     chart,
     difference_attitudes,
     difference_poses,
@@ -36,10 +36,10 @@ from vpptwin.twin.manifold import (
     rotate,
     turn_to_world,
 )
-from vpptwin.twin.robot import Loads
-from vpptwin.twin.signals import Signals
-from vpptwin.viz.panels import tell_flight
-from vpptwin.viz.show import prepare_show
+from vpptwin.twin.robot.robot import Loads
+from vpptwin.twin.robot.signals import Signals
+from vpptwin.viz.plots.panels import tell_flight
+from vpptwin.viz.scene.show import prepare_show
 
 ARM_ON_BASE = """<mujoco><worldbody><body name="base"><freejoint/><geom size="1"/>
 <body><joint name="elbow" type="hinge"/><geom size="1"/></body></body></worldbody></mujoco>"""

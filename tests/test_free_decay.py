@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.diagnosis.rigs import DAMPING, DECAYS, let_swing, record
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.diagnosis.judgement.wrench import plot_wrench

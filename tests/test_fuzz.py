@@ -13,12 +13,12 @@ import pytest
 
 from tests.fuzzers import DRAW
 from tests.measured import read_peak
-from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
 from vpptwin.logs.spelling import list_flights
-from vpptwin.logs.survey import survey
-from vpptwin.train.checkpoint import build_policy, read_checkpoint
-from vpptwin.train.evaluate import Conditions, evaluate
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
+from vpptwin.train.evaluate.evaluate import Conditions, evaluate
+from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint
 from vpptwin.twin import Twin, load_twin
 
 ROUNDS = 40

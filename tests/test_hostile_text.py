@@ -16,12 +16,12 @@ import torch
 
 from tests.diagnosis.made_up import FLIP, make_diagnosis
 from tests.twin.own_effect_files import SLIDE, WAVE, write_effects, write_rig
-from vpptwin.cli import main
-from vpptwin.diagnosis.report import result
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.logs.write import FlightWriter
-from vpptwin.terminal import Screen, open_console, show_plainly
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.report import result
+from vpptwin.system.errors import InputError
+from vpptwin.system.terminal import Screen, open_console, show_plainly
+from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.twin import load_twin
 
 MARKUP = "</script><script>alert(1)</script><img src=x onerror=alert(1)>$\\frac{_[/b]:bug:"

@@ -14,9 +14,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from vpptwin.errors import InputError
-from vpptwin.files import check_own
-from vpptwin.jobs import read_jobs, share_out
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import check_own
+from vpptwin.system.jobs import read_jobs, share_out
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -63,7 +63,7 @@ def test_a_process_that_ends_is_told() -> None:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_nothing_is_left_running(number: int) -> None:
     """Whatever ends the process that shared out the work."""
-    script = "if __name__ == '__main__':\n import time; from vpptwin.jobs import share_out\n"
+    script = "if __name__ == '__main__':\n import time; from vpptwin.system.jobs import share_out\n"
     script += " dict(share_out(time.sleep, [90, 90], 2))"
     parent = subprocess.Popen([sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": str(ROOT)})
     deadline = time.monotonic() + 60.0

@@ -12,7 +12,6 @@ import pytest
 from tests.crafts import write_log
 from tests.leg import STEP, move, simulate, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.errors import InputError
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.joints import smooth_series
 from vpptwin.estimation.measurements import read_measurements
@@ -21,11 +20,12 @@ from vpptwin.estimation.series import Series
 from vpptwin.estimation.windows import cut_windows, fly_windows
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
-from vpptwin.twin.manifold import difference_attitudes, difference_poses, follow_sign, rotate
-from vpptwin.twin.robot import Loads
-from vpptwin.viz.panels import tell_flight
-from vpptwin.viz.show import prepare_show
+from vpptwin.twin.robot.manifold import difference_attitudes, difference_poses, follow_sign, rotate
+from vpptwin.twin.robot.robot import Loads
+from vpptwin.viz.plots.panels import tell_flight
+from vpptwin.viz.scene.show import prepare_show
 
 BOB = """<mujoco><option timestep="0.001"/><worldbody><body euler="0 0 90"><body name="bob" euler="180 0 0">
 <joint name="hook" type="ball"/><geom type="sphere" size="0.03" pos="0.05 0 0.3" mass="0.2"/><site name="imu"/></body>

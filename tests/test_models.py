@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from vpptwin.resources import models_dir
-from vpptwin.twin.losses import take_out_losses
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.system.resources import models_dir
+from vpptwin.twin.robot.losses import take_out_losses
 
 MODELS = ("vpp_planar", "rail_rig")
 JOINTS = ("rail_x", "rail_z", "pitch")

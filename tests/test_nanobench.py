@@ -9,10 +9,10 @@ import pytest
 
 import vpptwin
 from examples.nanobench.by_hand import look
-from vpptwin.diagnosis.judgement.logged_inputs import turn_as_logged
-from vpptwin.errors import InputError
+from vpptwin.diagnosis.evidence.logged_inputs import turn_as_logged
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/nanobench"

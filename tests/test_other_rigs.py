@@ -25,7 +25,7 @@ from tests.diagnosis.rigs import (
     record,
     swing_pendulum,
 )
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 SECOND = 4
 """Index of 1 s among the horizons of SPEC 7."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.diagnosis.made_up import FLIP, make_up
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 FLY = ["fly", "--manoeuvre", "x_steps", "--duration", "6", "--out", "flight.mcap"]
 WRITERS = {

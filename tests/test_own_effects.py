@@ -10,10 +10,10 @@ import pytest
 import yaml
 
 from tests.diagnosis.judgement.test_verdict import VERDICT
-from vpptwin.cli import main
-from vpptwin.diagnosis.report.provenance import trace_origin
-from vpptwin.diagnosis.report.twin_file import compose_twin
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
+from vpptwin.report.provenance import trace_origin
+from vpptwin.report.twin_file import compose_twin
+from vpptwin.system.errors import InputError
 from vpptwin.train.overrides import compose_config
 from vpptwin.twin import TwinSpec, load_twin
 
@@ -95,7 +95,7 @@ def test_diagnose_takes_the_extended_twin(extended: Path, tmp_path: Path, monkey
         seen.append(spec)
         raise InputError("enough", "no more", "stop")
 
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", stop)
+    monkeypatch.setattr("vpptwin.report.result.judge", stop)
     given = ["--twin", str(extended), "--effects", str(COGGING), "--out", str(tmp_path / "out")]
     assert main(["diagnose", LOGS[0], *given]) == 2
     assert seen[0].effects == HIDDEN
@@ -105,7 +105,7 @@ def test_diagnose_takes_the_extended_twin(extended: Path, tmp_path: Path, monkey
 @pytest.mark.parametrize("given", ["twin", "effects"])
 def test_train_takes_the_extended_twin(extended: Path, given: str) -> None:
     """In the environment of a run the user's effect is on with the twin's value, or drawn from its prior."""
-    from vpptwin.train.env import make_env
+    from vpptwin.train.env.vpp_env import make_env
 
     small = ["num_envs=2", "rollout=2", "minibatch=4", "sim_threads=1", "desynchronize=false"]
     if given == "twin":

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
-from vpptwin.twin.model import is_indifferent
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.model import is_indifferent
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 WHEEL = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="pivot" axis="0 1 0" damping="0.001"/>

@@ -26,9 +26,9 @@ from tests.reality.control import PITCH_LSB, Firmware
 from tests.reality.flight import FlightPlan
 from tests.reality.policy import PolicyPilot, observe
 from tests.reality.rig import load_nominal
-from vpptwin.train import observe as trained
-from vpptwin.train.randomize import PAPER_EFFECTS
-from vpptwin.train.tasks import FLIP
+from vpptwin.train.env import observe as trained
+from vpptwin.train.env.randomize import PAPER_EFFECTS
+from vpptwin.train.env.tasks import FLIP
 
 CATALOGUE, VEHICLE = read_drone()
 

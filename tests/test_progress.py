@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from vpptwin.progress import open_bar, tell_stage, tell_wait
+from vpptwin.system.progress import open_bar, tell_stage, tell_wait
 
 
 def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

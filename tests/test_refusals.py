@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 BODY = '<geom type="sphere" size="0.05" pos="0 0 -0.3" mass="1"/><site name="tip" pos="0 0 -0.3"/>'

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from tests.twin.own_effect_files import WAVE
-from vpptwin.errors import InputError
-from vpptwin.files import DRAFTS, LEFT, replace_files
-from vpptwin.signals import defer_signal, heed_signals
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import DRAFTS, LEFT, replace_files
+from vpptwin.system.signals import defer_signal, heed_signals
 from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -147,7 +147,7 @@ def test_a_signal_that_is_deferred_interrupts_nothing_and_the_next_one_does(
     monkeypatch: pytest.MonkeyPatch, taken: bool
 ) -> None:
     """Where it is taken; one that is not, and one behind the block, interrupt as ever."""
-    monkeypatch.setattr("vpptwin.signals.AGAIN", 0.0)
+    monkeypatch.setattr("vpptwin.system.signals.AGAIN", 0.0)
     told: list[int] = []
 
     def take(number: int) -> bool:
@@ -168,7 +168,7 @@ def test_a_signal_that_is_deferred_interrupts_nothing_and_the_next_one_does(
 
 def test_effects_that_never_return_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiled, and as Python: a line names them."""
-    monkeypatch.setattr("vpptwin.twin.effect_trial.LONGEST", 5.0)
+    monkeypatch.setattr("vpptwin.twin.robot.effect_trial.LONGEST", 5.0)
     endless = WAVE.replace("slide", "rail_x").replace(
         "    return -force", "    while force > -1.0:\n        force = 1.0\n    return -force"
     )

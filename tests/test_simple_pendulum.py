@@ -21,7 +21,7 @@ from examples.simple_pendulum.by_hand import (
 )
 from examples.simple_pendulum.convert import convert
 from tests.by_hand import SURE, check_causes
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs import read_flight
 from vpptwin.twin import load_twin
 

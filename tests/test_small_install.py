@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from vpptwin.errors import EXTRAS, explain_missing
+from vpptwin.system.errors import EXTRAS, explain_missing
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = """
@@ -22,7 +22,7 @@ class Refuse:
         if name.partition('.')[0] in sys.argv[1].split(','):
             raise ModuleNotFoundError(f'No module named {name!r}', name=name)
 sys.meta_path.insert(0, Refuse())
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 for command in json.load(sys.stdin):
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):

@@ -12,7 +12,7 @@ import pytest
 
 from examples.so101.by_hand import INERTIA, LIMITS, MAKERS, WEIGHT, fit_joint, miss, prepare, weigh
 from examples.so101.convert import JOINTS, convert, read_motion
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin
 

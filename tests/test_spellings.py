@@ -16,12 +16,12 @@ from pyarrow import parquet
 
 from tests.diagnosis.made_up import find_nothing, fit_nothing
 from tests.diagnosis.rigs import TWIN, UNDRIVEN, let_swing
-from vpptwin.cli import main
-from vpptwin.diagnosis.report.sources import open_flights
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.spelling import find_files, list_flights, list_parts, name_log, split_sum, stem_log
 from vpptwin.logs.write import FlightWriter
+from vpptwin.report.sources import open_flights
+from vpptwin.system.errors import InputError
 
 RATE, COUNT = 50, 400
 """Of a log [Hz], and its rows."""
@@ -82,9 +82,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quick(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder, to work in; nothing is searched for, fitted or drawn there, all else is as it is."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", find_nothing)
+    monkeypatch.setattr("vpptwin.report.result.judge", find_nothing)
     for place in ("history", "command"):
-        monkeypatch.setattr(f"vpptwin.identification.{place}.fit_flights", fit_nothing)
+        monkeypatch.setattr(f"vpptwin.robots.planar_drone.thrust_stand.{place}.fit_flights", fit_nothing)
     return folder
 
 

@@ -10,14 +10,14 @@ import pytest
 import torch
 
 from tests.test_own_effects import COGGING, LOGS, PAGE
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
+from vpptwin.system.trust import trust
 from vpptwin.train.config import to_config
-from vpptwin.train.env import make_env
-from vpptwin.train.evaluate import Conditions, evaluate
-from vpptwin.train.live import LiveFlight
-from vpptwin.trust import trust
+from vpptwin.train.env.vpp_env import make_env
+from vpptwin.train.evaluate.evaluate import Conditions, evaluate
+from vpptwin.train.evaluate.live import LiveFlight
+from vpptwin.train.learn.checkpoint import read_checkpoint
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from vpptwin.errors import InputError
-from vpptwin.resources import models_dir
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
+from vpptwin.system.errors import InputError
+from vpptwin.system.resources import models_dir
 
 Numbers = dict[str, dict[str, object]]
 

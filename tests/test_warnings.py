@@ -12,7 +12,7 @@ import pytest
 
 import vpptwin
 from tests.diagnosis.made_up import FLIP, find_nothing, fit_nothing
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Stream
@@ -98,10 +98,10 @@ def test_every_command_says_what_the_verdict_does(
     def list_first(flights: Sequence[Measurements], window: float) -> list[np.ndarray]:
         return [starts[:1] for starts in list_starts(flights, window)]
 
-    monkeypatch.setattr("vpptwin.diagnosis.report.result.judge", find_nothing)
-    monkeypatch.setattr("vpptwin.diagnosis.report.compare.list_starts", list_first)
+    monkeypatch.setattr("vpptwin.report.result.judge", find_nothing)
+    monkeypatch.setattr("vpptwin.report.compare.list_starts", list_first)
     for place in ("history", "command"):
-        monkeypatch.setattr(f"vpptwin.identification.{place}.fit_flights", fit_nothing)
+        monkeypatch.setattr(f"vpptwin.robots.planar_drone.thrust_stand.{place}.fit_flights", fit_nothing)
     log = str(break_log(tmp_path / "log.mcap", "stuck at the end", "dead rotor state", "doubled"))
     named = ["--parameters", "air.drag"]
     out = str(tmp_path / "out")

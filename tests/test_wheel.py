@@ -73,7 +73,8 @@ def test_wheel_holds_models_and_package(wheel: Path) -> None:
 def test_wheel_runs_its_own_code(installation: Installation) -> None:
     """Package, models and flights come from the new environment, not from this checkout."""
     script = (
-        "import vpptwin as v, vpptwin.resources as r; print(v.__file__, r.models_dir(), r.flights_dir(), sep='\\n')"
+        "import vpptwin as v, vpptwin.system.resources as r\n"
+        "print(v.__file__, r.models_dir(), r.flights_dir(), sep='\\n')"
     )
     done = installation.run("python", "-c", script)
     assert done.returncode == 0, done.stderr

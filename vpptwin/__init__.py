@@ -8,16 +8,16 @@ from importlib import import_module
 TYPE_CHECKING = False  # `typing` itself takes as long as all else before Ctrl-C is heeded
 if TYPE_CHECKING:
     from vpptwin.diagnosis.judgement.verdict import Verdict as Verdict
-    from vpptwin.diagnosis.report.compare import Comparison as Comparison
-    from vpptwin.diagnosis.report.compare import compare as compare
-    from vpptwin.diagnosis.report.result import Result as Result
-    from vpptwin.diagnosis.report.result import diagnose as diagnose
-    from vpptwin.errors import InputError as InputError
-    from vpptwin.identification.history import History as History
-    from vpptwin.identification.history import history as history
+    from vpptwin.drift.history import History as History
+    from vpptwin.drift.history import history as history
     from vpptwin.logs import Flight as Flight
     from vpptwin.logs import read_flight as read_log
-    from vpptwin.train.environments import make_task_env as make_env
+    from vpptwin.report.compare import Comparison as Comparison
+    from vpptwin.report.compare import compare as compare
+    from vpptwin.report.result import Result as Result
+    from vpptwin.report.result import diagnose as diagnose
+    from vpptwin.system.errors import InputError as InputError
+    from vpptwin.train.env.environments import make_task_env as make_env
     from vpptwin.twin import Twin as Twin
     from vpptwin.twin import TwinSpec as TwinSpec
     from vpptwin.twin import load_twin as load_twin
@@ -29,19 +29,19 @@ __all__ = [
 ]  # fmt: skip
 
 _PLACES = {
-    "Comparison": "vpptwin.diagnosis.report.compare:Comparison",
+    "Comparison": "vpptwin.report.compare:Comparison",
     "Flight": "vpptwin.logs:Flight",
-    "History": "vpptwin.identification.history:History",
-    "InputError": "vpptwin.errors:InputError",
-    "Result": "vpptwin.diagnosis.report.result:Result",
+    "History": "vpptwin.drift.history:History",
+    "InputError": "vpptwin.system.errors:InputError",
+    "Result": "vpptwin.report.result:Result",
     "Twin": "vpptwin.twin:Twin",
     "TwinSpec": "vpptwin.twin:TwinSpec",
     "Verdict": "vpptwin.diagnosis.judgement.verdict:Verdict",
-    "compare": "vpptwin.diagnosis.report.compare:compare",
-    "diagnose": "vpptwin.diagnosis.report.result:diagnose",
-    "history": "vpptwin.identification.history:history",
+    "compare": "vpptwin.report.compare:compare",
+    "diagnose": "vpptwin.report.result:diagnose",
+    "history": "vpptwin.drift.history:history",
     "load_twin": "vpptwin.twin:load_twin",
-    "make_env": "vpptwin.train.environments:make_task_env",
+    "make_env": "vpptwin.train.env.environments:make_task_env",
     "read_log": "vpptwin.logs:read_flight",
 }
 
@@ -58,7 +58,7 @@ def __getattr__(name: str) -> object:
     try:
         found: object = getattr(import_module(module), there)
     except ImportError as error:
-        from vpptwin.errors import MissingError, explain_missing
+        from vpptwin.system.errors import MissingError, explain_missing
 
         problem = explain_missing(error, f"vpptwin.{name}") if isinstance(error, ModuleNotFoundError) else None
         if problem is None:

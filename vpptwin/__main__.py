@@ -20,7 +20,7 @@ def stop(number: int, frame: object = None) -> NoReturn:
 
 signal.signal(signal.SIGINT, stop)
 
-from vpptwin.cli import main  # noqa: E402
+from vpptwin.cli.main import main  # noqa: E402
 
 
 def run() -> int:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.errors import explain_missing
+from vpptwin.system.errors import explain_missing
 
 try:
     import gymnasium
@@ -19,9 +19,9 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(explain_missing(error, __name__) or error, name=error.name) from error
 
-from vpptwin.train.env import VppEnv
-from vpptwin.train.environments import make_task_env
-from vpptwin.train.tasks import TASKS
+from vpptwin.train.env.environments import make_task_env
+from vpptwin.train.env.tasks import TASKS
+from vpptwin.train.env.vpp_env import VppEnv
 
 Told = dict[str, Any]
 METADATA: Told = {"render_modes": ["rgb_array"], "render_fps": 100}
@@ -33,7 +33,7 @@ class TwinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One drone flying a task: the observation of SPEC 6, thrust and rate in [-1, 1] of the vehicle's limits.
 
     Args:
-        task: one of `vpptwin.train.tasks.TASKS`.
+        task: one of `vpptwin.train.env.tasks.TASKS`.
         render_mode: `rgb_array`, or None.
         options: twin, noise, randomize, as of `vpptwin.make_env`.
 
@@ -71,7 +71,7 @@ class TwinVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: N.
-        task: one of `vpptwin.train.tasks.TASKS`.
+        task: one of `vpptwin.train.env.tasks.TASKS`.
         render_mode: `rgb_array`, or None.
         options: twin, noise, randomize, as of `vpptwin.make_env`.
 

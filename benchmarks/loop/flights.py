@@ -22,13 +22,13 @@ from tests.reality import fly_policy, write_mcap
 from tests.reality.flight import FlightPlan, fly_many
 from tests.reality.policy import Policy
 from vpptwin.deploy.load import CompiledController
-from vpptwin.pilot.flight import fly
-from vpptwin.pilot.gusts import CARRIERS, Gusts
-from vpptwin.pilot.library import LIBRARY
-from vpptwin.pilot.manoeuvre import find_manoeuvre
-from vpptwin.pilot.scripted import ScriptedPilot
-from vpptwin.train.observe import accumulate_error, observe
-from vpptwin.train.tasks import Task
+from vpptwin.robots.planar_drone.pilot.flight import fly
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
+from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
+from vpptwin.train.env.observe import accumulate_error, observe
+from vpptwin.train.env.tasks import Task
 from vpptwin.twin import Twin, load_twin
 
 LOGGED = 20.0

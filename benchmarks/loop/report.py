@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from loop.steps import POLICIES
-from vpptwin.files import write_whole
-from vpptwin.viz.figure import follow_reader, open_figure, write_svg
-from vpptwin.viz.palette import BLUE, GREY, ORANGE, PURPLE, VERMILION
+from vpptwin.system.files import write_whole
+from vpptwin.viz.plots.figure import follow_reader, open_figure, write_svg
+from vpptwin.viz.plots.palette import BLUE, GREY, ORANGE, PURPLE, VERMILION
 
 LOST = 0.5
 """What a lost flight counts as in the score [m], as in the choice of a run's best policy."""

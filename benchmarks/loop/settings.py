@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.policy_flights import Effects, Sky, read_drone
 from tests.reality.rig import draw_tolerances, load_nominal
-from vpptwin.train.tasks import Task
+from vpptwin.train.env.tasks import Task
 
 TASK = ("task=flip", "task.target.z=[0.75,1.5]")
 """What every policy trains: flips whose targets reach down to where the floor's cushion of air is felt."""

@@ -15,8 +15,8 @@ import yaml
 
 from loop.flights import fly_rig, load_policy, log_flights, log_manoeuvre, predict
 from loop.settings import TASK, Rig, tell_truth
-from vpptwin.files import write_whole
-from vpptwin.train.checkpoint import build_policy, read_checkpoint
+from vpptwin.system.files import write_whole
+from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint
 from vpptwin.train.stored import FILE_NAME, find_checkpoint
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 GOVERNOR_KP, GOVERNOR_KI = 0.08, 0.5
 """Speed feedback of the governor [V s/rad] and [V/rad], the choice in docs/architecture.md."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from same_rig.cascade import Cascade
 from same_rig.rig import EPISODE, START_POSE, START_VELOCITY, SUBSTEPS, TRAVEL
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 
 class RailRig(gymnasium.Env):

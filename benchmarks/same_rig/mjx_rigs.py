@@ -15,7 +15,7 @@ from mujoco import mjx
 
 from same_rig.cascade import GOVERNOR_KI, GOVERNOR_KP
 from same_rig.rig import EPISODE, START_POSE, START_VELOCITY, SUBSTEPS, TRAVEL
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 ITERATIONS = (2, 6)
 """Iterations of the solver and of its line search. In float32 the rig's tolerance is out of reach and all rigs of a

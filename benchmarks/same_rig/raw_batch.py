@@ -10,7 +10,7 @@ from mujoco.batch import Batch
 from numba import cfunc, types
 
 from same_rig.rig import START_POSE, START_VELOCITY, SUBSTEPS
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 
 class RawBatch:

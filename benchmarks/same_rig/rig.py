@@ -7,9 +7,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from vpptwin.twin.drone import CRAFT_JOINTS
-from vpptwin.twin.losses import take_out_losses
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.twin.robot.losses import take_out_losses
 
 RIG_FILE = Path(__file__).resolve().parents[2] / "models" / "rail_rig.xml"
 FRICTION = 0.3

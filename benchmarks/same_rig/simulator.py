@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 
 class Simulator(Protocol):

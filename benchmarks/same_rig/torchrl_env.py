@@ -13,7 +13,7 @@ from torchrl.envs.custom.mujoco.base import MujocoEnv
 
 from same_rig.cascade import Cascade
 from same_rig.rig import EPISODE, START_POSE, START_VELOCITY, SUBSTEPS, TRAVEL
-from vpptwin.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 
 
 class RailRig(MujocoEnv):

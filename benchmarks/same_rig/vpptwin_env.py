@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from same_rig.rig import FRICTION, START_POSE, START_VELOCITY
-from vpptwin.train.env import VppEnv
-from vpptwin.train.tasks import HOVER
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.train.env.tasks import HOVER
+from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.twin import Twin, load_twin
-from vpptwin.vehicle import Vehicle
 
 RAILS = ("rail_x.coulomb", "rail_z.coulomb")
 

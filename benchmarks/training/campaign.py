@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from vpptwin.viz.curves import PANELS, read_curve
+from vpptwin.viz.plots.curves import PANELS, read_curve
 
 ROOT = Path(__file__).resolve().parents[2]
 SETUPS = {name: [f"setup={name}"] for name in ("VA", "TA", "PI", "All")}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.survey import survey
 
 FOLDERS = (
     "normal_flight", "add_weight_W1_near_M3", "add_weight_W3_near_M3", "tape_on_propeller_M3", "cut_propeller_M3_2mm",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vpptwin.vehicle import Motor, Rotor, Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Motor, Rotor, Vehicle, load_vehicle
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ from vpptwin.actuators.adaptive import (
     start_memory,
 )
 from vpptwin.actuators.blade import compute_drag_torque
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
 
 DURATION, LEARNED = 7.0, 2.0

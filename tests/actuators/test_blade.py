@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vpptwin.actuators.blade import compute_drag_torque, compute_thrust, max_thrust, pitch_for_thrust
-from vpptwin.vehicle import Rotor, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Rotor, load_vehicle
 
 NOMINAL = load_vehicle().rotor
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
 
 NOMINAL = load_vehicle()
 

@@ -13,9 +13,9 @@ from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.layer import layer_dtype
 from vpptwin.actuators.motor import compute_current
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.train.env import make_env
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
+from vpptwin.train.env.vpp_env import make_env
 from vpptwin.twin import Twin, load_twin
-from vpptwin.vehicle import load_vehicle
 
 VEHICLE = load_vehicle()
 HIDDEN = {"servo.trim": {"offset_1": 0.01, "offset_2": -0.01}, "servo.backlash": {"gap": 0.02},

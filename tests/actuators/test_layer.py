@@ -17,7 +17,7 @@ from vpptwin.actuators.layer import (
     push_commands,
     spin_rotor,
 )
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 DT = 0.001
 VEHICLE = load_vehicle()

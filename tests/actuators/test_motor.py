@@ -8,7 +8,7 @@ import pytest
 from vpptwin.actuators.blade import compute_drag_torque
 from vpptwin.actuators.motor import accelerate_rotor, compute_current, hold_speed, step_speed
 from vpptwin.actuators.servo import step_lag
-from vpptwin.vehicle import Motor, Rotor, Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Motor, Rotor, Vehicle, load_vehicle
 
 DT = 0.001
 NOMINAL = load_vehicle()

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from vpptwin.actuators import blade, cascade, motor, servo
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 VEHICLE = load_vehicle()
 ROTOR, MOTOR, DT = VEHICLE.rotor, VEHICLE.motor, 0.001

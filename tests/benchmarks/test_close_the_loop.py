@@ -26,8 +26,8 @@ from loop.steps import POLICIES, write_truth  # noqa: E402
 from tests.policy_flights import load_flyer  # noqa: E402
 from tests.reality import EFFECTS, true_size  # noqa: E402
 from tests.reality.rig import load_nominal  # noqa: E402
-from vpptwin.errors import InputError  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
+from vpptwin.system.errors import InputError  # noqa: E402
 from vpptwin.twin import load_twin  # noqa: E402
 
 

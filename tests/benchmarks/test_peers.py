@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SLOW_TO_START = ("torchrl-parallel", "mjx")

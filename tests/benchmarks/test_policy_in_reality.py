@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from vpptwin.train.checkpoint import make_policy, write_checkpoint
+from vpptwin.train.learn.checkpoint import make_policy, write_checkpoint
 from vpptwin.train.overrides import compose_config
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import precision
-from vpptwin.train.evaluate import Conditions, evaluate
+from vpptwin.train.evaluate.evaluate import Conditions, evaluate
 
 
 @pytest.fixture(scope="module")

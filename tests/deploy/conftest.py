@@ -14,10 +14,10 @@ import torch
 from vpptwin.actuators.adaptive import SIZE
 from vpptwin.deploy.c_source import write_c
 from vpptwin.deploy.content import Content, collect_content, make_content
-from vpptwin.train.actor import Actor
-from vpptwin.train.networks import Policy
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.train.learn.actor import Actor
+from vpptwin.train.learn.networks import Policy
 from vpptwin.train.overrides import compose_config
-from vpptwin.vehicle import Vehicle
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O2")
 

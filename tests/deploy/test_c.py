@@ -19,11 +19,11 @@ from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.deploy.c_source import as_float, write_c
 from vpptwin.deploy.content import TOLERANCE, Content, draw_observations
 from vpptwin.deploy.load import CompiledController, load_exported
-from vpptwin.errors import InputError
-from vpptwin.train.evaluate import load_policy
-from vpptwin.train.observe import accumulate_error, observe
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import accumulate_error, observe
+from vpptwin.train.evaluate.evaluate import load_policy
 from vpptwin.twin import Twin, load_twin
-from vpptwin.vehicle import Vehicle, load_vehicle
 
 NOMINAL = load_vehicle()
 HIDDEN = {"servo.trim": {"offset_1": 0.01, "offset_2": -0.01}, "servo.backlash": {"gap": 0.02},

@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from tests.deploy.conftest import compile_library, make_random
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.deploy.content import STATES, TOLERANCE, Content, draw_observations
 from vpptwin.deploy.load import CompiledController, OnnxController, load_exported
 from vpptwin.deploy.onnx_model import write_onnx
-from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
-from vpptwin.train.evaluate import load_policy
-from vpptwin.train.observe import accumulate_error, observe
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import accumulate_error, observe
+from vpptwin.train.evaluate.evaluate import load_policy
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests import quadrotor
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.deploy.hold import hold
 from vpptwin.deploy.mjcf import compare_rollouts, write_mjcf
 from vpptwin.twin import load_twin

@@ -22,12 +22,12 @@ from vpptwin.diagnosis.judgement.verdict import (
     Verdict,
 )
 from vpptwin.diagnosis.judgement.wrench import plot_wrench
-from vpptwin.diagnosis.report import result
+from vpptwin.drift.free_flight import FlightFit
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import list_warnings, read_measurements
-from vpptwin.identification.free_flight import FlightFit
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
+from vpptwin.report import result
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 FLIP = Path(__file__).resolve().parents[2] / "demo/flights/flip.mcap"

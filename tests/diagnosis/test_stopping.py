@@ -13,9 +13,9 @@ from tqdm import tqdm
 
 import vpptwin
 from tests.diagnosis.rigs import CARTS, record
-from vpptwin.cli import main
-from vpptwin.diagnosis.report import command, result
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
+from vpptwin.report import command, result
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
 
 

@@ -17,7 +17,7 @@ from numba.core.compiler import Flags
 from vpptwin.engine import store
 from vpptwin.engine.compile import c_function, can_keep, compilable, hashed_once
 from vpptwin.engine.store import open_entry, seal_entry
-from vpptwin.twin.pipeline import fingerprint
+from vpptwin.twin.stepping.pipeline import fingerprint
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="slide" type="slide" damping="0.5"/>
@@ -36,7 +36,7 @@ twin = Twin(load_twin(sys.argv[1]), 1, active=["slide.coulomb"])
 twin.set_parameter("slide.coulomb", "force", 0.3)
 state = twin.replay_commands(twin.initial_state(qvel=np.array([0.5])), np.zeros((1, 20, 0)))[0]
 twin.warm_up(state.actuators, np.zeros((1, 3, 0)))
-from vpptwin.twin.kernel import _KERNELS
+from vpptwin.twin.stepping.kernel import _KERNELS
 print(sum(compiled.cache_hits for _, compiled in _KERNELS.values()), float(state.qpos[0, 0]).hex())
 """
 
@@ -44,7 +44,7 @@ LAYERS = """
 import sys
 import numpy as np
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, nominal_constants
-from vpptwin.twin.kernel import warm_up
+from vpptwin.twin.stepping.kernel import warm_up
 for nu in map(int, sys.argv[1:]):
     layer, constants = np.zeros(1, layer_dtype(nu, 4)), np.zeros(1, constants_dtype(nu, nu))
     for name, value in nominal_constants(0.05, constants).items():

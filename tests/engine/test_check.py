@@ -17,7 +17,8 @@ from vpptwin.engine import structs
 from vpptwin.engine.check import SCALARS, check_step, compare_step
 from vpptwin.engine.structs import RANGE, TESTED, check_layout, field_offset, mirror_struct
 from vpptwin.engine.view import DATA_ARRAYS
-from vpptwin.twin import Twin, kernel, load_twin
+from vpptwin.twin import Twin, load_twin
+from vpptwin.twin.stepping import kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 CACHES = (mirror_struct, check_layout, check_step)

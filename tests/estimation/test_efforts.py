@@ -14,13 +14,13 @@ from tests.diagnosis.rigs import CARTS, record
 from tests.mechanisms.recording import record as record_session
 from tests.mechanisms.session import draw_session
 from tests.torque_arm import Truth, swing_arm, write_arm
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.estimation.efforts import judge_efforts
-from vpptwin.estimation.inspect import inspect_logs
+from vpptwin.estimation.checks.efforts import judge_efforts
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.read import read_flight
+from vpptwin.mapping.inspect import inspect_logs
 from vpptwin.twin import TwinSpec, load_twin
 
 BELT = ((1.0, 0.0), (0.8, 1.0))

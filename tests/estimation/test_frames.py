@@ -12,14 +12,14 @@ import yaml
 from scipy.signal import savgol_filter
 
 from tests.quadrotor import fly, write_twin
-from vpptwin.errors import InputError
-from vpptwin.estimation.frames import ANGLES, QUATERNIONS, Reading, look_up, tell_rates
+from vpptwin.estimation.checks.frames import ANGLES, QUATERNIONS, Reading, look_up, tell_rates
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
-from vpptwin.logs.samples import turn_by_angles
+from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.system.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.twin.manifold import multiply_attitudes, read_angles, rotate, turn_to_world
+from vpptwin.twin.robot.manifold import multiply_attitudes, read_angles, rotate, turn_to_world
 
 COLUMNS = {"attitude": ["a", "b", "c", "d"], "rate": ["gx", "gy", "gz"]}
 

@@ -11,13 +11,13 @@ import pytest
 
 from benchmarks.guesses import RIGS, score_rig, write_model
 from tests.logs.bags import EPOCH, JOINTS, Bag, stamp_header
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.estimation.free_body import guess_bodies
-from vpptwin.estimation.guess import guess_signals
-from vpptwin.estimation.inspect import ask, inspect_logs
+from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.free_body import guess_bodies
+from vpptwin.mapping.guess import guess_signals
+from vpptwin.mapping.inspect import ask, inspect_logs
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.diagnosis.report.compare import score_twin
-from vpptwin.errors import InputError
-from vpptwin.estimation.held import find_held
+from vpptwin.estimation.checks.held import find_held
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.samples import turn_by_angles
+from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.report.compare import score_twin
+from vpptwin.system.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
 
 TIME = np.arange(0.0, 20.0, 0.02)

@@ -8,13 +8,13 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from vpptwin.errors import InputError
+from vpptwin.estimation.checks.misread import vet_rates
 from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, read_track
-from vpptwin.estimation.misread import vet_rates
 from vpptwin.estimation.noise import estimate_noise, find_count
 from vpptwin.estimation.series import align_rates, integrate
 from vpptwin.logs.flight import Stream
-from vpptwin.twin.manifold import turn_to_world
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.manifold import turn_to_world
 
 TIME = np.arange(4000) / 200.0
 PATH = np.sin(TIME) + 0.3 * np.sin(2.7 * TIME)

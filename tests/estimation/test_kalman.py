@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from tests.reality.flight import FlightPlan, fly_many
 from tests.reality.recording import Recording
-from vpptwin.estimation.kalman import BIAS_X, DEPTH, GIVE_UP, GYRO_BIAS, FilterNoise, KalmanFilter
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.kalman import BIAS_X, DEPTH, GIVE_UP, GYRO_BIAS, FilterNoise, KalmanFilter
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 VEHICLE = load_vehicle()
 NOISE = FilterNoise.of_vehicle(VEHICLE)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.estimation.synthetic import Sensors
-from vpptwin.estimation.lag import estimate_lag
 from vpptwin.estimation.series import Series
+from vpptwin.robots.planar_drone.lag import estimate_lag
 
 FLIGHT = Sensors().measure(40.0)
 ANGLE, RATE = FLIGHT.positions[2], FLIGHT.velocities[2]

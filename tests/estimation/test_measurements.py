@@ -10,9 +10,9 @@ import pytest
 
 from tests.effects.rigs import CART_PENDULUM, CART_TWIN
 from tests.estimation.synthetic import draw_commands, fly_own
-from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.system.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
 
 SPEC = load_twin()

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import mujoco_menagerie
 import pytest
 
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.estimation.models import find_model
-from vpptwin.estimation.named import list_entries
+from vpptwin.cli.main import main
+from vpptwin.mapping.models import find_model
+from vpptwin.mapping.named import list_entries
+from vpptwin.system.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,13 +13,13 @@ from pyarrow import parquet
 
 from benchmarks.guesses import write_model
 from tests.estimation.test_guess import write_log
-from vpptwin.cli import main
-from vpptwin.estimation.guess import guess_signals
+from vpptwin.cli.main import main
+from vpptwin.estimation.checks.normalised import Position, find_ends, tell_normalised
 from vpptwin.estimation.measurements import read_measurements
-from vpptwin.estimation.normalised import Position, find_ends, tell_normalised
 from vpptwin.logs import read_flight
-from vpptwin.logs.survey import survey
 from vpptwin.logs.transcribe import transcribe
+from vpptwin.mapping.guess import guess_signals
+from vpptwin.mapping.survey import survey
 from vpptwin.twin import load_twin
 
 TIME = np.arange(0.0, 12.0, 0.02)

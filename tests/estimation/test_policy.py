@@ -7,8 +7,8 @@ import pytest
 
 from vpptwin.actuators.layer import command_from_policy, constants_dtype, layer_dtype
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.estimation.policy import lay_grid, reconstruct_commands
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.policy import lay_grid, reconstruct_commands
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 VEHICLE = load_vehicle()
 DT = 1.0 / VEHICLE.control.inner_rate

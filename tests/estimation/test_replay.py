@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.estimation.synthetic import OwnFlight, draw_commands, fly_own
-from vpptwin.errors import InputError
 from vpptwin.estimation.replay import replay
 from vpptwin.logs.flight import Flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, load_twin
 
 SPEC = load_twin()

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.made_up import FLIP
-from vpptwin.estimation.lag import find_step
+from vpptwin.estimation.checks.sound import find_clipped, find_stuck, is_noisy, vet_joint, vet_rotors
 from vpptwin.estimation.series import Series
-from vpptwin.estimation.sound import find_clipped, find_stuck, is_noisy, vet_joint, vet_rotors
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.read import read_flight
+from vpptwin.robots.planar_drone.lag import find_step
 from vpptwin.twin import load_twin
 
 LENGTH = 24.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from tests.quadrotor import MJCF, fly
-from vpptwin.errors import InputError
-from vpptwin.estimation.frames import QUATERNIONS, Reading, look_up
-from vpptwin.estimation.guess import Guess
-from vpptwin.estimation.inspect import inspect_logs
+from vpptwin.estimation.checks.frames import QUATERNIONS, Reading, look_up
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
+from vpptwin.mapping.guess import Guess
+from vpptwin.mapping.inspect import inspect_logs
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
-from vpptwin.twin.manifold import turn_to_world
+from vpptwin.twin.robot.manifold import turn_to_world
 
 FLOWN = fly({}, 10.0, 3)
 POSE, IMU = FLOWN.spatial["/pose"], FLOWN.spatial["/imu"]

@@ -13,12 +13,12 @@ import pytest
 
 from tests.estimation.test_sound import swing
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.estimation.inspect import inspect_logs
+from vpptwin.estimation.checks.sound import vet_joint
+from vpptwin.estimation.checks.turns import TURN, find_wraps, measure_counter, unwrap_turns
 from vpptwin.estimation.measurements import Measurements, read_measurements
-from vpptwin.estimation.sound import vet_joint
-from vpptwin.estimation.turns import TURN, find_wraps, measure_counter, unwrap_turns
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
+from vpptwin.mapping.inspect import inspect_logs
 from vpptwin.twin import TwinSpec, load_twin
 
 MASS, REACH, ROTOR, STIFF, DAMP = 0.8, 0.25, 0.02, 14.0, 0.9  # kg, m, kg m², N m/rad, N m s/rad

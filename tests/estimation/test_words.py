@@ -15,14 +15,14 @@ from scipy.io import savemat
 from benchmarks.guesses import write_model
 from tests.estimation.test_guess import DELAYED, RATE, SWING, TIME, write_log
 from tests.logs.bags import EPOCH, Bag, stamp_header
-from vpptwin.errors import InputError
-from vpptwin.estimation.free_body import guess_bodies
-from vpptwin.estimation.guess import Guess, guess_signals
-from vpptwin.fields import SignalEntry
 from vpptwin.logs import read_flight
 from vpptwin.logs.messages import compose_definition
-from vpptwin.logs.survey import Signal, survey
 from vpptwin.logs.transcribe import transcribe
+from vpptwin.mapping.free_body import guess_bodies
+from vpptwin.mapping.guess import Guess, guess_signals
+from vpptwin.mapping.survey import Signal, survey
+from vpptwin.system.errors import InputError
+from vpptwin.system.fields import SignalEntry
 
 HEADER = "".join(
     "=" * 80 + part.rstrip() + "\n" for part in compose_definition("sensor_msgs/msg/JointState").split("=" * 80)[1:]

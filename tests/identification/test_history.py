@@ -12,10 +12,10 @@ import pytest
 import vpptwin
 from tests.diagnosis.rigs import CARTS, record
 from tests.viz.browser import Browser
-from vpptwin.cli import main
-from vpptwin.identification import history as module
-from vpptwin.identification.free_flight import FlightFit
-from vpptwin.identification.history import EARLIEST, History, Task, fit_flight, parse_bands
+from vpptwin.cli.main import main
+from vpptwin.drift import history as module
+from vpptwin.drift.free_flight import FlightFit
+from vpptwin.drift.history import EARLIEST, History, Task, fit_flight, parse_bands
 
 WEEK = 604_800 * 10**9
 GROWING, STAYING = (0.30, 0.35, 0.40, 0.45, 0.50), (0.30,) * 5

@@ -16,11 +16,11 @@ from tests.viz.browser import Browser
 from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.actuators.strength import strengthen_rotor
-from vpptwin.cli import main
-from vpptwin.identification.actuator import Actuator, identify
-from vpptwin.identification.bench import find_levels, read_bench
+from vpptwin.cli.main import main
+from vpptwin.robots.planar_drone.thrust_stand.actuator import Actuator, identify
+from vpptwin.robots.planar_drone.thrust_stand.bench import find_levels, read_bench
+from vpptwin.robots.planar_drone.vehicle import Rotor, load_vehicle
 from vpptwin.twin import Twin, load_twin
-from vpptwin.vehicle import Rotor, load_vehicle
 
 NOMINAL = load_vehicle()
 HIDDEN = {"servo.lag": {"time_constant": 0.028}, "command.delay": {"delay": 0.006}, "rotor.drag": {"gain": 1.1}}
@@ -229,7 +229,7 @@ def test_a_page_that_fails_does_not_cost_the_actuator(
     def fail(*given: object) -> str:
         raise ZeroDivisionError("no runs")
 
-    monkeypatch.setattr("vpptwin.identification.command.render_page", fail)
+    monkeypatch.setattr("vpptwin.robots.planar_drone.thrust_stand.command.render_page", fail)
     (tmp_path / "a.html").write_text("an old one, by vpptwin")
     assert main(["identify", str(plain), "--out", str(tmp_path / "a.yaml")]) == 0
     assert "a.html could not be made: ZeroDivisionError: no runs" in capsys.readouterr().err

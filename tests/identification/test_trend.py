@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.identification.trend import CLEAR, STAYS, Trend, judge_trend, list_shapes
+from vpptwin.drift.trend import CLEAR, STAYS, Trend, judge_trend, list_shapes
 
 WEEKS = 7.0 * np.arange(8)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.fields import SignalEntry
+from vpptwin.cli.main import main
 from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.spelling import list_flights, list_sources, stem_log
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
+from vpptwin.system.fields import SignalEntry
 
 TIME = 0.01 * np.arange(400)
 SWING = np.sin(TIME)
@@ -119,7 +119,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path, name: str, share: float) -> N
 
 def test_what_the_library_crashes_on_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Files without checksums are tried by a process that may die; compressed ones need none."""
-    monkeypatch.setattr("vpptwin.logs.arrays._TRY", "import os; os.abort()")
+    monkeypatch.setattr("vpptwin.logs.formats.arrays._TRY", "import os; os.abort()")
     log = save(tmp_path / "log.mat", TABLE)
     with pytest.raises(InputError, match=r"is damaged \(what reads it crashes\)"):
         read(log, "log", "swing")

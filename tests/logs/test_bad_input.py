@@ -27,9 +27,9 @@ from tests.logs.bags import (
     make_poses,
     stamp_header,
 )
-from vpptwin.errors import InputError
 from vpptwin.logs import FlightWriter, read_flight
 from vpptwin.logs.messages import compose_definition
+from vpptwin.system.errors import InputError
 
 MS = 10**6  # ns
 STRING = "std_msgs/msg/String"

@@ -21,11 +21,11 @@ from tests.bad_files import swing
 from tests.diagnosis.made_up import FLIP
 from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, stamp_header
 from tests.measured import run_measured
-from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
-from vpptwin.logs.container import read_container
-from vpptwin.logs.raw import Wish
-from vpptwin.logs.unpack import FREE, MOST_RATIO
+from vpptwin.logs.formats.container import read_container
+from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.unpack import FREE, MOST_RATIO
+from vpptwin.system.errors import InputError
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from long_log import add_camera

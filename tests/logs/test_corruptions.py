@@ -14,10 +14,10 @@ from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
 from tests.reality.recording import Recording, write_mcap
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
-from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs import read_flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
 
 SPEC = load_twin()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.logs.test_foreign import read_all, read_joint, write_csv
-from vpptwin.errors import InputError
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 
 COUNT = 300
 TIME = 0.005 * np.arange(COUNT)
@@ -93,7 +93,7 @@ ODD = {
 @pytest.mark.parametrize("name", ODD)
 def test_columns_that_nobody_maps_stop_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """What a twin names is read whatever else a row holds; whoever looks at everything is told what was left out."""
-    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 2000)
+    monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 2000)
     cell, first, note = ODD[name]
     log = write_odd(tmp_path / "run.csv", cell, first, "" if "blank" in name else "nan")
     flight = read_joint(log, "run", position="x")

@@ -17,15 +17,15 @@ from mcap.writer import Writer as PlainWriter
 from mcap_ros2.decoder import DecoderFactory
 
 from tests.logs.bags import EPOCH, IMU, POSE, Bag, Message, make_imu, make_poses, stamp_header
-from vpptwin.errors import InputError
-from vpptwin.logs import decode as decoding
 from vpptwin.logs import read_flight
 from vpptwin.logs.channels import CHANNELS
-from vpptwin.logs.container import read_container
-from vpptwin.logs.decode import Batch, DecodeError, decode_channel
-from vpptwin.logs.layout import LayoutError, compose_message, locate_fields, parse_definition
+from vpptwin.logs.formats import decode as decoding
+from vpptwin.logs.formats.container import read_container
+from vpptwin.logs.formats.decode import Batch, DecodeError, decode_channel
+from vpptwin.logs.formats.layout import LayoutError, compose_message, locate_fields, parse_definition
+from vpptwin.logs.formats.raw import Block, RawChannel, Wish
 from vpptwin.logs.messages import DEFINITIONS, compose_definition
-from vpptwin.logs.raw import Block, RawChannel, Wish
+from vpptwin.system.errors import InputError
 
 RANGES = {"bool": (0, 1), "int8": (-128, 127), "uint8": (0, 255), "byte": (0, 255)}
 RANGES |= {f"{'u' * u}int{b}": (-(2 ** (b - 1)) * (1 - u), 2 ** (b - 1 + u) - 1) for b in (16, 32, 64) for u in (0, 1)}

@@ -16,16 +16,17 @@ from pyarrow import parquet
 from zstandard import ZstdCompressor
 
 from tests.logs.bags import EPOCH, POSE, Bag, make_poses
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.fields import SignalEntry
-from vpptwin.logs import Flight, read_flight, vehicles
-from vpptwin.logs.raw import Wish
+from vpptwin.cli.main import main
+from vpptwin.logs import Flight, read_flight
+from vpptwin.logs.formats import vehicles
+from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.tables import Table
 from vpptwin.logs.read import expand_logs
 from vpptwin.logs.recording import open_recording
-from vpptwin.logs.survey import survey
-from vpptwin.logs.tables import Table
 from vpptwin.logs.transcribe import transcribe
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
+from vpptwin.system.fields import SignalEntry
 
 ALL = Wish(lambda channel: True)
 
@@ -225,7 +226,7 @@ def test_parquet_is_read(tmp_path: Path) -> None:
 
 def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of another length, or empty ones, are no samples; lists whose mean length alone is one are none at all."""
-    monkeypatch.setattr("vpptwin.logs.columnar._ROWS", 15)
+    monkeypatch.setattr("vpptwin.logs.formats.columnar._ROWS", 15)
     lists = [None if k == 3 else [7.0, q] if k != 30 else [7.0] for k, (_, q) in enumerate(ROWS)]
     odd = [[1.0] * (1 + 2 * (k % 2)) for k in range(len(ROWS))]
     late = [[k, k] if k < 30 else [k] for k in range(len(ROWS))]
@@ -431,9 +432,9 @@ def test_rosbag2_in_sqlite_is_read(
             base.execute("UPDATE messages SET data = ? WHERE id = ?", (ZstdCompressor().compress(data), key))
     assert np.array_equal(read_flight(tmp_path / "bag").streams["/mocap/pose"]["x"], expected["x"])
     whole = survey(tmp_path / "bag")[1]
-    monkeypatch.setattr("vpptwin.logs.bags._GATHERED", 10)
-    monkeypatch.setattr("vpptwin.progress.QUIET_S", 0.0)
-    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 500)
+    monkeypatch.setattr("vpptwin.logs.formats.bags._GATHERED", 10)
+    monkeypatch.setattr("vpptwin.system.progress.QUIET_S", 0.0)
+    monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 500)
     parts = survey(tmp_path / "bag")[1]
     assert [part.whole.high for part in parts] == [signal.whole.high for signal in whole]
     assert sum(len(part.stretches) for part in parts) > 2 * len(parts)
@@ -536,8 +537,8 @@ def test_bad_conversions_are_refused(
 @pytest.mark.parametrize("kind", ["csv", "parquet", "mcap"])
 def test_columns_of_no_interest_cost_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """Only what a twin names is converted and held, once, whatever pieces it comes in; other columns may be broken."""
-    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 1000)
-    monkeypatch.setattr("vpptwin.logs.columnar._ROWS", 7)
+    monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 1000)
+    monkeypatch.setattr("vpptwin.logs.formats.columnar._ROWS", 7)
     log = write_csv(tmp_path / "state.csv", compose("time,other,q,text", "{t},{q},{q},A"))
     if kind == "csv":
         log.write_text(log.read_text().replace("0.35,17.5,", "0.35,broken,"))
@@ -565,12 +566,12 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
     place[[1000, 2500]] += 9.0
     text = "".join(f"{t:.3f},{q:.6f},A\n" for t, q in zip(time, place)).replace("0.700,0.644218", "0.700,")
     log = write_csv(tmp_path / "state.csv", "time,q,text\n" + text)
-    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 1000)
+    monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 1000)
     if kind == "mcap":
         transcribe(log, log := tmp_path / "state.mcap")
     whole = survey(log)[1]
-    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 20_000)
-    monkeypatch.setattr("vpptwin.logs.container._MANY", 300)
+    monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 20_000)
+    monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 300)
     parts = survey(log)[1]
     assert len(whole[1].stretches) == 1
     assert len(parts[1].stretches) > 2
@@ -607,7 +608,7 @@ def test_a_missing_library_says_how_to_get_it(tmp_path: Path, monkeypatch: pytes
     def refuse(name: str) -> object:
         raise ModuleNotFoundError(name=name)
 
-    monkeypatch.setattr("vpptwin.errors.import_module", refuse)
+    monkeypatch.setattr("vpptwin.system.errors.import_module", refuse)
     with pytest.raises(InputError, match=r"needs pyarrow, which is not installed; .*pip install 'vpptwin\[logs\]'"):
         read_joint(write_csv(tmp_path / "state.csv", FIELD["plain"][0]), "state", position="q")
 

@@ -12,9 +12,9 @@ import pytest
 from pyarrow import parquet
 
 from tests.logs.test_foreign import write_lerobot
-from vpptwin.errors import InputError
 from vpptwin.logs.spelling import list_flights
-from vpptwin.logs.survey import survey
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 
 INFO, INDEX, DATA = "meta/info.json", "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
 

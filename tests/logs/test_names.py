@@ -13,14 +13,14 @@ from scipy.io import savemat
 from benchmarks.guesses import write_model
 from tests.logs.bags import EPOCH, JOINTS, Bag, stamp_header
 from tests.logs.test_foreign import write_dataflash
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.estimation.inspect import inspect_logs
+from vpptwin.cli.main import main
 from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
 from vpptwin.logs.spelling import list_flights
-from vpptwin.logs.survey import survey
 from vpptwin.logs.transcribe import transcribe
+from vpptwin.mapping.inspect import inspect_logs
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
 
 TIME = np.arange(0.0, 8.0, 0.01)

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, pose_bag
 from tests.logs.test_foreign import read_joint
-from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
-from vpptwin.logs.survey import survey
-from vpptwin.logs.timeline import order_stamps
+from vpptwin.logs.streams.timeline import order_stamps
+from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 
 MS = 10**6  # ns
 
@@ -160,8 +160,8 @@ def test_runs_that_follow_one_another_are_not_laid_over_each_other(
     log.write_text("t,q\n" + "".join(f"{k % 400 / 100},{k}\n" for k in range(1600)))
     with pytest.raises(InputError, match=r"log\.csv: time runs backwards on /log, message 401 of 1600"):
         survey(log)
-    monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 2000)
-    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 4000)
+    monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 2000)
+    monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 4000)
     with pytest.raises(InputError, match=r"time runs backwards on /log"):
         survey(log)
     poses = pose_bag(tmp_path / "poses.mcap", EPOCH + 10 * MS * np.arange(50))

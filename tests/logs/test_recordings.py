@@ -13,16 +13,16 @@ from mcap_ros2.writer import Writer
 from zstandard import ZstdCompressor
 
 from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, make_poses, pose_bag, stamp_header
-from vpptwin.cli import main
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.logs import Flight, Stream, read_flight, write_flight
-from vpptwin.logs.container import read_container
-from vpptwin.logs.decode import decode_channel
+from vpptwin.logs.formats.container import read_container
+from vpptwin.logs.formats.decode import decode_channel
+from vpptwin.logs.formats.raw import Wish
 from vpptwin.logs.messages import compose_definition
-from vpptwin.logs.raw import Wish
 from vpptwin.logs.read import expand_logs
 from vpptwin.logs.spelling import list_flights
 from vpptwin.logs.transcribe import transcribe
+from vpptwin.system.errors import InputError
 
 MS = 10**6  # ns
 DEMO = Path(__file__).resolve().parents[2] / "demo" / "flights"
@@ -323,9 +323,9 @@ def test_large_logs_are_read_and_converted_as_they_come(
     for log in (flip, bag.write(), table, tmp_path / "table.mcap"):
         given = tmp_path / "map.yaml" if log.stem == "table" else None
         whole = read_flight(log, given)
-        monkeypatch.setattr("vpptwin.logs.raw.LARGE", large if log == flip else 100)
-        monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
-        monkeypatch.setattr("vpptwin.logs.delimited._BLOCK", 100)
+        monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", large if log == flip else 100)
+        monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 50)
+        monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 100)
         parts = read_flight(log, given)
         assert not any(channel.is_kept for channel in transcribe(log, tmp_path / "again.mcap").files[0].channels)
         again = read_flight(tmp_path / "again.mcap", given)
@@ -345,9 +345,9 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a line that says what to write; LOG@START-END is that part of a file, of a table, of a folder."""
-    monkeypatch.setattr("vpptwin.logs.raw.LARGE", 10_000)
-    monkeypatch.setattr("vpptwin.logs.container._MANY", 50)
-    monkeypatch.setattr("vpptwin.logs.condense.ROOM", 50_000.0)
+    monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 10_000)
+    monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 50)
+    monkeypatch.setattr("vpptwin.logs.streams.condense.ROOM", 50_000.0)
     log = pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10**7 for k in range(1000)])
     table = tmp_path / "log.csv"
     table.write_text("time,q\n" + "".join(f"{0.01 * k:.2f},{k}\n" for k in range(3000)))

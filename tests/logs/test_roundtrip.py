@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as hnp
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from vpptwin.errors import InputError
 from vpptwin.logs import FlightWriter, Stream, read_flight, write_flight
 from vpptwin.logs.channels import CHANNELS
 from vpptwin.logs.check import HUGE
+from vpptwin.system.errors import InputError
 
 NANOSECONDS = st.lists(st.integers(0, 20 * 10**9), min_size=1, max_size=12, unique=True).map(sorted)
 # float32 in BatteryState; angles step by less than half a turn, as unwrapping assumes

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, make_imu, make_pose, make_poses, stamp_header
-from vpptwin.errors import InputError
 from vpptwin.logs import read_flight
 from vpptwin.logs.messages import compose_definition
+from vpptwin.system.errors import InputError
 
 MS = 10**6  # ns
 POINT = "geometry_msgs/msg/PointStamped"

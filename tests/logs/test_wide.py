@@ -10,13 +10,13 @@ import pytest
 from mcap.writer import Writer
 
 from tests.logs.test_foreign import read_joint, write_csv
-from vpptwin.estimation import inspect
-from vpptwin.logs.decode import _make_decoder
-from vpptwin.logs.layout import parse_definition
-from vpptwin.logs.raw import RawChannel, RawFile, Wish
+from vpptwin.logs.formats.decode import _make_decoder
+from vpptwin.logs.formats.layout import parse_definition
+from vpptwin.logs.formats.raw import RawChannel, RawFile, Wish
+from vpptwin.logs.formats.tables import number_apart
 from vpptwin.logs.recording import Recording, open_recording
-from vpptwin.logs.survey import survey
-from vpptwin.logs.tables import number_apart
+from vpptwin.mapping import inspect
+from vpptwin.mapping.survey import survey
 
 
 class Counted(list):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
-from vpptwin.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 
 RUBBING = "model: rail_rig.xml\nvehicle: vehicle.yaml\neffects:\n  rail_x.coulomb: {force: 0.3}\n"
 CART = "model: rig.xml\nsignals: {joints: {slide: /joint_states}}\n"

@@ -6,9 +6,9 @@ import re
 import shlex
 from pathlib import Path
 
-from vpptwin.cli import build_parser
-from vpptwin.pilot.library import LIBRARY
-from vpptwin.pilot.manoeuvre import find_manoeuvre, parse_settings
+from vpptwin.cli.main import build_parser
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre, parse_settings
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "fly.md").read_text(encoding="utf-8")
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.errors import InputError
 from vpptwin.logs.channels import CHANNELS
-from vpptwin.pilot.command import Sortie, fly_log
-from vpptwin.pilot.flight import Tracks, fly
-from vpptwin.pilot.gusts import CARRIERS, GUST_TIME, Gusts
-from vpptwin.pilot.library import LIBRARY
-from vpptwin.pilot.manoeuvre import find_manoeuvre
-from vpptwin.pilot.recording import record_streams
-from vpptwin.pilot.scripted import ScriptedPilot
+from vpptwin.robots.planar_drone.pilot.command import Sortie, fly_log
+from vpptwin.robots.planar_drone.pilot.flight import Tracks, fly
+from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GUST_TIME, Gusts
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
+from vpptwin.robots.planar_drone.pilot.recording import record_streams
+from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.spec import EffectValues
 from vpptwin.twin.state import TwinState
-from vpptwin.vehicle import Vehicle
 
 SPEC = load_twin()
 DURATION = 5.0

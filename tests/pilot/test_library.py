@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from vpptwin.effects import CATALOGUE
-from vpptwin.errors import InputError
-from vpptwin.pilot.flight import fly
-from vpptwin.pilot.library import LIBRARY
-from vpptwin.pilot.manoeuvre import ROOM, Manoeuvre, find_manoeuvre, parse_settings
-from vpptwin.pilot.reference import Reference
-from vpptwin.pilot.safety import find_danger
-from vpptwin.pilot.scripted import ScriptedPilot
+from vpptwin.robots.planar_drone.pilot.flight import fly
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.manoeuvre import ROOM, Manoeuvre, find_manoeuvre, parse_settings
+from vpptwin.robots.planar_drone.pilot.reference import Reference
+from vpptwin.robots.planar_drone.pilot.safety import find_danger
+from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.spec import EffectValues
-from vpptwin.vehicle import Vehicle
 
 SPEC = load_twin()
 TWINS: dict[str, EffectValues] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.pilot.reference import HEIGHT, POP, Plan, Reference, minimum_jerk
+from vpptwin.robots.planar_drone.pilot.reference import HEIGHT, POP, Plan, Reference, minimum_jerk
 
 PERIOD = 0.01
 

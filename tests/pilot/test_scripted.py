@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vpptwin.pilot import Script, pilot_commands
+from vpptwin.robots.planar_drone.pilot import Script, pilot_commands
 from vpptwin.twin import Twin, load_twin
 
 

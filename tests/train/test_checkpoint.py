@@ -15,14 +15,14 @@ import pytest
 import torch
 from torch.utils._pytree import tree_flatten
 
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.train.actor import build_actor
-from vpptwin.train.checkpoint import build_policy, read_checkpoint, write_checkpoint
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import to_config
-from vpptwin.train.evaluate import load_policy
-from vpptwin.train.networks import Policy
-from vpptwin.train.observe import Sight
+from vpptwin.train.env.observe import Sight
+from vpptwin.train.evaluate.evaluate import load_policy
+from vpptwin.train.learn.actor import build_actor
+from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint, write_checkpoint
+from vpptwin.train.learn.networks import Policy
 from vpptwin.train.stored import FORMAT, PlainUnpickler, find_checkpoint, open_checkpoint, shipped_policies
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config, to_plain
-from vpptwin.train.devices import find_device
-from vpptwin.train.env import make_env
+from vpptwin.train.env.tasks import HOVER, TASKS, Start
+from vpptwin.train.env.vpp_env import make_env
+from vpptwin.train.learn.devices import find_device
+from vpptwin.train.learn.ramp import Ramp
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config
-from vpptwin.train.ramp import Ramp
-from vpptwin.train.tasks import HOVER, TASKS, Start
 
 
 def test_overrides_reach_every_level() -> None:

@@ -8,12 +8,12 @@ import torch
 
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
 from vpptwin.train.config import MEMORY
-from vpptwin.train.env import VppEnv
-from vpptwin.train.networks import Critic
-from vpptwin.train.observe import OBSERVATION
-from vpptwin.train.privileged import FORESIGHT, STATE
-from vpptwin.train.randomize import Priors
-from vpptwin.train.reward import ANGLE, POSITION
+from vpptwin.train.env.observe import OBSERVATION
+from vpptwin.train.env.privileged import FORESIGHT, STATE
+from vpptwin.train.env.randomize import Priors
+from vpptwin.train.env.reward import ANGLE, POSITION
+from vpptwin.train.env.vpp_env import VppEnv
+from vpptwin.train.learn.networks import Critic
 
 WORLD = "randomize=[airframe.mass,rail_x.coulomb,mocap.delay,gyro.bias]"
 """Effects that make the sensors lie, and two that make the world another."""

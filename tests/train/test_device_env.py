@@ -16,16 +16,16 @@ from torchrl.envs.utils import check_env_specs
 
 from tests.train.conftest import plain_lesson, reset_rows, tiny_config
 from vpptwin import make_env as make_task_env
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import SaveCheckpoint, build_policy, read_checkpoint
-from vpptwin.train.devices import check_warp
-from vpptwin.train.env import VppEnv, make_env
-from vpptwin.train.evaluate import Conditions, evaluate
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
+from vpptwin.train.env.vpp_env import VppEnv, make_env
+from vpptwin.train.evaluate.evaluate import Conditions, evaluate
+from vpptwin.train.learn.checkpoint import SaveCheckpoint, build_policy, read_checkpoint
+from vpptwin.train.learn.devices import check_warp
 from vpptwin.train.main import run_train
-from vpptwin.train.snapshot import restore_snapshot, take_snapshot
 
 pytest.importorskip("mujoco_warp")
-from vpptwin.train.device_env import DeviceEnv, make_device_env
+from vpptwin.train.env.device_env import DeviceEnv, make_device_env
 
 FLOWN = ("num_envs=16", "minibatch=32", "randomize=paper", "engine=warp", "desynchronize=false", "sim_threads=1")
 HERE = torch.device("cpu")

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
-from vpptwin.errors import InputError
-from vpptwin.train.snapshot import restore_snapshot, take_snapshot
-from vpptwin.train.tasks import Limits
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
+from vpptwin.train.env.tasks import Limits
 
 
 @pytest.mark.parametrize(

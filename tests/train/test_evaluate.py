@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import to_config
-from vpptwin.train.evaluate import Conditions, configure_flights, describe, evaluate, run_evaluate
-from vpptwin.train.randomize import PAPER_EFFECTS
-from vpptwin.train.tasks import FLIP, WALL_BACKTRACK
+from vpptwin.train.env.randomize import PAPER_EFFECTS
+from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK
+from vpptwin.train.evaluate.evaluate import Conditions, configure_flights, describe, evaluate, run_evaluate
+from vpptwin.train.learn.checkpoint import read_checkpoint
 
 MEASURES = ("position_error_m", "upright_error_m", "angle_error_rad", "fail_rate", "success_share", "full_turns")
 
@@ -130,9 +130,9 @@ def test_what_is_no_number_is_null_in_json(
         raise AssertionError(word)
 
     monkeypatch.setattr(
-        "vpptwin.train.evaluate.evaluate", lambda *given: {"lipschitz": float("nan"), "n": [1.0, float("inf")]}
+        "vpptwin.train.evaluate.evaluate.evaluate", lambda *given: {"lipschitz": float("nan"), "n": [1.0, float("inf")]}
     )
-    monkeypatch.setattr("vpptwin.train.evaluate.describe", str)
+    monkeypatch.setattr("vpptwin.train.evaluate.evaluate.describe", str)
     for target in ("-", str(tmp_path / "out.json")):
         assert main(["evaluate", "flip", "--json", target]) == 0
     for text in (capsys.readouterr().out.partition("{'")[0], (tmp_path / "out.json").read_text()):

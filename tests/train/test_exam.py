@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from tests.train.conftest import BRIEF, EXAMINED, read_log, tiny_config
-from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.exam import LOST, Exam
-from vpptwin.train.flights import Flights
+from vpptwin.train.env.observe import Sight
+from vpptwin.train.evaluate.exam import LOST, Exam
+from vpptwin.train.evaluate.flights import Flights
+from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.networks import Policy
 from vpptwin.train.main import run_train
-from vpptwin.train.networks import Policy
-from vpptwin.train.observe import Sight
 from vpptwin.train.stored import BEST_NAME
 
 SMALL = (*BRIEF, "randomize=all", "exam_every=100", "exam_from=0", "exam_tracks=8")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.train.conftest import HOVER, step, tiny_config
-from vpptwin.train.env import make_env
+from vpptwin.train.env.vpp_env import make_env
 from vpptwin.twin.health import MOST, find_diverged, replay_fault
 
 

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from tests.train.conftest import TINY, tiny_config
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import Lesson
-from vpptwin.train.env import make_env
-from vpptwin.train.evaluate import load_policy
+from vpptwin.train.env.randomize import PAPER_EFFECTS, Priors, name_effects
+from vpptwin.train.env.vpp_env import make_env
+from vpptwin.train.evaluate.evaluate import load_policy
+from vpptwin.train.learn.ppo import build_training
 from vpptwin.train.main import run_train
-from vpptwin.train.ppo import build_training
-from vpptwin.train.randomize import PAPER_EFFECTS, Priors, name_effects
 from vpptwin.twin import load_twin
 
 TWIN = """

@@ -8,9 +8,9 @@ import torch
 from tensordict import TensorDict
 
 from tests.train.conftest import tiny_env
-from vpptwin.train.flights import Flights, count_turns, fly_tracks
-from vpptwin.train.networks import Policy
-from vpptwin.train.observe import Sight, wrap_angle
+from vpptwin.train.env.observe import Sight, wrap_angle
+from vpptwin.train.evaluate.flights import Flights, count_turns, fly_tracks
+from vpptwin.train.learn.networks import Policy
 
 FULL = 2.0 * np.pi
 GRACE = 30

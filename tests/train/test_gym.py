@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from vpptwin.train.environments import make_task_env
+from vpptwin.train.env.environments import make_task_env
 
 gymnasium = pytest.importorskip("gymnasium")
 

@@ -8,15 +8,16 @@ import pytest
 from torchrl.collectors import Collector
 
 from tests.train.conftest import TINY
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.train import memory, run
-from vpptwin.train.checkpoint import make_policy
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
+from vpptwin.train import run
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env import make_env
-from vpptwin.train.networks import Exploration, make_actor
+from vpptwin.train.env.vpp_env import make_env
+from vpptwin.train.learn import memory
+from vpptwin.train.learn.checkpoint import make_policy
+from vpptwin.train.learn.networks import Exploration, make_actor
+from vpptwin.train.learn.workers import OPTIONS
 from vpptwin.train.overrides import compose_config
-from vpptwin.train.workers import OPTIONS
 
 
 def tiny_config(*overrides: str) -> TrainConfig:

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from tests.train.conftest import EXAMINED
-from vpptwin.train.checkpoint import read_checkpoint
 from vpptwin.train.config import to_config
-from vpptwin.train.evaluate import load_policy
-from vpptwin.train.main import run_train
-from vpptwin.train.networks import (
+from vpptwin.train.env.observe import OBSERVATION, SETUPS, Sight
+from vpptwin.train.evaluate.evaluate import load_policy
+from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.networks import (
     INPUT_SCALE,
     Exploration,
     Policy,
@@ -25,7 +25,7 @@ from vpptwin.train.networks import (
     spectral_norm,
     surely_within,
 )
-from vpptwin.train.observe import OBSERVATION, SETUPS, Sight
+from vpptwin.train.main import run_train
 
 TIGHT = 0.125
 """A bound that binds from the start: an untrained actor's layers have norms of about 2, 1 and 0.07."""

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.train.conftest import step, tiny_env
-from vpptwin.train.observe import OBSERVATION, SETUPS, Sight, accumulate_error, observe
+from vpptwin.train.env.observe import OBSERVATION, SETUPS, Sight, accumulate_error, observe
 
 POSE = np.array([[0.1, 1.2, 0.5]])
 VELOCITY = np.array([[0.3, -0.4, 2.0]])

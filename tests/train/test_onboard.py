@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDict
 
 from tests.train.conftest import tiny_config
-from vpptwin.errors import InputError
-from vpptwin.train.env import VppEnv, make_env
-from vpptwin.train.observe import OBSERVATION
-from vpptwin.train.snapshot import restore_snapshot, take_snapshot
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import OBSERVATION
+from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
+from vpptwin.train.env.vpp_env import VppEnv, make_env
 
 SPEED = [OBSERVATION.index(name) for name in ("velocity_x", "velocity_z")]
 PLACE = [OBSERVATION.index(name) for name in ("delta_x", "delta_z")]

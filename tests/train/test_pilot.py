@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import torch
 
-from vpptwin.cli import main
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.logs.read import read_flight
-from vpptwin.train.actor import Actor
-from vpptwin.train.checkpoint import make_policy
-from vpptwin.train.evaluate import load_policy
-from vpptwin.train.observe import observe
-from vpptwin.train.pilot import PolicyPilot, load_pilot, plan_targets
-from vpptwin.train.tasks import WALL_BACKTRACK, Target, Task
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import observe
+from vpptwin.train.env.tasks import WALL_BACKTRACK, Target, Task
+from vpptwin.train.evaluate.evaluate import load_policy
+from vpptwin.train.evaluate.pilot import PolicyPilot, load_pilot, plan_targets
+from vpptwin.train.learn.actor import Actor
+from vpptwin.train.learn.checkpoint import make_policy
 from vpptwin.twin import load_twin
-from vpptwin.vehicle import Vehicle
 
 
 def drone() -> Vehicle:

@@ -10,12 +10,12 @@ from dataclasses import replace
 import pytest
 
 from tests.train.conftest import tiny_config
-from vpptwin.train.checkpoint import make_policy
 from vpptwin.train.config import PRESETS, TrainConfig, to_config, to_plain
+from vpptwin.train.env.tasks import HOVER, TASKS
+from vpptwin.train.learn.checkpoint import make_policy
+from vpptwin.train.learn.ramp import Ramp
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config, describe_options, list_options
-from vpptwin.train.ramp import Ramp
-from vpptwin.train.tasks import HOVER, TASKS
 
 
 def test_the_papers_preset() -> None:
@@ -137,7 +137,7 @@ def test_help_is_printed_wherever_it_is_asked_for(flag: str, capsys: pytest.Capt
     "code",
     [
         "import vpptwin.train.main as m; m.describe_options(); m.compose_config(['preset=paper'])",
-        "from vpptwin.cli import main; [main(c.split()) for c in ('evaluate x', 'play --live x', 'train resume=x')]",
+        "import vpptwin.cli.main as m; [m.main(c.split()) for c in ('evaluate x', 'play --live x', 'train resume=x')]",
     ],
     ids=["help and overrides", "a checkpoint that is not there"],
 )

@@ -17,17 +17,17 @@ import torch
 from tensordict import TensorDictBase
 
 from tests.train.conftest import TINY
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.jobs import connect, explain_failures
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
+from vpptwin.system.jobs import connect, explain_failures
 from vpptwin.train import run as running
-from vpptwin.train import workers
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.train.learn import workers
+from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.ppo import Training
+from vpptwin.train.learn.progress import EpisodeStatistics
+from vpptwin.train.learn.workers import WorkerEnv
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config
-from vpptwin.train.ppo import Training
-from vpptwin.train.progress import EpisodeStatistics
-from vpptwin.train.workers import WorkerEnv
 
 WORKED = (
     *TINY, "exam_every=0", "loggers=csv", "collector=ray", "workers=2", "total_steps=512", "task.episode=0.5",

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from tests.train.conftest import EXAMINED, TINY, read_log
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import to_config
+from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.progress import EpisodeStatistics
 from vpptwin.train.main import run_train
-from vpptwin.train.progress import EpisodeStatistics
 
 LOGGED = ("return", "difficulty", "loss_objective", "loss_critic", "grad_norm_0", "exam_score_m", "exam_success")
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, RewardWeights, compute_reward
+from vpptwin.train.env.tasks import TASKS, Task
 from vpptwin.train.overrides import compose_config
-from vpptwin.train.reward import ANGLE, BOTH, POSITION, RewardWeights, compute_reward
-from vpptwin.train.tasks import TASKS, Task
 
 WEIGHTS = RewardWeights(position=0.8, orientation=0.7, velocity=0.2, rate=0.3, integral=0.1, near=0.4, width=0.1)
 DELTA = np.array([[0.3, -0.1, math.pi / 2]])

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from tests.train.conftest import HOVER, reset_rows, see, step, tiny_env, truth
-from vpptwin.train.env import VppEnv
-from vpptwin.train.observe import observe
-from vpptwin.train.reward import compute_reward
-from vpptwin.train.tasks import HOVER as HOVERING
+from vpptwin.train.env.observe import observe
+from vpptwin.train.env.reward import compute_reward
+from vpptwin.train.env.tasks import HOVER as HOVERING
+from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.sensors import sensor_noise
 

@@ -7,8 +7,8 @@ import torch
 
 from tests.train.conftest import plain_lesson, reset_rows, step, tiny_env
 from vpptwin.train.config import Curriculum, Lesson
-from vpptwin.train.snapshot import restore_snapshot, take_snapshot
-from vpptwin.train.starts import KEPT, SOON, FailedStarts
+from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
+from vpptwin.train.env.starts import KEPT, SOON, FailedStarts
 
 FALL = torch.tensor([-1.0, 0.0])
 """Full thrust downwards: on the floor within half a second."""

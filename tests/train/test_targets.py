@@ -10,10 +10,10 @@ import pytest
 
 from tests.train.conftest import step, tiny_env
 from vpptwin.train.config import Curriculum, Lesson
-from vpptwin.train.env import VppEnv
-from vpptwin.train.observe import wrap_angle
-from vpptwin.train.privileged import FORESIGHT, STATE
-from vpptwin.train.tasks import FLIP, WALL_BACKTRACK, Target
+from vpptwin.train.env.observe import wrap_angle
+from vpptwin.train.env.privileged import FORESIGHT, STATE
+from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK, Target
+from vpptwin.train.env.vpp_env import VppEnv
 
 PERIOD = 0.01
 """Of the policy, s."""

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from tests.train.conftest import step, tiny_env
-from vpptwin.diagnosis.report.twin_file import name_twin
-from vpptwin.resources import models_dir
-from vpptwin.train.env import VppEnv
-from vpptwin.train.rotors import strengthen
+from vpptwin.report.twin_file import name_twin
+from vpptwin.system.resources import models_dir
+from vpptwin.train.env.rotors import strengthen
+from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.twin import load_twin
 
 WEIGHT = 0.5 * 9.81

@@ -11,11 +11,11 @@ import yaml
 from tensordict import TensorDict
 
 from tests.train.conftest import BRIEF, EXAMINED, TINY, read_log
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import make_policy, read_checkpoint
-from vpptwin.train.env import VppEnv, make_env
-from vpptwin.train.evaluate import Conditions, evaluate
-from vpptwin.train.flights import fly_tracks
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.vpp_env import VppEnv, make_env
+from vpptwin.train.evaluate.evaluate import Conditions, evaluate
+from vpptwin.train.evaluate.flights import fly_tracks
+from vpptwin.train.learn.checkpoint import make_policy, read_checkpoint
 from vpptwin.train.main import run_train
 from vpptwin.train.overrides import compose_config
 from vpptwin.twin.health import replay_fault

@@ -11,13 +11,13 @@ from tensordict import TensorDict
 from torchrl.objectives.value import GAE
 
 from tests.train.conftest import EXAMINED
-from vpptwin.errors import InputError
-from vpptwin.train.checkpoint import read_checkpoint
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import OBSERVATION, Sight
+from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.networks import Policy, make_critic
+from vpptwin.train.learn.updates import Advantages, Averaging, ExplorationRamp, Minibatches, normalize
 from vpptwin.train.main import run_train
-from vpptwin.train.networks import Policy, make_critic
-from vpptwin.train.observe import OBSERVATION, Sight
 from vpptwin.train.stored import FILE_NAME
-from vpptwin.train.updates import Advantages, Averaging, ExplorationRamp, Minibatches, normalize
 
 GAMMA, LMBDA, SCALE = 0.97, 0.9, 0.05
 

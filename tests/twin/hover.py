@@ -8,8 +8,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
-from vpptwin.vehicle import load_vehicle
 
 X, Z, PITCH = 0, 1, 2
 SPEC = load_twin()

@@ -13,9 +13,9 @@ import numpy as np
 
 from vpptwin.engine.view import View, look_at
 from vpptwin.twin import Twin, TwinState
-from vpptwin.twin.kernel import scratch_rows
-from vpptwin.twin.pipeline import keep_plain, write_pipeline
-from vpptwin.twin.step import Rig, Row, Tape
+from vpptwin.twin.stepping.kernel import scratch_rows
+from vpptwin.twin.stepping.pipeline import keep_plain, write_pipeline
+from vpptwin.twin.stepping.step import Rig, Row, Tape
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import pytest
 
 from tests.fuzzers import ELEMENTS, MODELS
 from tests.measured import run_measured
-from vpptwin.errors import InputError
-from vpptwin.plain import read_yaml
+from vpptwin.system.errors import InputError
+from vpptwin.system.plain import read_yaml
 from vpptwin.twin import load_twin
 
 RIG = "model: rail_rig.xml\nvehicle: vehicle.yaml\n"

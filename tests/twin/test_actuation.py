@@ -11,8 +11,8 @@ import pytest
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin import Twin, TwinSpec, load_twin
-from vpptwin.twin.actuation import integrate_input
-from vpptwin.twin.model import compile_model
+from vpptwin.twin.robot.actuation import integrate_input
+from vpptwin.twin.robot.model import compile_model
 
 ARM = """<mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body><joint name="swing" axis="0 1 0"/>
 <geom size="0.05" pos="0 0 -0.3" mass="1"/></body></worldbody><actuator>{}</actuator></mujoco>"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.train.randomize import Priors, randomize
+from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.twin import Twin, load_twin
 
 SPEC = load_twin()

@@ -9,9 +9,9 @@ import pytest
 
 from tests.effects.rigs import CART_PENDULUM
 from tests.twin.hover import share_kernel
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, load_twin
-from vpptwin.twin.manifold import difference_poses
+from vpptwin.twin.robot.manifold import difference_poses
 from vpptwin.twin.twin import Driven
 
 JOINTS = ("slide", "swing")

@@ -12,8 +12,8 @@ from vpptwin.deploy.hold import hold
 from vpptwin.deploy.mjcf import write_mjcf
 from vpptwin.effects import find_effect
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.drives import group_drives
-from vpptwin.viz.sketch import find_part
+from vpptwin.twin.robot.drives import group_drives
+from vpptwin.viz.scene.sketch import find_part
 
 NAMES = ("one", "two", "three")
 KINDS = ("coulomb", "viscous", "load")

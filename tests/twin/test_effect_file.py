@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.twin.own_effect_files import EFFECT, FUNCTION, HEAD, WARM, WAVE, write_effects, write_rig
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.effects import CATALOGUE
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
 
 

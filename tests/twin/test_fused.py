@@ -13,7 +13,7 @@ from tests import servo_arm
 from tests.effects.rigs import Rig, load_rigs
 from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.layout import agrees, read_layout
+from vpptwin.twin.stepping.layout import agrees, read_layout
 
 ROWS, STEPS = 6, 200
 ROUNDING = 1e-11

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vpptwin.errors import InputError
-from vpptwin.train.randomize import Priors, randomize
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.twin import Twin, TwinState, load_twin
 from vpptwin.twin.health import (
     MOST,

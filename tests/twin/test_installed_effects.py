@@ -11,10 +11,10 @@ import yaml
 
 from tests.diagnosis.judgement.test_verdict import VERDICT
 from tests.twin.own_effect_files import WAVE, write_rig
-from vpptwin.cli import main
-from vpptwin.diagnosis.report.provenance import trace_origin
-from vpptwin.diagnosis.report.twin_file import compose_twin
-from vpptwin.installed import list_installed, locate_effects
+from vpptwin.cli.main import main
+from vpptwin.report.provenance import trace_origin
+from vpptwin.report.twin_file import compose_twin
+from vpptwin.system.installed import list_installed, locate_effects
 from vpptwin.twin import load_twin
 
 RUN = "raise SystemExit('a package was run that nobody named')"

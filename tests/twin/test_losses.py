@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tests.twin.hover import WEIGHT
-from vpptwin.errors import InputError
-from vpptwin.resources import models_dir
+from vpptwin.system.errors import InputError
+from vpptwin.system.resources import models_dir
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.losses import read_losses
+from vpptwin.twin.robot.losses import read_losses
 
 RIG = models_dir() / "rail_rig.xml"
 TWIN = "model: own.xml\nvehicle: vehicle.yaml\nlosses: mjcf\n"

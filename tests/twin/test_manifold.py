@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.twin.manifold import difference_poses, integrate_pose
+from vpptwin.twin.robot.manifold import difference_poses, integrate_pose
 
 SLIDES = """<mujoco><worldbody><body><joint type="slide"/><joint type="hinge" axis="0 1 0"/><geom size="1"/></body>
 </worldbody></mujoco>"""

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests.measured import run_measured
-from vpptwin.errors import InputError
-from vpptwin.twin import parts, trial
-from vpptwin.twin.bounds import MOST_BYTES
-from vpptwin.twin.model import compile_model
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot import parts, trial
+from vpptwin.twin.robot.bounds import MOST_BYTES
+from vpptwin.twin.robot.model import compile_model
 
 BODY = '<worldbody><body name="{}"><joint name="{}" axis="0 1 0"/><geom size=".1" mass="1"/></body>{}</worldbody>'
 ATTACH = '<asset><model name="m" content_type="text/xml" file="{0}"/></asset>'

@@ -9,7 +9,7 @@ from tests.twin.hover import make_twin
 from tests.twin.test_flex import BRISTLES, MODE, draw_pushes
 from tests.twin.test_friction import Effects, level_poses
 from vpptwin.twin import Twin
-from vpptwin.twin.recall import Past
+from vpptwin.twin.stepping.recall import Past
 
 PUSHES = np.zeros((4, 50, 3))
 PUSHES[..., 0] = draw_pushes()

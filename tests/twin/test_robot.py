@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from vpptwin.effects import find_effect
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import load_twin
-from vpptwin.twin.drives import is_driven, is_geared, step_inertia
-from vpptwin.twin.links import list_links
-from vpptwin.twin.model import tells_mount
-from vpptwin.twin.robot import GUST, GUST_TIME, Loads, Robot, Signals
+from vpptwin.twin.robot.drives import is_driven, is_geared, step_inertia
+from vpptwin.twin.robot.links import list_links
+from vpptwin.twin.robot.model import tells_mount
+from vpptwin.twin.robot.robot import GUST, GUST_TIME, Loads, Robot, Signals
 
 ARM = mujoco.MjModel.from_xml_string("""
 <mujoco><worldbody>

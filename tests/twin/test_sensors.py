@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vpptwin.effects import CATALOGUE
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.past import SensorState, history_depth, look_back, record_poses, start_sensors
 from vpptwin.twin.sensors import (
     PERFECT,
     age_of_pose,
@@ -17,7 +17,7 @@ from vpptwin.twin.sensors import (
     perfect_sensors,
     sensor_noise,
 )
-from vpptwin.vehicle import load_vehicle
+from vpptwin.twin.stepping.past import SensorState, history_depth, look_back, record_poses, start_sensors
 
 PERIOD = 0.01
 

@@ -12,8 +12,8 @@ import yaml
 
 from tests.effects.rigs import CART_PENDULUM, CART_TWIN
 from vpptwin.effects import CATALOGUE
-from vpptwin.errors import InputError
-from vpptwin.resources import models_dir
+from vpptwin.system.errors import InputError
+from vpptwin.system.resources import models_dir
 from vpptwin.twin import Twin, load_twin
 
 DRONE = "model: rail_rig.xml\nvehicle: vehicle.yaml\n"

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from vpptwin.effects.base import Motion
-from vpptwin.twin.paths import drop_unused
-from vpptwin.twin.specialize import Writer
-from vpptwin.twin.terms import Repeat, Term, Unwritable
+from vpptwin.engine.trace.paths import drop_unused
+from vpptwin.engine.trace.specialize import Writer
+from vpptwin.engine.trace.terms import Repeat, Term, Unwritable
 
 WARP = SimpleNamespace(
     min=min, max=max, abs=abs, where=lambda test, a, b: a if test else b, int32=int, inf=math.inf, exp=math.exp,

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, nominal_constants
-from vpptwin.twin import Twin, TwinState, kernel, load_twin
-from vpptwin.twin.kernel import find_first
+from vpptwin.twin import Twin, TwinState, load_twin
+from vpptwin.twin.stepping import kernel
+from vpptwin.twin.stepping.kernel import find_first
 
 SPEC = load_twin()
 ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "airframe.mass", "rail_x.lugre",

@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.resources import find_model_file
+from vpptwin.system.resources import find_model_file
 from vpptwin.twin import TwinSpec, load_twin
 from vpptwin.twin.spec import TwinFile, build_twin
-from vpptwin.twin.stepped import leave_out
+from vpptwin.twin.stepping.stepped import leave_out
 
 RIG = load_twin()
 

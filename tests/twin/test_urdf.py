@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vpptwin.errors import InputError
-from vpptwin.twin.model import compile_model
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.model import compile_model
 
 INERTIA = '<inertial><mass value="{}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 JOINT = (

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from vpptwin.effects import Stage
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinSpec, TwinState, load_twin
-from vpptwin.twin.warp_mujoco import WarpMujoco
-from vpptwin.twin.warp_step import load_warp
+from vpptwin.twin.warp.mujoco import WarpMujoco
+from vpptwin.twin.warp.step import load_warp
 
 pytest.importorskip("mujoco_warp")
 EPS = float(np.finfo(np.float32).eps)

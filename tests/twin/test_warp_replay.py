@@ -10,19 +10,19 @@ import pytest
 from tests.effects.rigs import Rig, load_rigs
 from tests.twin.hover import share_kernel
 from tests.twin.test_warp_step import list_devices, own_effect, wait
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Variation
-from vpptwin.diagnosis.report.result import diagnose
-from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
-from vpptwin.resources import flights_dir
+from vpptwin.report.result import diagnose
+from vpptwin.system.errors import InputError
+from vpptwin.system.resources import flights_dir
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.replay import Driven, Replay
-from vpptwin.twin.warp_device import find_device
-from vpptwin.twin.warp_replay import PROCESSOR, Given, WarpReplay, WarpTwins, choose_maker
+from vpptwin.twin.stepping.replay import Driven, Replay
+from vpptwin.twin.warp.device import find_device
+from vpptwin.twin.warp.replay import PROCESSOR, Given, WarpReplay, WarpTwins, choose_maker
 
 ROWS, STEPS = 16, 200
 ROUNDING = 1e-11

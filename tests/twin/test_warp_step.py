@@ -13,10 +13,10 @@ from tests.twin import running_error
 from tests.twin.running_error import Tracked, Undecided
 from vpptwin.effects import Effect, Stage
 from vpptwin.effects.base import Motion
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, TwinState, load_twin
 from vpptwin.twin.twin import MANY
-from vpptwin.twin.warp_step import WarpStep, load_warp
+from vpptwin.twin.warp.step import WarpStep, load_warp
 
 CLOSE = 1e-12
 SPAN = 64

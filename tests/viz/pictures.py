@@ -16,7 +16,7 @@ from tests.viz.browser import Browser
 from vpptwin.estimation.replay import replay
 from vpptwin.logs import read_flight
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.playback import play_page
+from vpptwin.viz.pages.playback import play_page
 
 ROOT = Path(__file__).resolve().parents[2]
 MOMENT = 4.17  # s of flip.mcap: half turned, the twin lagging

@@ -14,7 +14,7 @@ from PIL import Image
 from tests.viz.browser import Browser
 from tests.viz.conftest import make_flight, make_prediction
 from tests.viz.server import serve
-from vpptwin.viz.playback import play_page
+from vpptwin.viz.pages.playback import play_page
 
 pytestmark = pytest.mark.browser
 CRAFT = 'viewer.scene_tree.find(["rig", "log", "craft"]).object'
@@ -112,7 +112,7 @@ def test_view_follows_the_craft(browser: Browser) -> None:
 @pytest.mark.slow
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
-    imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.playback import play_live"
+    imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.pages.playback import play_live"
     with (
         serve("-c", f"{imports}; play_live(make_flight())") as address,
         Browser(tmp_path, offline=False) as browser,

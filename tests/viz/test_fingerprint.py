@@ -9,7 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.viz.fingerprint import SIZES, draw_fingerprint, fly, take_fingerprint
+from vpptwin.viz.plots.fingerprint import SIZES, draw_fingerprint, fly, take_fingerprint
 
 ROOT = Path(__file__).resolve().parents[2]
 

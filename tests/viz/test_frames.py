@@ -15,19 +15,19 @@ import pytest
 from PIL import Image
 
 from tests.train.conftest import tiny_env
-from vpptwin.cli import main
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.estimation.replay import Prediction
-from vpptwin.files import is_own
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import is_own
 from vpptwin.train.stored import find_checkpoint
 from vpptwin.twin.spec import load_twin
-from vpptwin.vehicle import load_vehicle
-from vpptwin.viz.camera import View
-from vpptwin.viz.frames import BACKDROP, Painter
-from vpptwin.viz.motion import Rotors
-from vpptwin.viz.palette import NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
-from vpptwin.viz.video import encode_film, write_video
+from vpptwin.viz.plots.palette import NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
+from vpptwin.viz.scene.camera import View
+from vpptwin.viz.scene.frames import BACKDROP, Painter
+from vpptwin.viz.scene.motion import Rotors
+from vpptwin.viz.scene.video import encode_film, write_video
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
 SIZE, VIEW = (480, 300), View(np.array([0.0, 0.0, 1.2]), 0.75)  # 200 pixels a metre
@@ -218,7 +218,12 @@ def test_the_environment_shows_itself() -> None:
 def test_rlrender_works_on_it(tmp_path: Path) -> None:
     """TorchRL's own viewer flies the shipped policy and writes an animation."""
     out, command = tmp_path / "flip.gif", Path(sys.executable).with_name("rlrender")
-    factories = ["--env", "vpptwin.train.render:make_env", "--policy", "vpptwin.train.render:make_policy"]
+    factories = [
+        "--env",
+        "vpptwin.train.evaluate.render:make_env",
+        "--policy",
+        "vpptwin.train.evaluate.render:make_policy",
+    ]
     given = ["--ckpt", str(find_checkpoint("flip")), "--seed", "3", "--max-steps", "40", "--out", str(out)]
     done = subprocess.run([str(command), *factories, *given], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

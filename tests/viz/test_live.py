@@ -16,10 +16,10 @@ from PIL import Image
 
 from tests.viz.browser import Browser
 from tests.viz.server import serve
-from vpptwin.cli import main
-from vpptwin.train.live import KICK, LiveFlight
-from vpptwin.train.observe import wrap_angle
-from vpptwin.viz.live import KEYS, Panel
+from vpptwin.cli.main import main
+from vpptwin.train.env.observe import wrap_angle
+from vpptwin.train.evaluate.live import KICK, LiveFlight
+from vpptwin.viz.pages.live import KEYS, Panel
 
 
 @pytest.fixture(scope="module")

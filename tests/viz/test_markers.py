@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs import read_flight
 
 Log = dict[str, list[object]]

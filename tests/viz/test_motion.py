@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.viz.conftest import make_flight, make_prediction
-from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.motion import choose_frames, count_frames, hold, read_target, sample_prediction, turn_rotors
-from vpptwin.viz.show import prepare_show
+from vpptwin.viz.scene.motion import choose_frames, count_frames, hold, read_target, sample_prediction, turn_rotors
+from vpptwin.viz.scene.show import prepare_show
 
 
 def test_commands_hold_until_the_next() -> None:

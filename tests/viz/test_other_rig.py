@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.viz.page_reader import read_paths, read_tracks
-from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec, load_twin
-from vpptwin.viz.motion import find_positions
-from vpptwin.viz.panels import tell_robot
-from vpptwin.viz.playback import play_page
+from vpptwin.viz.pages.playback import play_page
+from vpptwin.viz.plots.panels import tell_robot
+from vpptwin.viz.scene.motion import find_positions
 
 CART_POLE = """
 <mujoco><worldbody>

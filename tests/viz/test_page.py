@@ -10,11 +10,11 @@ import pytest
 
 from tests.viz.conftest import DURATION, HOVER_PITCH, make_flight, make_prediction
 from tests.viz.page_reader import read_commands, read_held, read_paths, read_tracks
-from vpptwin.errors import InputError
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.playback import play_page
+from vpptwin.viz.pages.playback import play_page
 
 FETCHES = r"""(?:src|href|action|data)\s*=\s*["']?\s*(?:https?:)?//|url\(\s*["']?\s*(?:https?:)?//|@import|<link\b"""
 CRAFT = "/rig/log/craft"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.viz.page_reader import read_paths
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.logs import FlightWriter
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"

@@ -14,17 +14,17 @@ from PIL import Image
 
 from tests.viz.browser import Browser
 from tests.viz.conftest import HOVER_PITCH
-from vpptwin.cli import main
-from vpptwin.errors import InputError
+from vpptwin.cli.main import main
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
-from vpptwin.vehicle import load_vehicle
-from vpptwin.viz.curves import name_runs, read_curve, tell_runs
-from vpptwin.viz.figure import INK, open_figure
-from vpptwin.viz.palette import BRIGHT, TARGET, TWIN, VERMILION, to_rgb
-from vpptwin.viz.panels import Line, Panel, Story, differentiate, tell_flight
-from vpptwin.viz.plot import THEMES, brighten, draw_story, write_story
+from vpptwin.viz.plots.curves import name_runs, read_curve, tell_runs
+from vpptwin.viz.plots.figure import INK, open_figure
+from vpptwin.viz.plots.palette import BRIGHT, TARGET, TWIN, VERMILION, to_rgb
+from vpptwin.viz.plots.panels import Line, Panel, Story, differentiate, tell_flight
+from vpptwin.viz.plots.plot import THEMES, brighten, draw_story, write_story
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
 CART = """

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from vpptwin.viz.plots import (
+from vpptwin.viz.plots.plots import (
     bin_quantiles,
     cover_bulk,
     error_by_horizon,

@@ -29,11 +29,11 @@ from tornado.websocket import websocket_connect
 
 from tests.bad_files import DEMO
 from tests.viz.page_reader import read_paths
-from vpptwin.cli import main
-from vpptwin.errors import InputError
-from vpptwin.viz.browse import tell_address
-from vpptwin.viz.live import Panel
-from vpptwin.viz.serve import Server
+from vpptwin.cli.main import main
+from vpptwin.system.errors import InputError
+from vpptwin.viz.pages.browse import tell_address
+from vpptwin.viz.pages.live import Panel
+from vpptwin.viz.pages.serve import Server
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -158,7 +158,7 @@ def test_a_flight_is_served_as_it_is_written(tmp_path: Path, capsys: pytest.Capt
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vpptwin.viz.playback.time", SimpleNamespace(sleep=look))
+        patch.setattr("vpptwin.viz.pages.playback.time", SimpleNamespace(sleep=look))
         assert main(["play", str(DEMO)]) == 0
     written, (page,) = tmp_path / "flight.html", served
     (tmp_path / "served.html").write_bytes(page)
@@ -293,7 +293,7 @@ def test_viewers_that_do_not_read_hold_one_scene() -> None:
 
 def test_viewers_that_read_nothing_for_long_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """What they hold is let go; the others go on."""
-    monkeypatch.setattr("vpptwin.viz.serve.LONGEST_WRITE", 0.2)
+    monkeypatch.setattr("vpptwin.viz.pages.serve.LONGEST_WRITE", 0.2)
     server = Server()
     reader = connect(server)
     wait_for(lambda: len(server._viewers) == 1)
@@ -307,7 +307,7 @@ def test_viewers_that_read_nothing_for_long_are_cut_off(monkeypatch: pytest.Monk
 
 def test_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """One more than there may be is closed at once; when one goes, another may come."""
-    monkeypatch.setattr("vpptwin.viz.serve.MOST_CONNECTIONS", 3)
+    monkeypatch.setattr("vpptwin.viz.pages.serve.MOST_CONNECTIONS", 3)
     server = Server()
     idle = [connect(server) for _ in range(3)]
     wait_for(lambda: len(server._viewers) == 3)

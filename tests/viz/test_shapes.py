@@ -6,7 +6,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.viz.shapes import SEGMENTS, make_capsule, make_cone, make_cylinder, make_geom, make_ribbon, read_paint
+from vpptwin.viz.scene.shapes import (
+    SEGMENTS,
+    make_capsule,
+    make_cone,
+    make_cylinder,
+    make_geom,
+    make_ribbon,
+    read_paint,
+)
 
 # A polygon of n corners has n/(2 pi) sin(2 pi/n) of its circle's area.
 POLYGON = SEGMENTS / (2 * np.pi) * np.sin(2 * np.pi / SEGMENTS)

@@ -10,7 +10,7 @@ import pytest
 
 from vpptwin.effects import find_effect
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.sketch import Part, find_part, sketch_rig
+from vpptwin.viz.scene.sketch import Part, find_part, sketch_rig
 
 RIGS = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*/*.yaml"))
 

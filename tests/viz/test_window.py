@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tests.bad_files import DEMO
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz import window
-from vpptwin.viz.show import prepare_show
-from vpptwin.viz.window import DOWN, GHOST, LEFT, RIGHT, SPACE, UP, Clock, add_sky, place, play_window
+from vpptwin.viz.pages import window
+from vpptwin.viz.pages.window import DOWN, GHOST, LEFT, RIGHT, SPACE, UP, Clock, add_sky, place, play_window
+from vpptwin.viz.scene.show import prepare_show
 
 
 def test_time_goes_round() -> None:

@@ -7,9 +7,17 @@ from pathlib import Path
 import yaml
 from pydantic import Field, ValidationError
 
-from vpptwin.errors import InputError
-from vpptwin.plain import read_yaml
-from vpptwin.vehicle import MotorConstants, NonNegative, RotorConstants, Section, Servo, Vehicle, describe_problem
+from vpptwin.robots.planar_drone.vehicle import (
+    MotorConstants,
+    NonNegative,
+    RotorConstants,
+    Section,
+    Servo,
+    Vehicle,
+    describe_problem,
+)
+from vpptwin.system.errors import InputError
+from vpptwin.system.plain import read_yaml
 
 
 class DelayedServo(Servo):

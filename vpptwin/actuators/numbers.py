@@ -9,7 +9,7 @@ import numpy as np
 from numba.extending import overload
 from pydantic import BaseModel
 
-from vpptwin.vehicle import Control, Motor, Rotor, Vehicle
+from vpptwin.robots.planar_drone.vehicle import Control, Motor, Rotor, Vehicle
 
 Number = Any
 """A number or an array of numbers: the functions of this package take either."""

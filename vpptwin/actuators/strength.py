@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vpptwin.vehicle import Rotor, Vehicle
+from vpptwin.robots.planar_drone.vehicle import Rotor, Vehicle
 
 
 def strengthen_rotor(rotor: Rotor, factor: float) -> Rotor:

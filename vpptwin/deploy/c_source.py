@@ -13,8 +13,8 @@ import numpy as np
 from vpptwin.actuators import adaptive, motor
 from vpptwin.actuators.blade import NEWTON, is_straight, max_thrust
 from vpptwin.deploy.content import VECTORS, Content
-from vpptwin.files import write_files
-from vpptwin.train.observe import INTEGRAL_DECAY
+from vpptwin.system.files import write_files
+from vpptwin.train.env.observe import INTEGRAL_DECAY
 
 PREFIX = "vpptwin"
 FILES = (f"{PREFIX}.h", f"{PREFIX}.c")

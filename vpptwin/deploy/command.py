@@ -7,8 +7,8 @@ from pathlib import Path
 
 from vpptwin.deploy.c_source import FILES, write_c
 from vpptwin.deploy.content import collect_content
-from vpptwin.errors import InputError
-from vpptwin.files import check_own, is_same, write_whole
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import check_own, is_same, write_whole
 from vpptwin.twin.spec import load_twin
 
 TWINS = {"mjcf": ("{}.xml", ".xml"), "mjlab": ("{}_mjlab.py", ".py")}

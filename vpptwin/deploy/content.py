@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from vpptwin import __version__
-from vpptwin.train.actor import Actor, build_actor
+from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.train.config import TrainConfig, to_plain
-from vpptwin.train.rotors import load_trained_twin, strengthen
+from vpptwin.train.env.rotors import load_trained_twin, strengthen
+from vpptwin.train.learn.actor import Actor, build_actor
 from vpptwin.train.stored import find_commit, find_versions, open_checkpoint
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.vehicle import Vehicle
 
 STATES = ("pose", "velocity", "target", "integral")
 """What an ONNX model takes."""

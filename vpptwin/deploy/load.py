@@ -12,9 +12,9 @@ import numpy as np
 
 from vpptwin.deploy.c_source import PREFIX
 from vpptwin.deploy.content import STATES, TOLERANCE
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import TrainConfig, to_config
-from vpptwin.train.observe import INTEGRAL_DECAY
+from vpptwin.train.env.observe import INTEGRAL_DECAY
 
 EXPECTED = "a controller that `vpptwin export` wrote"
 AGAIN = "export it again"

@@ -14,10 +14,10 @@ import numpy as np
 from vpptwin.deploy.hold import AFFINE, Held
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin
-from vpptwin.twin.manifold import difference_poses
-from vpptwin.twin.model import hold_joints, typical_forces
+from vpptwin.twin.robot.manifold import difference_poses
+from vpptwin.twin.robot.model import hold_joints, typical_forces
 from vpptwin.twin.spec import TwinSpec
 
 HELD, SEED = 0.1, 0

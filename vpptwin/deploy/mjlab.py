@@ -12,7 +12,7 @@ import numpy as np
 
 from vpptwin.deploy.hold import Held, Place, hold
 from vpptwin.deploy.mjcf import describe
-from vpptwin.errors import escape_text
+from vpptwin.system.errors import escape_text
 from vpptwin.twin.spec import TwinSpec
 
 EVENTS = {

@@ -15,9 +15,9 @@ import torch
 from torch import nn
 
 from vpptwin.deploy.content import STATES, Content
-from vpptwin.files import write_whole
-from vpptwin.train.networks import Policy
-from vpptwin.train.observe import INTEGRAL_DECAY
+from vpptwin.system.files import write_whole
+from vpptwin.train.env.observe import INTEGRAL_DECAY
+from vpptwin.train.learn.networks import Policy
 
 OUTPUTS = ("action", "integral_next", "observation")
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from vpptwin.deploy.load import Exported, load_exported
-from vpptwin.train.pilot import PolicyPilot, choose_task
-from vpptwin.train.rotors import strengthen
-from vpptwin.train.tasks import Task, check_task_name
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.train.env.rotors import strengthen
+from vpptwin.train.env.tasks import Task, check_task_name
+from vpptwin.train.evaluate.pilot import PolicyPilot, choose_task
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.vehicle import Vehicle
 
 
 class ExportedPilot(PolicyPilot):
@@ -42,7 +42,7 @@ def load_exported_pilot(
 ) -> tuple[ExportedPilot, TwinSpec]:
     """The pilot of an exported controller, and the twin with rotors as strong as its task wants them.
 
-    The arguments are those of `vpptwin.train.pilot.load_pilot`.
+    The arguments are those of `vpptwin.train.evaluate.pilot.load_pilot`.
 
     Raises:
         InputError: if the controller is none of ours or not whole, there is no such task, or no such duration.

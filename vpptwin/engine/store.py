@@ -11,7 +11,7 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from vpptwin.engine.compile import KEPT
-from vpptwin.files import write_whole
+from vpptwin.system.files import write_whole
 
 MOST = 300
 """Steps kept: one of each model and catalogue, some 0.4 MB each."""

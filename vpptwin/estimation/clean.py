@@ -9,7 +9,7 @@ import numpy as np
 from vpptwin.estimation.outliers import find_frozen, find_spikes, find_strays
 from vpptwin.estimation.series import Series, integrate
 from vpptwin.logs.flight import Stream
-from vpptwin.vehicle import Sensors
+from vpptwin.robots.planar_drone.vehicle import Sensors
 
 SPEED = np.array([8.0, 8.0, 40.0])
 """Nothing on the rig is faster in x, z [m/s] and θ [rad/s]."""

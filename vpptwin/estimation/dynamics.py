@@ -13,7 +13,7 @@ from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.series import Measurements
 from vpptwin.estimation.windows import average_held
-from vpptwin.twin.manifold import difference_poses
+from vpptwin.twin.robot.manifold import difference_poses
 from vpptwin.twin.spec import TwinSpec
 
 REACH = 0.025

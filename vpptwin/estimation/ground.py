@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.series import Series
-from vpptwin.twin.manifold import FREE
+from vpptwin.twin.robot.manifold import FREE
 
 STILL, STOOD = 0.5, 2e-3
 """Whoever moves by less than this [m] in the first or last so many seconds stands there."""

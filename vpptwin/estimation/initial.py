@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.series import Measurements, Series, integrate
-from vpptwin.twin.manifold import (
+from vpptwin.twin.robot.manifold import (
     conjugate,
     difference_attitudes,
     find_place,

@@ -7,24 +7,24 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.estimation.checks.frames import look_up, turn_rates_to_body
+from vpptwin.estimation.checks.held import find_held
+from vpptwin.estimation.checks.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
+from vpptwin.estimation.checks.normalised import vet_travel
+from vpptwin.estimation.checks.sound import vet_joint
+from vpptwin.estimation.checks.turns import TURN, follow_turns, measure_counter, unwrap_turns
 from vpptwin.estimation.clean import clean_series
-from vpptwin.estimation.frames import look_up, turn_rates_to_body
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.ground import find_flown
-from vpptwin.estimation.held import find_held
 from vpptwin.estimation.initial import choose_span
-from vpptwin.estimation.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
-from vpptwin.estimation.normalised import vet_travel
 from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
-from vpptwin.estimation.sound import vet_joint
-from vpptwin.estimation.turns import TURN, follow_turns, measure_counter, unwrap_turns
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.twin.actuation import INTEGRATES, JOINT, integrate_input, tell_control
-from vpptwin.twin.manifold import BALL, FREE, difference_attitudes, follow_sign, multiply_attitudes, turn_to_world
-from vpptwin.twin.model import HINGE, is_indifferent
-from vpptwin.twin.signals import Tracked, find_base, turn_from_parent
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.actuation import INTEGRATES, JOINT, integrate_input, tell_control
+from vpptwin.twin.robot.manifold import BALL, FREE, difference_attitudes, follow_sign, multiply_attitudes, turn_to_world
+from vpptwin.twin.robot.model import HINGE, is_indifferent
+from vpptwin.twin.robot.signals import Tracked, find_base, turn_from_parent
 from vpptwin.twin.spec import TwinSpec
 
 POSITION_SHARE, VELOCITY_SHARE = 0.003, 0.02

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vpptwin.errors import InputError
 from vpptwin.estimation.correct import correct_measurements
 from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.estimation.windows import cut_windows, fly_windows, trace_past
 from vpptwin.logs.flight import Flight
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from vpptwin.logs.clocks import Clock
+from vpptwin.logs.streams.clocks import Clock
 
 ALIGNED, FEWEST_STEPS = 0.25, 20
 """Length of the steps [s] over which a gyro is compared with attitudes, and fewest of them."""

@@ -11,10 +11,10 @@ import numpy as np
 
 from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, follow_log, known_until
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.manifold import integrate_pose
-from vpptwin.twin.recall import Past
+from vpptwin.twin.robot.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
+from vpptwin.twin.stepping.recall import Past
 from vpptwin.twin.twin import Driven, Twin
 
 SPIN_SPAN = 0.01

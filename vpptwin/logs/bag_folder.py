@@ -7,8 +7,8 @@ from pathlib import Path, PurePosixPath
 
 import yaml
 
-from vpptwin.errors import InputError
-from vpptwin.plain import read_yaml
+from vpptwin.system.errors import InputError
+from vpptwin.system.plain import read_yaml
 
 PACKED = (".zstd", ".zst")
 """What names of files end with that are compressed as a whole."""

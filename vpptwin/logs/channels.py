@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from vpptwin.fields import BODIES, SITES, TURNS
 from vpptwin.logs.messages import shorten_type
+from vpptwin.system.fields import BODIES, SITES, TURNS
 
 # Axis names of a rotation -> (quaternion component, sign). SPEC 1: theta turns about -y.
 AXES = {f"{sign}{name}": (name, -1.0 if sign else 1.0) for name in "xyz" for sign in ("", "-")}

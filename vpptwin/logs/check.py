@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vpptwin.errors import InputError
 from vpptwin.logs.channels import AXES, Column, Source
-from vpptwin.logs.convert import list_fields
+from vpptwin.logs.streams.convert import list_fields
+from vpptwin.system.errors import InputError
 
 MAX_NORM_ERROR = 0.01  # of a quaternion that was meant to be a rotation
 MAX_TILT = 0.15  # rad out of the plane; a well set up tracker stays within a few degrees

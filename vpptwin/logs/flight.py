@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.errors import InputError
-from vpptwin.logs.clocks import Clock
 from vpptwin.logs.spelling import name_log
+from vpptwin.logs.streams.clocks import Clock
+from vpptwin.system.errors import InputError
 
 
 @dataclass(frozen=True)

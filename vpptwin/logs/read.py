@@ -8,20 +8,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 
-from vpptwin.errors import InputError, escape_text
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, SPATIAL_COLUMNS, is_joint_state, is_spatial
 from vpptwin.logs.check import check_gyro
-from vpptwin.logs.clocks import check_offsets, check_steps, read_clock
-from vpptwin.logs.condense import Condenser
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.raw import RawChannel, Wish
+from vpptwin.logs.formats.raw import RawChannel, Wish
+from vpptwin.logs.formats.tables import is_packed
 from vpptwin.logs.recording import Recording, open_recording
-from vpptwin.logs.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.spelling import PathLike, list_flights, spell
-from vpptwin.logs.streams import build_joint_stream, build_stream, measure_time
-from vpptwin.logs.tables import is_packed
-from vpptwin.logs.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
+from vpptwin.logs.streams.clocks import check_offsets, check_steps, read_clock
+from vpptwin.logs.streams.condense import Condenser
+from vpptwin.logs.streams.samples import Samples, read_joints, read_named, read_samples, read_spatial
+from vpptwin.logs.streams.streams import build_joint_stream, build_stream, measure_time
+from vpptwin.logs.streams.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
+from vpptwin.system.errors import InputError, escape_text
 
 JointSamples = dict[str, dict[str, Samples]]
 

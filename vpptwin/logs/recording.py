@@ -11,23 +11,23 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
-from vpptwin.errors import InputError, check_name
-from vpptwin.fields import Stamp
-from vpptwin.logs.arrays import read_mat, read_npz
-from vpptwin.logs.bags import read_bag
-from vpptwin.logs.columnar import read_parquet
-from vpptwin.logs.container import list_channels, read_container
-from vpptwin.logs.decode import Batch, DecodeError, decode_channel
-from vpptwin.logs.delimited import read_csv
-from vpptwin.logs.lerobot import read_lerobot, split_episode
+from vpptwin.logs.formats.arrays import read_mat, read_npz
+from vpptwin.logs.formats.bags import read_bag
+from vpptwin.logs.formats.columnar import read_parquet
+from vpptwin.logs.formats.container import list_channels, read_container
+from vpptwin.logs.formats.decode import Batch, DecodeError, decode_channel
+from vpptwin.logs.formats.delimited import read_csv
+from vpptwin.logs.formats.lerobot import read_lerobot, split_episode
+from vpptwin.logs.formats.raw import LARGE, RawChannel, RawFile, Wish
+from vpptwin.logs.formats.structures import split_run
+from vpptwin.logs.formats.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
+from vpptwin.logs.formats.unpack import ZSTD, unpack_file
+from vpptwin.logs.formats.vehicles import read_dataflash, read_ulog, read_usd
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.raw import LARGE, RawChannel, RawFile, Wish
 from vpptwin.logs.span import part_span
 from vpptwin.logs.spelling import ARRAYS, LOG, TEXTS, PathLike, find_files, is_episode, spell
-from vpptwin.logs.structures import split_run
-from vpptwin.logs.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
-from vpptwin.logs.unpack import ZSTD, unpack_file
-from vpptwin.logs.vehicles import read_dataflash, read_ulog, read_usd
+from vpptwin.system.errors import InputError, check_name
+from vpptwin.system.fields import Stamp
 
 TableReader = Callable[[Path, str, Wish, list[str]], Iterator[Table]]
 _SIGNATURES = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.errors import InputError
+from vpptwin.system.errors import InputError
 
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _SPELLED = re.compile(rf"(.+)@{_NUMBER}?-{_NUMBER}?", re.DOTALL)

@@ -14,13 +14,13 @@ from glob import glob, has_magic
 from itertools import takewhile
 from pathlib import Path
 
-from vpptwin.errors import InputError
-from vpptwin.logs.arrays import list_array_tests
 from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
-from vpptwin.logs.columnar import list_file_episodes
-from vpptwin.logs.lerobot import find_episode, is_lerobot, list_episodes, read_info, split_episode
+from vpptwin.logs.formats.arrays import list_array_tests
+from vpptwin.logs.formats.columnar import list_file_episodes
+from vpptwin.logs.formats.lerobot import find_episode, is_lerobot, list_episodes, read_info, split_episode
+from vpptwin.logs.formats.structures import split_run
 from vpptwin.logs.span import part_span
-from vpptwin.logs.structures import split_run
+from vpptwin.system.errors import InputError
 
 PathLike = str | os.PathLike[str]
 LOG = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"

@@ -12,8 +12,6 @@ from typing import Annotated
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from vpptwin.errors import InputError
-from vpptwin.fields import FieldEntry, SignalEntry, Stamp, TopicEntry, text_as
 from vpptwin.logs.channels import (
     AXES,
     CHANNELS,
@@ -28,7 +26,9 @@ from vpptwin.logs.channels import (
     Source,
 )
 from vpptwin.logs.messages import shorten_type
-from vpptwin.plain import read_yaml
+from vpptwin.system.errors import InputError
+from vpptwin.system.fields import FieldEntry, SignalEntry, Stamp, TopicEntry, text_as
+from vpptwin.system.plain import read_yaml
 
 LOG_TIME = "log_time"
 GEODETIC = {"lat", "latitude", "lon", "lng", "longitude"}

@@ -10,13 +10,13 @@ import numpy as np
 from mcap.well_known import MessageEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
-from vpptwin.errors import InputError
-from vpptwin.files import is_same, replace_files
-from vpptwin.logs.raw import Block, RawChannel, Wish
+from vpptwin.logs.formats.raw import Block, RawChannel, Wish
+from vpptwin.logs.formats.tables import pack_rows
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_sources
-from vpptwin.logs.tables import pack_rows
-from vpptwin.progress import open_bar
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import is_same, replace_files
+from vpptwin.system.progress import open_bar
 
 
 def transcribe(log: PathLike, out: Path) -> Recording:

@@ -18,14 +18,14 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
-from vpptwin.errors import InputError
-from vpptwin.files import replace_files
 from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
-from vpptwin.logs.convert import Value, split_column
-from vpptwin.logs.decode import find_leaf
 from vpptwin.logs.flight import Stream
-from vpptwin.logs.layout import Layout, compose_message, parse_definition
+from vpptwin.logs.formats.decode import find_leaf
+from vpptwin.logs.formats.layout import Layout, compose_message, parse_definition
 from vpptwin.logs.messages import compose_definition
+from vpptwin.logs.streams.convert import Value, split_column
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import replace_files
 
 # Time zero of logs that have no clock of their own: November 2023, and the same in every run.
 START_NS = 1_700_000_000 * 10**9

@@ -13,10 +13,10 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from vpptwin.errors import InputError
-from vpptwin.train.observe import SETUPS, Sight
-from vpptwin.train.ramp import Ramp
-from vpptwin.train.tasks import HOVER, Task, check_task
+from vpptwin.system.errors import InputError
+from vpptwin.train.env.observe import SETUPS, Sight
+from vpptwin.train.env.tasks import HOVER, Task, check_task
+from vpptwin.train.learn.ramp import Ramp
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""

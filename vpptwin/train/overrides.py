@@ -17,11 +17,11 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from vpptwin.errors import InputError, suggest
+from vpptwin.system.errors import InputError, suggest
+from vpptwin.system.trust import trust
 from vpptwin.train.config import HELP, PRESETS, Curriculum, TrainConfig, to_config
-from vpptwin.train.ramp import Ramp
-from vpptwin.train.tasks import HOVER, TASKS
-from vpptwin.trust import trust
+from vpptwin.train.env.tasks import HOVER, TASKS
+from vpptwin.train.learn.ramp import Ramp
 
 EXAMPLES = """\
 Numbers inside a task or a ramp go by dotted names, for example:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import vpptwin
-from vpptwin.errors import InputError, suggest
-from vpptwin.resources import models_dir
+from vpptwin.system.errors import InputError, suggest
+from vpptwin.system.resources import models_dir
 
 KIND, FORMAT = "vpptwin policy", 5
 FILE_NAME, BEST_NAME = "checkpoint.pt", "best.pt"

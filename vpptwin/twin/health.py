@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.errors import InputError
-from vpptwin.files import write_whole
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import write_whole
 from vpptwin.twin.spec import EffectValues, load_twin, locate_twin
 from vpptwin.twin.state import TwinState
 from vpptwin.twin.twin import Twin

@@ -15,10 +15,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vpptwin.arrays import library
-from vpptwin.twin.manifold import rotate, turn_to_world
-from vpptwin.twin.past import SensorState, look_back
-from vpptwin.vehicle import Vehicle
+from vpptwin.engine.arrays import library
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.twin.robot.manifold import rotate, turn_to_world
+from vpptwin.twin.stepping.past import SensorState, look_back
 
 Constants = Mapping[str, np.ndarray] | np.ndarray
 """Constants of the sensors by name, each (N, nv): a dict or a structured array."""

@@ -16,19 +16,19 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.actuators.strength import strengthen
 from vpptwin.effects import CATALOGUE, Effect, find_effect
-from vpptwin.errors import InputError, suggest
-from vpptwin.fields import SignalEntry
-from vpptwin.installed import locate_effects
-from vpptwin.plain import read_yaml
-from vpptwin.resources import find_model_file, models_dir
-from vpptwin.trust import check_trusted
-from vpptwin.twin.actuation import list_noted
-from vpptwin.twin.drone import CRAFT_JOINTS, PlanarDrone
-from vpptwin.twin.losses import read_losses
-from vpptwin.twin.robot import Robot, Signals
-from vpptwin.twin.signals import SIGNAL_TOPICS
-from vpptwin.twin.stepped import strip_model
-from vpptwin.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS, PlanarDrone
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.system.errors import InputError, suggest
+from vpptwin.system.fields import SignalEntry
+from vpptwin.system.installed import locate_effects
+from vpptwin.system.plain import read_yaml
+from vpptwin.system.resources import find_model_file, models_dir
+from vpptwin.system.trust import check_trusted
+from vpptwin.twin.robot.actuation import list_noted
+from vpptwin.twin.robot.losses import read_losses
+from vpptwin.twin.robot.robot import Robot, Signals
+from vpptwin.twin.robot.signals import SIGNAL_TOPICS
+from vpptwin.twin.stepping.stepped import strip_model
 
 EffectValues = dict[str, dict[str, float]]
 Controller = Literal["map", "adaptive"]
@@ -204,7 +204,7 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
     Args:
         name: one of `SHIPPED` or the path of a twin YAML.
         effect_files: Python files with effects of the user's own, or names of installed ones. They are run; one that
-            the YAML names is run only if it is among them, installed, or trusted (`vpptwin.trust`).
+            the YAML names is run only if it is among them, installed, or trusted (`vpptwin.system.trust`).
 
     Raises:
         InputError: if a file is missing or wrong, an effect is unknown or out of bounds, or code is not trusted.
@@ -290,7 +290,7 @@ def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path
     if vehicle is None:
         given = list_noted(robot.model) | given
     if effect_files:
-        from vpptwin.twin.effect_file import extend_catalogue  # which brings the compiler
+        from vpptwin.twin.robot.effect_file import extend_catalogue  # which brings the compiler
 
         catalogue = extend_catalogue(catalogue, effect_files, robot)
     effects = check_effects(given, catalogue, name)

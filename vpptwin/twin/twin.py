@@ -15,19 +15,19 @@ from vpptwin.actuators.adaptive import start_memory
 from vpptwin.actuators.layer import PACES
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import installed, mark_rows
-from vpptwin.twin.constants import ConstantTable
-from vpptwin.twin.fused import Stepper
-from vpptwin.twin.kernel import CONTEXT, delay_depth, warm_up, write_kernel
-from vpptwin.twin.layout import read_layout
-from vpptwin.twin.manifold import difference_poses, find_places, integrate_pose
-from vpptwin.twin.model import hold_joints
-from vpptwin.twin.pipeline import Pipeline
-from vpptwin.twin.recall import Past, Recollection, evolves, write_recollection
-from vpptwin.twin.replay import Driven, Replay
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.twin.robot.manifold import difference_poses, find_places, integrate_pose
+from vpptwin.twin.robot.model import hold_joints
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
-from vpptwin.twin.stepped import leave_out
-from vpptwin.vehicle import Vehicle
+from vpptwin.twin.stepping.constants import ConstantTable
+from vpptwin.twin.stepping.fused import Stepper
+from vpptwin.twin.stepping.kernel import CONTEXT, delay_depth, warm_up, write_kernel
+from vpptwin.twin.stepping.layout import read_layout
+from vpptwin.twin.stepping.pipeline import Pipeline
+from vpptwin.twin.stepping.recall import Past, Recollection, evolves, write_recollection
+from vpptwin.twin.stepping.replay import Driven, Replay
+from vpptwin.twin.stepping.stepped import leave_out
 
 MANY = 256
 """Simulations from which policies too are flown without MuJoCo: for fewer, compiling that costs more than it saves."""
@@ -37,9 +37,9 @@ class Twin:
     """N simulations that share a rig and differ in parameters and state.
 
     A twin holds parameters; whatever evolves is in the `TwinState` that its functions take and return. The whole inner
-    loop runs compiled inside the engine's step (`vpptwin.twin.step`): one call, however many steps. Simulations that
+    loop runs compiled inside the engine's step (`stepping.step`): one call, however many steps. Simulations that
     touch nothing during a call, and reach no end stop, are stepped without MuJoCo where the rig allows it
-    (`vpptwin.twin.fused`): equal but for rounding, and faster. Under policies that is so from `MANY` simulations on.
+    (`stepping.fused`): equal but for rounding, and faster. Under policies that is so from `MANY` simulations on.
 
     The engine's semi-implicit Euler step is second-order accurate if read as a leapfrog: `qvel` belongs to the state's
     time, `qpos` leads it by half a step, and forces are means over the step. `pose_at_time` undoes the lead where half

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import list_warnings, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs import Flight, read_flight
 from vpptwin.logs.spelling import expand, stem_log
-from vpptwin.terminal import print_warnings
+from vpptwin.system.errors import InputError
+from vpptwin.system.terminal import print_warnings
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 
@@ -32,14 +32,14 @@ def play_log(
         host: address of this machine to serve on.
         in_window: show it in MuJoCo's own viewer instead of serving it.
     """
-    from vpptwin.viz.playback import play_live, play_page  # neither of the two commands waits for the other's
+    from vpptwin.viz.pages.playback import play_live, play_page  # neither of the two commands waits for the other's
 
     if video is not None:
-        from vpptwin.viz.video import check_video, write_video
+        from vpptwin.viz.scene.video import check_video, write_video
 
         check_video(video)
     if in_window:
-        from vpptwin.viz.window import check_screen, play_window
+        from vpptwin.viz.pages.window import check_screen, play_window
 
         check_screen()
     flight, prediction, spec = read_both(logs, twin, restart, topic_map, effects)
@@ -102,9 +102,9 @@ def plot(
     Raises:
         InputError: if a source is not what it should be, or the picture cannot be written.
     """
-    from vpptwin.viz.curves import is_run, tell_runs
-    from vpptwin.viz.panels import tell_flight
-    from vpptwin.viz.plot import check_format, write_story
+    from vpptwin.viz.plots.curves import is_run, tell_runs
+    from vpptwin.viz.plots.panels import tell_flight
+    from vpptwin.viz.plots.plot import check_format, write_story
 
     check_format(out)
     sources = [file for source in sources for file in expand(source)]

@@ -17,8 +17,8 @@ from mujoco import sysid
 
 from hidden.baselines.track import VEHICLE, Track, prepare_track
 from vpptwin.logs.flight import Flight
-from vpptwin.resources import models_dir
-from vpptwin.twin.losses import take_out_losses
+from vpptwin.system.resources import models_dir
+from vpptwin.twin.robot.losses import take_out_losses
 
 LENGTH, EVERY = 0.5, 1.0
 """Of a sequence, and from one to the next [s]."""

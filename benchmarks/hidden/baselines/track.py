@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter, medfilt, savgol_filter
 
 from vpptwin.logs.flight import Flight
-from vpptwin.vehicle import load_vehicle
+from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 RATE, STEP = 100.0, 0.001
 """Of the smoothed motion [Hz] and of the commands [s]."""

@@ -11,9 +11,9 @@ import yaml
 
 from vpptwin.diagnosis.evidence.forces import scale_to
 from vpptwin.diagnosis.search.suspects import list_sizes, list_unknowns
-from vpptwin.errors import InputError
-from vpptwin.twin.model import inertia_at_rest
-from vpptwin.twin.robot import Loads
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.model import inertia_at_rest
+from vpptwin.twin.robot.robot import Loads
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 PENDULUM = """<mujoco><worldbody><body><joint name="swing" axis="0 1 0"/>

@@ -10,8 +10,8 @@ import pytest
 
 from tests.diagnosis.carts import load_cart
 from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, split_flights, thin_out
-from vpptwin.errors import InputError
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 

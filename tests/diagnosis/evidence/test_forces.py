@@ -13,7 +13,7 @@ from vpptwin.diagnosis.evidence.forces import measure_loads, scale_twin, usual_i
 from vpptwin.effects import find_effect
 from vpptwin.estimation.dynamics import REACH, Forces, invert, measure_forces
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin.robot import GUST, Loads
+from vpptwin.twin.robot.robot import GUST, Loads
 from vpptwin.twin.spec import load_twin
 
 INERTIA, WEIGHT, DAMPING = BOB * LENGTH**2, BOB * 9.81 * LENGTH, 0.03

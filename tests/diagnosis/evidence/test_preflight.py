@@ -11,7 +11,7 @@ import pytest
 from tests.estimation.synthetic import AMPLITUDE, FREQUENCY, Sensors
 from vpptwin.diagnosis.evidence.preflight import check_stream, describe_range, inspect_flight
 from vpptwin.estimation.series import Lag, Measurements
-from vpptwin.logs.clocks import Clock
+from vpptwin.logs.streams.clocks import Clock
 from vpptwin.twin import load_twin
 
 SPEC = load_twin()

@@ -13,12 +13,12 @@ from tests.diagnosis.carts import measure_cart
 from tests.diagnosis.plants import Plant, move, slider
 from tests.diagnosis.rigs import BOB, DECAYS, LENGTH, LOG_EVERY, STEP, Track, let_swing, record, write_rig
 from vpptwin.diagnosis.criteria import CRITERIA
+from vpptwin.diagnosis.evidence.contradiction import Seen, weigh_causes
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement import conclusion
 from vpptwin.diagnosis.judgement import diagnose as judgement
 from vpptwin.diagnosis.judgement.conclusion import HARMING
-from vpptwin.diagnosis.judgement.contradiction import Seen, weigh_causes
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements, Series

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from benchmarks.next_experiment import Explanation, blame, fly_and_fit
-from vpptwin.cli import build_parser
+from vpptwin.cli.main import build_parser
 from vpptwin.diagnosis.evidence.bench import Bench
-from vpptwin.diagnosis.judgement.experiment import (
+from vpptwin.diagnosis.search.separation import refit_misfit, separate
+from vpptwin.diagnosis.search.suspects import list_unknowns
+from vpptwin.robots.planar_drone.experiment import (
     Candidate,
     explain_absence,
     fly_library,
     observe_candidates,
     propose_experiment,
 )
-from vpptwin.diagnosis.search.separation import refit_misfit, separate
-from vpptwin.diagnosis.search.suspects import list_unknowns
-from vpptwin.pilot.library import LIBRARY
-from vpptwin.pilot.manoeuvre import find_manoeuvre
+from vpptwin.robots.planar_drone.pilot.library import LIBRARY
+from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
 from vpptwin.twin import load_twin
 
 SPEC = load_twin()

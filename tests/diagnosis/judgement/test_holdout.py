@@ -22,7 +22,7 @@ from vpptwin.diagnosis.judgement.errors import PredictionErrors, last_bins, mean
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.search.frame import Frame
 from vpptwin.diagnosis.search.likelihood import couple_gusts
-from vpptwin.twin.robot import GUST_TIME
+from vpptwin.twin.robot.robot import GUST_TIME
 
 TRUTH = {("slide.coulomb", "force"): FRICTION}
 DOUBLE = {("slide.coulomb", "force"): 2.0 * FRICTION}

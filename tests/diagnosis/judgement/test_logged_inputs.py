@@ -12,20 +12,20 @@ import yaml
 from tests.diagnosis.rigs import CARTS, DECAYS, write_rig
 from tests.quadrotor import MASS, fly, write_twin
 from vpptwin.diagnosis.criteria import CRITERIA
-from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.diagnosis.judgement.logged_inputs import (
+from vpptwin.diagnosis.evidence.logged_inputs import (
     describe_input_error,
     describe_turned,
     describe_weak_inputs,
     list_inputs,
     turn_as_logged,
 )
-from vpptwin.diagnosis.report.twin_file import name_twin
+from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.search.suspects import list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.twin.model import compile_model
+from vpptwin.report.twin_file import name_twin
+from vpptwin.twin.robot.model import compile_model
 from vpptwin.twin.spec import load_twin
 
 PAIR = """<mujoco>

@@ -10,8 +10,8 @@ import pytest
 
 from tests import servo_arm
 from tests.torque_arm import Truth, swing_arm, write_arm
+from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.diagnosis.judgement.other_motors import describe_other_motors
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Stream
 from vpptwin.twin import TwinSpec, load_twin

@@ -11,7 +11,7 @@ import pytest
 from vpptwin.diagnosis.judgement.conclusion import describe_soft_couplings
 from vpptwin.estimation.dynamics import invert
 from vpptwin.twin import load_twin
-from vpptwin.twin.drives import list_followers
+from vpptwin.twin.robot.drives import list_followers
 
 FINGERS = """<mujoco><default><geom size="0.01" mass="0.2" contype="0"/><joint type="slide" axis="1 0 0"/></default>
 <worldbody><body><joint name="left"/><geom/></body><body><joint name="right"/><geom/></body></worldbody>

@@ -19,7 +19,7 @@ from vpptwin.diagnosis.judgement.verdict import (
     Unseen,
     Verdict,
 )
-from vpptwin.files import write_json, write_whole
+from vpptwin.system.files import write_json, write_whole
 
 FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
 CAUSE = Cause(

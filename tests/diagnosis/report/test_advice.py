@@ -11,9 +11,9 @@ import pytest
 from tests.diagnosis.judgement.test_verdict import CAUSE, VERDICT
 from tests.diagnosis.made_up import EXPERIMENT, read_demo
 from tests.twin.own_effect_files import write_rig
-from vpptwin.cli import build_parser
+from vpptwin.cli.main import build_parser
 from vpptwin.diagnosis.judgement.verdict import Misfit, Rival, Unexplained, Unseen, Verdict
-from vpptwin.diagnosis.report.advice import Session, Step, list_steps
+from vpptwin.report.html.advice import Session, Step, list_steps
 from vpptwin.train.overrides import parse_overrides
 from vpptwin.twin.spec import TwinSpec, load_twin
 

@@ -14,12 +14,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from tests.diagnosis.rigs import CARTS, record
 from tests.estimation.synthetic import draw_commands, fly_own
-from vpptwin.diagnosis.report.export import name_files, write_prediction
-from vpptwin.diagnosis.report.prediction import FlightPrediction, Track, predict_flight
-from vpptwin.diagnosis.report.rerun import write_rrd
-from vpptwin.files import is_own
 from vpptwin.logs import Stream, read_flight, write_flight
 from vpptwin.logs.flight import Flight
+from vpptwin.report.export import name_files, write_prediction
+from vpptwin.report.prediction import FlightPrediction, Track, predict_flight
+from vpptwin.report.rerun import write_rrd
+from vpptwin.system.files import is_own
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 FLIP = Path(__file__).resolve().parents[3] / "demo/flights/flip.mcap"

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 
 from tests.diagnosis.made_up import FLIP, make_up
-from vpptwin.cli import main
-from vpptwin.diagnosis.report import pictures, result
-from vpptwin.diagnosis.report.command import diagnose_logs
-from vpptwin.diagnosis.report.output import stage_results
-from vpptwin.errors import InputError
-from vpptwin.files import exchange
+from vpptwin.cli.main import main
+from vpptwin.report import result
+from vpptwin.report.command import diagnose_logs
+from vpptwin.report.html import pictures
+from vpptwin.report.output import stage_results
+from vpptwin.system.errors import InputError
+from vpptwin.system.files import exchange
 from vpptwin.twin.spec import load_twin
 
 RESULTS = ["prediction.mcap", "report.html", "twin.yaml", "verdict.json"]

@@ -14,10 +14,10 @@ from tests.viz.browser import Browser
 from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.verdict import Misfit, Unexplained
-from vpptwin.diagnosis.report.page import tie_units
-from vpptwin.diagnosis.report.provenance import trace_origin
-from vpptwin.diagnosis.report.result import collect_result
 from vpptwin.estimation.measurements import read_measurements
+from vpptwin.report.html.page import tie_units
+from vpptwin.report.provenance import trace_origin
+from vpptwin.report.result import collect_result
 
 VOID = {"meta", "link", "br", "img", "path", "use", "rect", "line", "circle"}
 

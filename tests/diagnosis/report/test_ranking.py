@@ -8,7 +8,7 @@ import pytest
 
 from tests.diagnosis.made_up import LEFT, make_diagnosis
 from vpptwin.diagnosis.judgement.verdict import Cleared
-from vpptwin.diagnosis.report.ranking import describe_cleared, rank_suspects
+from vpptwin.report.html.ranking import describe_cleared, rank_suspects
 
 
 def test_suspects_are_ranked_with_their_fates() -> None:

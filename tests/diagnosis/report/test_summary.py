@@ -18,16 +18,16 @@ from vpptwin.diagnosis.judgement.verdict import (
     Unexplained,
     Verdict,
 )
-from vpptwin.diagnosis.report.error_table import tabulate_errors
-from vpptwin.diagnosis.report.summary import (
+from vpptwin.effects import CATALOGUE, Effect
+from vpptwin.report.error_table import tabulate_errors
+from vpptwin.report.summary import (
     describe_cause,
     describe_certainty,
     describe_unexplained,
     headline,
     summarise,
 )
-from vpptwin.diagnosis.report.words import format_value
-from vpptwin.effects import CATALOGUE, Effect
+from vpptwin.report.words import format_value
 
 SILENT = NoiseFloor({}, {})
 NOISE = NoiseFloor({"position_rmse_m": 0.000566, "angle_rmse_rad": 0.003, "θ rate": 0.0063}, {"θ rate": "rad/s"})

@@ -12,10 +12,10 @@ import yaml
 
 from tests.diagnosis.judgement.test_verdict import CAUSE, VERDICT
 from tests.diagnosis.rigs import CARTS, Case, write_rig
-from vpptwin.cli import main
+from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.report.provenance import trace_origin
-from vpptwin.diagnosis.report.twin_file import compose_twin, extend_effects
+from vpptwin.report.provenance import trace_origin
+from vpptwin.report.twin_file import compose_twin, extend_effects
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 FLIGHTS = Path(__file__).resolve().parents[3] / "demo/flights"

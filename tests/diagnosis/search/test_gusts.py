@@ -23,8 +23,8 @@ from vpptwin.diagnosis.search.likelihood import (
     price_of_storm,
     tune_gust,
 )
-from vpptwin.twin.drone import GUST_TIME
-from vpptwin.twin.robot import Disturbance
+from vpptwin.robots.planar_drone.craft import GUST_TIME
+from vpptwin.twin.robot.robot import Disturbance
 
 SEGMENTS, NV, VALUES = 3, 2, 12
 LENGTH = 0.3

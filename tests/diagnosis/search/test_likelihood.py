@@ -26,7 +26,7 @@ from vpptwin.diagnosis.search.likelihood import (
 )
 from vpptwin.diagnosis.search.motion import choose_track, follow_motion, shift_track
 from vpptwin.estimation.measurements import Measurements, Series
-from vpptwin.twin import robot
+from vpptwin.twin.robot import robot
 from vpptwin.twin.spec import load_twin
 
 WINDOW, SEGMENTS, BINS, COUNT = 0.4, 4, 40, 8

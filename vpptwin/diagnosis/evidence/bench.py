@@ -15,7 +15,7 @@ from vpptwin.diagnosis.evidence.runs import ROWS, Key, MakeTwin, Runs, Track, Va
 from vpptwin.effects import Stage, find_effect
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows
-from vpptwin.twin.manifold import find_place
+from vpptwin.twin.robot.manifold import find_place
 from vpptwin.twin.sensors import Constants, body_force
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
-from vpptwin.twin.manifold import difference_attitudes, rotate
+from vpptwin.twin.robot.manifold import difference_attitudes, rotate
 from vpptwin.twin.sensors import Constants, body_force, find_age, measure_coordinate, measure_rate, turn_rates
 
 BIN = 0.01

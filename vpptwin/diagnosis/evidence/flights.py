@@ -13,12 +13,12 @@ from vpptwin.diagnosis.evidence.channels import BIN, LEAD, choose_bin, join_chan
 from vpptwin.diagnosis.evidence.forces import measure_growth, measure_turning
 from vpptwin.diagnosis.evidence.motor import observe_motor
 from vpptwin.diagnosis.evidence.runs import MakeTwin
-from vpptwin.errors import InputError
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.series import Series
 from vpptwin.estimation.strikes import mark_strikes
 from vpptwin.estimation.windows import cut_windows, join_windows
+from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 

@@ -14,9 +14,9 @@ from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import average_held
-from vpptwin.twin.manifold import FREE, chart
-from vpptwin.twin.model import hold_joints, inertia_at_rest
-from vpptwin.twin.robot import Loads
+from vpptwin.twin.robot.manifold import FREE, chart
+from vpptwin.twin.robot.model import hold_joints, inertia_at_rest
+from vpptwin.twin.robot.robot import Loads
 from vpptwin.twin.spec import TwinSpec
 
 MOST_STATES, STEP = 120, 1e-6

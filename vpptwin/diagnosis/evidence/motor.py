@@ -14,8 +14,8 @@ from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.channels import MISSING, Channel
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.robots.planar_drone.vehicle import Motor
 from vpptwin.twin.sensors import Constants
-from vpptwin.vehicle import Motor
 
 SPEED, CURRENT = "rotor speed", "current"
 """Kinds of these channels; their axis is the rotor's index."""

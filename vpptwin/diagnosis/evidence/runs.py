@@ -17,10 +17,10 @@ from vpptwin.estimation.correct import correct_measurements, is_perfect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.estimation.windows import Motion, Windows, enter_windows, fly_on, fly_windows, trace_past
-from vpptwin.twin.manifold import conjugate, turn_to_world
-from vpptwin.twin.recall import Past, evolves
+from vpptwin.twin.robot.manifold import conjugate, turn_to_world
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
+from vpptwin.twin.stepping.recall import Past, evolves
 from vpptwin.twin.twin import Twin
 
 ROWS = 4096

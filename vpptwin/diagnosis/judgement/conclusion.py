@@ -8,12 +8,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from vpptwin.diagnosis.evidence.contradiction import weigh_causes
+from vpptwin.diagnosis.evidence.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
+from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.diagnosis.judgement.contradiction import weigh_causes
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import share_left
-from vpptwin.diagnosis.judgement.logged_inputs import describe_input_error, describe_turned, describe_weak_inputs
-from vpptwin.diagnosis.judgement.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.power import judge_power
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Estimate, Misfit, Unexplained, Verdict

@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from vpptwin.deadline import Deadline
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.evidence.flights import (
     HORIZONS_S,
@@ -22,27 +21,29 @@ from vpptwin.diagnosis.evidence.flights import (
     thin_out,
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
+from vpptwin.diagnosis.evidence.logged_inputs import turn_as_logged
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
 from vpptwin.diagnosis.judgement.conclusion import conclude
-from vpptwin.diagnosis.judgement.experiment import propose_experiment
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.leftover import judge_leftover
-from vpptwin.diagnosis.judgement.logged_inputs import turn_as_logged
 from vpptwin.diagnosis.judgement.selection import Selection, impose_causes, select_causes
 from vpptwin.diagnosis.judgement.verdict import Cause, Cut, Experiment, Verdict
 from vpptwin.diagnosis.judgement.wrench import WrenchPlot
 from vpptwin.diagnosis.search.information import choose_judges, measure_information
 from vpptwin.diagnosis.search.motion import follow_motion
 from vpptwin.diagnosis.search.search import Search
-from vpptwin.diagnosis.search.suspects import list_unknowns
+from vpptwin.diagnosis.search.separation import Hypothesis
+from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
-from vpptwin.errors import InputError
-from vpptwin.estimation.efforts import refuse_efforts
-from vpptwin.estimation.held import refuse_held
+from vpptwin.estimation.checks.efforts import refuse_efforts
+from vpptwin.estimation.checks.held import refuse_held
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight
+from vpptwin.system.deadline import Deadline
+from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.twin import Twin
 
@@ -237,12 +238,20 @@ def judge(
     return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight)
 
 
+@by_robot
+def propose(
+    robot: Robot, spec: TwinSpec, hypotheses: Sequence[Hypothesis], unknowns: Sequence[Unknown], criteria: Criteria
+) -> Experiment | None:
+    """The motion that would tell hypotheses apart; None where nobody knows how the robot is made to move."""
+    return None
+
+
 def suggest_experiment(
     spec: TwinSpec, search: Search, selection: Selection, causes: Sequence[Cause]
 ) -> Experiment | None:
     """The manoeuvre for the cause whose rivals are most probable."""
     doubtful = max(causes, key=lambda cause: sum(rival.confidence for rival in cause.also_explained_by)).effect
-    return propose_experiment(spec, [selection.fit, *selection.instead[doubtful]], search.unknowns, search.criteria)
+    return propose(spec.robot, spec, [selection.fit, *selection.instead[doubtful]], search.unknowns, search.criteria)
 
 
 def open_held_out(

@@ -13,7 +13,7 @@ from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.diagnosis.judgement.blocks import blocks_of, resample, sum_blocks, tell_apart, to_deviations
 from vpptwin.estimation.initial import estimate_states
-from vpptwin.twin.manifold import difference_poses
+from vpptwin.twin.robot.manifold import difference_poses
 
 
 class PredictionErrors:

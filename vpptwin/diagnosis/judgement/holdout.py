@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from vpptwin.covariance import logdet, solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation, keep_last
 from vpptwin.diagnosis.judgement.blocks import blocks_of, improvement, resample, sum_blocks
 from vpptwin.diagnosis.judgement.errors import PredictionErrors, mean_over
+from vpptwin.diagnosis.search.covariance import logdet, solve
 from vpptwin.diagnosis.search.fits import Fit, check_frames
 from vpptwin.diagnosis.search.likelihood import Likelihood, Response, couple_gusts, measure_response
 from vpptwin.diagnosis.search.motion import follow_motion, shift_track

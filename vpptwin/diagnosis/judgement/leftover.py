@@ -17,7 +17,7 @@ from vpptwin.diagnosis.judgement.wrench import WrenchPlot, missing_wrench
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.likelihood import Response, couple_gusts, gust_std, middles_of_segments, tune_gust
 from vpptwin.diagnosis.search.search import Search
-from vpptwin.twin.manifold import chart
+from vpptwin.twin.robot.manifold import chart
 
 LESS = 0.2
 """Share by which a swing is believed less than a state."""

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from vpptwin.deadline import Deadline, Stopped
 from vpptwin.diagnosis.criteria import Criteria
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.rivals import (
@@ -29,6 +28,7 @@ from vpptwin.diagnosis.judgement.rivals import (
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.search import Search, Step
+from vpptwin.system.deadline import Deadline, Stopped
 
 Stage = Callable[[str], None]
 

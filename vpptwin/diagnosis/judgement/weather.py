@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.signal import lombscargle
 
-from vpptwin.covariance import factor, solve
 from vpptwin.diagnosis.criteria import Criteria
+from vpptwin.diagnosis.search.covariance import factor, solve
 
 FOLDS = 4
 FAR = 10**6

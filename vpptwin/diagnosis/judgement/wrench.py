@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.covariance import solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.diagnosis.judgement.holdout import HeldOut
+from vpptwin.diagnosis.search.covariance import solve
 from vpptwin.diagnosis.search.likelihood import Response, gust_std
 from vpptwin.effects import Effect
-from vpptwin.twin.manifold import FREE, chart
+from vpptwin.twin.robot.manifold import FREE, chart
 
 
 @dataclass(frozen=True)

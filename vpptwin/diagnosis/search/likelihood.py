@@ -16,10 +16,10 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import minimize
 
-from vpptwin.cores import in_parts, map_rows
-from vpptwin.covariance import factor, invert, logdet
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track, Variation
+from vpptwin.diagnosis.search.covariance import factor, invert, logdet
+from vpptwin.system.cores import in_parts, map_rows
 
 FORGOTTEN = 5.0
 """Gusts so many times that apart have nothing in common."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.covariance import factor, solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Track
+from vpptwin.diagnosis.search.covariance import factor, solve
 from vpptwin.diagnosis.search.likelihood import (
     Likelihood,
     Response,

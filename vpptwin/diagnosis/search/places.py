@@ -16,7 +16,7 @@ from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.effects import Effect, Parameter, Stage
 from vpptwin.effects.base import Motion
 from vpptwin.estimation.dynamics import Forces, measure_forces
-from vpptwin.twin.manifold import chart
+from vpptwin.twin.robot.manifold import chart
 from vpptwin.twin.spec import TwinSpec
 
 FINEST, WIDTHS = 240, 3

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from vpptwin.covariance import solve
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
+from vpptwin.diagnosis.search.covariance import solve
 from vpptwin.diagnosis.search.likelihood import build_likelihood
 from vpptwin.diagnosis.search.suspects import Unknown
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 from scipy.optimize import lsq_linear
 
-from vpptwin.covariance import factor, invert, invert_mended, logdet
 from vpptwin.diagnosis.evidence.bench import Bench
+from vpptwin.diagnosis.search.covariance import factor, invert, invert_mended, logdet
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.suspects import Unknown
 

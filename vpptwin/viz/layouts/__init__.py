@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from vpptwin.files import write_files
+from vpptwin.system.files import write_files
 
 NAMES = ("foxglove.json", "plotjuggler.xml")
 

@@ -1,0 +1,50 @@
+"""`vpptwin demo`: the main job on the flights that ship with the package."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from vpptwin.report.command import diagnose_logs
+from vpptwin.robots.planar_drone.pilot.command import Sortie, fly_log
+from vpptwin.system.files import check_own
+from vpptwin.system.resources import flights_dir
+from vpptwin.train.evaluate.pilot import load_pilot
+from vpptwin.twin.spec import load_twin
+from vpptwin.viz.command import play_log
+from vpptwin.viz.scene.markers import describe_flight
+
+DIAGNOSED = ("aggressive", "mixed", "steps")
+
+
+def show_demo(out: Path, force: bool = False) -> None:
+    """Diagnose three shipped flights of a rig with a hidden effect; show a flip beside the nominal twin, and the wall.
+
+    Args:
+        out: folder of report and pages.
+        force: overwrite files of these names that vpptwin did not write, too.
+
+    Raises:
+        InputError: if the folder holds such a file, or cannot be written to.
+    """
+    if not force:
+        check_own([out / name for name in ("flip.html", "wall.html", "wall.mcap")])
+    began, flights, here = time.perf_counter(), flights_dir(), Path.cwd()
+    if flights.is_relative_to(here):  # commands that the report offers are shorter so
+        flights = flights.relative_to(here)
+    print("Three flights of an independent simulation, with one effect that the nominal twin lacks. What is it?\n")
+    diagnose_logs([flights / f"{name}.mcap" for name in DIAGNOSED], "nominal", out, force=force)
+    print("\nA flip from the same rig, the nominal twin beside it, restarted every half second:")
+    play_log([flights / "flip.mcap"], "nominal", out / "flip.html")
+    show_wall(out)
+    print(f"\nDone in {time.perf_counter() - began:.0f} s. Open in a browser:")
+    for name in ("report.html", "flip.html", "wall.html"):
+        print(f"  {(out / name).resolve()}")
+
+
+def show_wall(out: Path) -> None:
+    """Fly the policy that ships off the wall and back, and write its page into a folder."""
+    print("\nThe policy that ships rolls up beside the wall and comes back, with stronger rotors:")
+    pilot, spec = load_pilot(Path("wall-backtrack"), None, load_twin("strong"), None, 0)
+    fly_log(pilot, Sortie(spec, out / "wall.mcap", 0, False, {"policy": "wall-backtrack"}, describe_flight))
+    play_log([out / "wall.mcap"], "strong", out / "wall.html")

@@ -1,0 +1,185 @@
+"""Chosen parameters of a twin from flights: how large they are, how sure that is, and which can't be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from vpptwin.diagnosis.evidence.logged_inputs import describe_turned
+from vpptwin.diagnosis.evidence.runs import Key
+from vpptwin.diagnosis.judgement.conclusion import estimate
+from vpptwin.diagnosis.judgement.diagnose import prepare
+from vpptwin.diagnosis.judgement.holdout import Score
+from vpptwin.diagnosis.judgement.selection import fit_together
+from vpptwin.diagnosis.judgement.verdict import Estimate
+from vpptwin.diagnosis.search.solution import solve_hypothesis
+from vpptwin.effects import find_effect
+from vpptwin.estimation.measurements import list_warnings
+from vpptwin.estimation.regression import solve_linear
+from vpptwin.logs.flight import Flight
+from vpptwin.system.errors import InputError
+from vpptwin.twin.spec import TwinSpec
+
+ALIKE = 0.9
+"""Parameters whose errors correlate more than this can't be told apart by the flights."""
+VAGUE = 0.5
+"""A parameter whose standard deviation is more than this share of its prior's spread was hardly seen."""
+STILL = 0.3
+"""Drag is looked for at speeds beyond this [m/s]."""
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """The paper's estimate of drag: accelerations against thrust commands (System Identification, item 2).
+
+    Attributes:
+        k_d: N s²/m².
+        std: its standard deviation, neighbouring samples taken as alike over a tenth of a second.
+        samples: number used.
+    """
+
+    k_d: float
+    std: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class FlightFit:
+    """What flights tell of chosen parameters.
+
+    Attributes:
+        values: (effect id, parameter) → estimate; not of effects that nothing shows.
+        alike: pairs whose errors correlate, with their correlation, the worst first.
+        vague: parameters that were hardly seen.
+        before: errors on held-out windows of the twin as it was.
+        after: and with the values.
+        windows: fitted, and held out.
+        drag: the paper's simple estimate, where drag was asked for and the log allows it.
+        warnings: about the logs.
+    """
+
+    values: dict[Key, Estimate]
+    alike: list[tuple[Key, Key, float]]
+    vague: list[Key]
+    before: Score
+    after: Score
+    windows: tuple[int, int]
+    drag: LeastSquares | None
+    warnings: list[str]
+
+
+def parse_parameters(spec: TwinSpec, text: str) -> list[str]:
+    """Effect ids from `air.drag,servo.lag`; a parameter's own name after the id is allowed.
+
+    Raises:
+        InputError: on an unknown effect, or none.
+    """
+    effects: list[str] = []
+    for name in filter(None, (part.strip() for part in text.split(","))):
+        known = {effect.id for effect in spec.catalogue}
+        effect = name if name in known else name.rpartition(".")[0]
+        if effect not in known:
+            try:
+                find_effect(spec.catalogue, name)
+            except KeyError as error:
+                found, expected = f"--parameters: unknown effect {name!r}", f"an id such as {error.args[0]}"
+                raise InputError(found, expected, "`vpptwin effects` lists all") from error
+        known_parameters = [p.name for p in find_effect(spec.catalogue, effect).parameters]
+        if effect != name and name.rpartition(".")[2] not in known_parameters:
+            found = f"--parameters: {effect} has no parameter {name.rpartition('.')[2]!r}"
+            raise InputError(found, ", ".join(known_parameters), "rename it")
+        if find_effect(spec.catalogue, effect).touching:
+            found, expected = f"--parameters: {effect}, which blows alone show", "effects that show in all motion"
+            raise InputError(found, expected, "leave it out; `vpptwin diagnose` judges blows")
+        if effect not in effects:
+            effects.append(effect)
+    if not effects:
+        raise InputError("--parameters names none", "effect ids, separated by commas", "e.g. air.drag,servo.lag")
+    return effects
+
+
+def fit_flights(
+    spec: TwinSpec, flights: Sequence[Flight], effects: Sequence[str],
+    stage: Callable[[str], None] = lambda text: None, progress: Callable[[int], None] | None = None,
+) -> FlightFit:  # fmt: skip
+    """Fit these effects, all others uncertain within their build tolerance, and measure the gain on held-out windows.
+
+    Args:
+        spec: the twin.
+        flights: logs; with several, whole flights are held out.
+        effects: ids.
+        stage: told what is being done.
+        progress: told how many inner steps were simulated.
+
+    Raises:
+        InputError: as `diagnose`.
+    """
+    with threadpool_limits(limits=1, user_api="blas"):
+        material = prepare(spec, flights, stage, progress)
+        search = material.search
+        stage("fitting")
+        fit = fit_together(search, effects)
+        stage("judging on held-out windows")
+        before, after = material.held_out.score({}), material.held_out.score(fit.values)
+    freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
+    solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
+    own = [search.unknowns[i] for i in freed]
+    asked = [unknown for unknown in search.unknowns if unknown.effect.id in effects]
+    return FlightFit(
+        values={unknown.key: estimate(unknown, fit) for unknown in own},
+        alike=pair_up([unknown.key for unknown in own], solution.covariance[np.ix_(freed, freed)]),
+        vague=[u.key for u in asked if u.key not in fit.std or fit.std[u.key] > VAGUE * u.width / 3.0],
+        before=before,
+        after=after,
+        windows=(len(search.bench.windows), len(material.held_out.short.windows)),
+        drag=regress_drag(spec, flights) if "air.drag" in effects else None,
+        warnings=[*describe_turned(search.bench.spec), *list_warnings(flights, material.measurements)],
+    )
+
+
+def pair_up(keys: Sequence[Key], covariance: np.ndarray) -> list[tuple[Key, Key, float]]:
+    """Pairs whose errors correlate by more than `ALIKE`, with the correlation, the worst first; covariance (P, P)."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    likeness = covariance / deviation[:, None] / deviation
+    pairs = [(keys[i], keys[j], float(likeness[i, j])) for i in range(len(keys)) for j in range(i)]
+    return sorted((pair for pair in pairs if abs(pair[2]) > ALIKE), key=lambda pair: -abs(pair[2]))
+
+
+def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | None:
+    """k_d by least squares from thrust commands and recorded accelerations; None where a log lacks one of them.
+
+    Along z, where neither carriage nor horizontal rail come in: m (a + g) = f cos θ - k_d |v| v_z, with a + g from the
+    accelerometer, θ and v from the motion capture, f as commanded. Lags and whatever else acts go into it, as they do
+    in the paper; a constant is fitted beside it.
+    """
+    along, wanted = [], []
+    for flight in flights:
+        if any(topic not in flight.streams for topic in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose")):
+            return None
+        command, imu, pose = (flight.streams[t] for t in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose"))
+        if "accel_x" not in imu.values:
+            return None
+        craft = spec.vehicle.airframe.mass + spec.vehicle.rig.slider_mass
+        time = np.arange(max(pose.time[2], command.time[0]), min(pose.time[-3], imu.time[-1]), 0.01)
+        speed = [np.interp(time, pose.time, np.gradient(pose[axis], pose.time)) for axis in ("x", "z")]
+        speed = [np.convolve(v, np.ones(5) / 5.0, "same") for v in speed]
+        theta = np.interp(time, pose.time, pose["theta"])
+        calm = np.ones(10) / 10.0
+        smooth = (np.convolve(imu[name], calm, "same") for name in ("accel_x", "accel_z"))
+        force_x, force_z = (np.interp(time, imu.time, force) for force in smooth)
+        upward = np.cos(theta) * force_z + np.sin(theta) * force_x
+        thrust = command["thrust"][np.clip(np.searchsorted(command.time, time, side="right") - 1, 0, None)]
+        size = np.hypot(*speed)
+        moving = size > STILL
+        # along z only: the carriage's mass and the rail's friction are not in it
+        along.append((-size * speed[1])[moving])
+        wanted.append((craft * upward - thrust * np.cos(theta))[moving])
+    pushed, missed = np.concatenate(along), np.concatenate(wanted)
+    if len(pushed) < 50 or not np.any(pushed):
+        return None
+    inputs = np.column_stack([pushed, np.ones(len(pushed))])
+    found, std = solve_linear(inputs, missed, 10.0)
+    return LeastSquares(float(found[0]), float(std[0]), len(pushed))

@@ -1,0 +1,96 @@
+"""The page of a history: every parameter over date or flight number. One file, offline."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.ticker import MaxNLocator
+
+from vpptwin.drift.course import Course, Record, find_unit
+from vpptwin.drift.trend import CLEAR, WAYS
+from vpptwin.effects import SIGMAS_90
+from vpptwin.report.html.page import open_templates, tie_units
+from vpptwin.report.provenance import Provenance
+from vpptwin.report.words import format_value
+from vpptwin.viz.plots.figure import AFTER, BEFORE, INK, name_axes, open_figure, write_svg
+from vpptwin.viz.plots.palette import GREEN
+
+
+def render_history(record: Record, origin: Provenance) -> str:
+    """The page as HTML."""
+    rows = [
+        {
+            "label": record.label(i), "fit": flight.fit, "name": flight.log,
+            "values": [tell_value(course, i, flight.fit.vague) for course in record.courses],
+        }
+        for i, flight in enumerate(record.flights)
+    ]  # fmt: skip
+    weighed = [
+        {
+            "name": course.name, "scatter": f"{course.trend.scatter:.2g}{find_unit(course)}",
+            "evidence": [f"{e:.1f}" if e is not None and np.isfinite(e) else "" for e in list_evidence(course)],
+        }
+        for course in record.courses
+        if course.trend is not None
+    ]  # fmt: skip
+    environment = open_templates("vpptwin.drift")
+    environment.filters["tie"] = tie_units
+    return environment.get_template("history.html.j2").render(
+        record=record, sentences=record.sentences, rows=rows, weighed=weighed, clear=CLEAR, origin=origin,
+        banded=any(course.band is not None for course in record.courses),
+        figures=[draw_course(record, course) for course in record.courses if course.shown],
+        warnings=record.warnings,
+    )  # fmt: skip
+
+
+def tell_value(course: Course, number: int, vague: list[tuple[str, str]]) -> str:
+    """A parameter in one flight."""
+    value = course.values[number]
+    if value is None:
+        return "not shown"
+    return format_value(value) + (", hardly seen" if (course.effect, course.parameter) in vague else "")
+
+
+def list_evidence(course: Course) -> list[float | None]:
+    """Evidence for any change, and for every way to change."""
+    assert course.trend is not None
+    return [course.trend.evidence, *(course.trend.evidences.get(way) for way in WAYS)]
+
+
+def draw_course(record: Record, course: Course) -> str:
+    """A parameter over date or flight number: values with intervals, what is likeliest, the band, the twin's own."""
+    place: list[Any] = [f.date if record.dated else i + 1 for i, f in enumerate(record.flights)]
+    with open_figure(4.6, 3.2) as figure:
+        axes = figure.subplots()
+        known = [(i, value) for i, value in enumerate(course.values) if value is not None]
+        for i, value in known:
+            left = i in course.left
+            colour = BEFORE if left else INK
+            axes.errorbar(
+                [place[i]], [value.value], SIGMAS_90 * value.std, fmt="o", color=colour, markersize=5.0, capsize=3.0,
+                markerfacecolor=colour if left else "none", elinewidth=1.2,
+            )  # fmt: skip
+        axes.axhline(known[0][1].nominal, color=INK, linewidth=1.0, linestyle=":")
+        bottom, top = axes.get_ylim()
+        if course.band is not None:
+            low, high = np.clip(course.band, bottom, top)
+            axes.axhspan(low, high, color=GREEN, alpha=0.15, linewidth=0.0)
+            axes.set_ylim(bottom, top)
+        if course.trend is not None:
+            style = "steps-post" if course.trend.kind == "step" else "default"
+            shown = [place[i] for i in course.shown]
+            axes.plot(shown, course.trend.fitted, color=AFTER, drawstyle=style)
+        if record.dated:
+            locator = AutoDateLocator(maxticks=6)
+            axes.xaxis.set_major_locator(locator)
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+            if len(place) == 1:
+                axes.set_xlim(place[0] - timedelta(days=1), place[0] + timedelta(days=1))
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        unit = find_unit(course).strip()
+        name_axes(axes, "date" if record.dated else "flight", f"{course.parameter} [{unit or '1'}]", course.name)
+        return write_svg(figure, f"{course.name} over flights")

@@ -1,1 +1,0 @@
-"""Numbers from measurements: an actuator from thrust-stand runs, parameters of a twin from flights."""

@@ -1,0 +1,324 @@
+"""CSV as scripts and data loggers write it: any delimiter, decimal commas, lists in cells, units, gzip, any clock."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from vpptwin.logs.formats.csv_form import (
+    DATE,
+    NULLS,
+    NUMBER,
+    Format,
+    open_bytes,
+    part_list,
+    part_rows,
+    refuse_damaged,
+    sniff,
+)
+from vpptwin.logs.formats.headings import count_ns, find_clock, guess_unit
+from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
+from vpptwin.system.errors import InputError, load_extra
+from vpptwin.system.fields import NANOSECONDS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_BLOCK = 1 << 22  # bytes of text converted at once, of which Arrow reads up to thirty ahead
+_TRIES = 3  # times that a file is read again for one column more; then for all
+_FORMS = {
+    "double": ("a number", NUMBER),
+    "int64": ("a whole number", re.compile(r"[-+]?\d+")),
+    "timestamp": ("a date", DATE),
+}
+"""Arrow's type of a column → what its cells should be."""
+
+
+def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+    """Rows of a CSV file, in pieces.
+
+    Args:
+        path: of the file, which may be gzipped.
+        topic: what it is called.
+        wish: says which columns are wanted, and may say which one is the time; otherwise it is found by its name.
+        notes: warnings are added to it.
+
+    Raises:
+        InputError: naming the line, if one is not like the others.
+    """
+    pa = load_extra("pyarrow", path)
+    form = sniff(path, notes)
+    stamp = wish.stamps.get(topic)
+    clock = find_clock(path, form.names, stamp, form.units)
+    fields = choose_fields(wish, topic, form.names)
+    needed = {clock, *find_named(wish, topic, fields)}
+    told = {name for name, kind in zip(form.names, form.kinds)
+            if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
+    wanted = [name for name in form.names if name in told and (name in fields or name == clock)]
+    unit = form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
+    unit = stamp.unit if stamp is not None and stamp.unit is not None else unit
+    unit = "ns" if is_date(form, clock) else unit
+    cells, number = Cells(path, form, clock, needed, pa), 0
+    for batch in convert_batches(cells, wanted):
+        columns = {name: read_column(cells, batch.column(name), name, number) for name in wanted}
+        number += batch.num_rows
+        columns = drop_blank(cells, columns, number - batch.num_rows)
+        time = columns[clock]
+        if unit is None and len(time):
+            unit = guess_unit(time)
+            if unit != "s":
+                notes.append(f"{topic}: {clock} is taken to count {unit}")
+        yield Table(topic, count_ns(time, unit or "s"), columns, form.units, fields)
+    if not number:
+        raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
+    unread = [name for name in form.names if name in fields and name not in told]
+    notes += [f"{topic}: {note}" for note in (list_some("no numbers in", unread), cells.describe_lost()) if note]
+
+
+class CellError(Exception):
+    """A cell that is not of its column's kind."""
+
+    def __init__(self, name: str, problem: InputError) -> None:
+        self.name, self.problem = name, problem
+        super().__init__(name)
+
+
+@dataclass
+class Cells:
+    """How the cells of a CSV file are converted.
+
+    Attributes:
+        path, form: of the file.
+        clock: column of the time.
+        needed: columns in which every cell must be what the first ones are.
+        pa: Arrow.
+        loose: columns that are read as text and converted here, as some cells are no plain number.
+        lost: column → how many of its cells are left out, and the first of them.
+    """
+
+    path: Path
+    form: Format
+    clock: str
+    needed: set[str]
+    pa: Any
+    loose: set[str] = field(default_factory=set)
+    lost: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Column → its place."""
+        return {name: place for place, name in enumerate(self.form.names)}
+
+    def describe_lost(self) -> str:
+        """Which cells were left out, "" if none was."""
+        said = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in self.lost.items()]
+        return list_some("cells that are not as the others in", said)
+
+    def drop(self, name: str, wrong: np.ndarray, column: Any, number: int, expected: str) -> None:  # noqa: ANN401
+        """Note cells that are `wrong`, (n,) bool, in rows behind `number` others.
+
+        Raises:
+            InputError: if all of the column are needed.
+        """
+        if not wrong.any():
+            return
+        cell = str(column[int(np.argmax(wrong))].as_py())
+        if name in self.needed:
+            line = find_line(self.path, self.form, number + int(np.argmax(wrong)))
+            raise InputError(f"{self.path}, line {line}: {cell!r} as {name}", expected, "correct the line")
+        count, first = self.lost.get(name, (0, cell))
+        self.lost[name] = count + int(np.count_nonzero(wrong)), first
+
+
+def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
+    """Columns without the rows that are empty; `number` rows came before.
+
+    Raises:
+        InputError: if the time is no number, or missing in a row with values.
+    """
+    path, form, clock, time = cells.path, cells.form, cells.clock, columns[cells.clock]
+    if time.dtype.kind not in "iuf" or time.ndim > 1:
+        line, said = find_line(path, form, number), time.reshape(len(time), -1)[0, 0]
+        expected = "a number, or a date like 2026-01-31 12:00:00.5"
+        found = f"{path}, line {line}: {said!r} as {clock}"
+        raise InputError(found, expected, "convert it, or name another column")
+    blank = ~np.isfinite(time)
+    if not blank.any():
+        return columns
+    filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
+    torn = blank & np.any([np.isfinite(c).reshape(len(c), -1).any(axis=1) for c in filled], axis=0)
+    if torn.any():
+        line = find_line(path, form, number + int(np.argmax(torn)))
+        raise InputError(f"{path}, line {line}: no number as {clock}", "a time in every row", "remove the row")
+    return {name: column[~blank] for name, column in columns.items()}
+
+
+def is_date(form: Format, clock: str) -> bool:
+    """Whether the time is told as a date."""
+    place = form.names.index(clock)
+    return place < len(form.first) and bool(DATE.fullmatch(form.first[place]))
+
+
+def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """The columns wanted as Arrow has them; from the start again where one turns out to be no plain number."""
+    done, tries = 0, 0
+    cells.loose |= cells.form.grouped
+    while True:
+        seen = 0
+        try:
+            for batch in open_batches(cells, wanted):
+                seen += batch.num_rows
+                if seen > done:
+                    yield batch.slice(max(done - (seen - batch.num_rows), 0))
+                    done = seen
+            return
+        except CellError as error:
+            tries += 1
+            if error.name in cells.loose:
+                raise error.problem from None
+            cells.loose |= {error.name} if tries < _TRIES else set(wanted) - {cells.clock}
+
+
+def choose_type(cells: Cells, name: str) -> Any:  # noqa: ANN401
+    """Arrow's type of a column."""
+    place, pa = cells.places[name], cells.pa
+    cell, kind = cells.form.first[place], cells.form.kinds[place]
+    if name == cells.clock and is_date(cells.form, name):
+        return pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:]) else None)
+    if kind != "number" or name in cells.loose:
+        return pa.string()
+    whole = name == cells.clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
+    return pa.int64() if whole else pa.float64()
+
+
+def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """The columns wanted, from the start.
+
+    Raises:
+        CellError: at a cell that does not convert.
+        InputError: if a line has another number of cells.
+    """
+    from pyarrow import csv as arrow_csv
+
+    path, form, pa = cells.path, cells.form, cells.pa
+    types = {name: choose_type(cells, name) for name in wanted}
+    with open_bytes(path) as file:
+        try:
+            reader = arrow_csv.open_csv(
+                file,
+                arrow_csv.ReadOptions(
+                    encoding=form.encoding, column_names=form.names, skip_rows=form.skip, block_size=_BLOCK,
+                    use_threads=False,
+                ),
+                arrow_csv.ParseOptions(delimiter=form.delimiter, newlines_in_values=form.is_folded),
+                arrow_csv.ConvertOptions(
+                    column_types=types, decimal_point=form.decimal, include_columns=wanted, null_values=NULLS,
+                ),
+            )  # fmt: skip
+            yield from reader
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise refuse_damaged(path, error) from None
+        except (pa.ArrowInvalid, UnicodeError) as error:
+            raise blame_line(cells, {n: str(kind).partition("[")[0] for n, kind in types.items()}, error) from None
+
+
+def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Exception:
+    """Which line it was that did not convert, of the columns with these types."""
+    path, form = cells.path, cells.form
+    kinds = [(place, name, types[name]) for place, name in enumerate(form.names) if types.get(name) in _FORMS]
+    with open_bytes(path) as file:
+        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
+        for line, row in part_rows(path, text, form.delimiter):
+            if line <= form.skip or not row:
+                continue
+            if len(row) != len(form.names):
+                expected = f"{len(form.names)} cells a line, each with a number where the first has one"
+                return InputError(f"{path}, line {line}: {len(row)} cells", expected, "complete or remove the line")
+            for place, name, kind in kinds:
+                plain = row[place].strip().replace(form.decimal, ".")
+                good = NUMBER.fullmatch(plain) or plain in NULLS
+                if good if kind == "double" else _FORMS[kind][1].fullmatch(plain):
+                    continue
+                found, expected = f"{path}, line {line}: {row[place]!r} as {name}", _FORMS[kind][0]
+                return CellError(name, InputError(found, f"{expected}, as in the lines before", "correct the line"))
+    return InputError(f"{path}: {error}", "a CSV file", "correct it")
+
+
+def read_column(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
+    """A column of some rows: numbers (n,), lists (n, k) or text; `number` rows came before."""
+    pa, place = cells.pa, cells.places[name]
+    if pa.types.is_timestamp(column.type):
+        column = column.cast(pa.int64())
+    if not pa.types.is_string(column.type):
+        if pa.types.is_float64(column.type) or (pa.types.is_int64(column.type) and column.null_count == 0):
+            return np.asarray(column.to_numpy(zero_copy_only=False))
+        return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
+    kind = cells.form.kinds[place]
+    if kind == "text":
+        return np.asarray(column.fill_null("").to_numpy(zero_copy_only=False))
+    if kind == "number":
+        values, wrong = read_numbers(cells, column)
+        cells.drop(name, wrong, column, number, "a number, as in the lines before")
+        return values
+    return read_lists(cells, column, name, number)
+
+
+def read_numbers(cells: Cells, column: Any) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401
+    """Numbers of cells, whose thousands may be parted, (n,), and which cells hold something else, (n,) bool."""
+    from pyarrow import compute
+
+    text = compute.utf8_trim_whitespace(column)
+    point, parts = re.escape(cells.form.decimal), r"['’ \x{00a0}\x{202f}" + {".": ",]", ",": ".]"}[cells.form.decimal]
+    grouped = compute.match_substring_regex(text, rf"^[-+]?[1-9]\d{{0,2}}({parts}\d{{3}})+({point}\d+)?$")
+    text = compute.if_else(grouped, compute.replace_substring_regex(text, parts, ""), text)
+    text = compute.replace_substring(text, cells.form.decimal, ".")
+    good = compute.match_substring_regex(text, rf"(?i)^(?:{NUMBER.pattern})$")
+    told = compute.if_else(compute.and_(good, compute.not_equal(text, "")), text, None)
+    values = np.asarray(told.cast(cells.pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
+    wrong = compute.and_(compute.is_valid(column), compute.invert(good.fill_null(True)))
+    return values, np.asarray(wrong.to_numpy(zero_copy_only=False))
+
+
+def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:  # noqa: ANN401
+    """Lists of numbers in cells, (n, k), NaN where a cell holds another number of them, or none."""
+    from pyarrow import compute
+
+    first = cells.form.first[cells.places[name]]
+    width = len(part_list(first))
+    parts = compute.split_pattern_regex(compute.utf8_trim(column.fill_null(""), "[]() \t\r\n"), r"[,;\s]+")
+    widths = compute.list_value_length(parts).to_numpy(zero_copy_only=False)
+    empty = ~np.asarray(column.is_valid().to_numpy(zero_copy_only=False))
+    wrong = (widths != width) & ~empty
+    if wrong.any() and name in cells.needed:
+        line = find_line(cells.path, cells.form, number + int(np.argmax(wrong)))
+        found = f"{cells.path}, line {line}: {widths[wrong][0]} values in the list of {name}"
+        raise InputError(found, f"{width}, as in the first", "correct the line")
+    values = np.full((len(widths), width), np.nan)
+    good = np.flatnonzero(widths == width)
+    numbers, odd = read_numbers(cells, parts.take(cells.pa.array(good)).flatten())
+    values[good] = numbers.reshape(-1, width)
+    wrong[good] |= odd.reshape(-1, width).any(axis=1) & ~empty[good]
+    cells.drop(name, wrong, column, number, f"a list of {width} numbers")
+    return values
+
+
+def find_line(path: Path, form: Format, row: int) -> int:
+    """Number of the line in which a row of values lies."""
+    with open_bytes(path) as file:
+        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
+        filled = 0
+        for line, cells in part_rows(path, text, form.delimiter):
+            filled += bool(cells) and line > form.skip
+            if filled > row:
+                break
+        return line

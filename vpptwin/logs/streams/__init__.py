@@ -1,0 +1,1 @@
+"""Samples of topics made into streams: clocks, order, columns, units."""

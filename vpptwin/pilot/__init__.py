@@ -1,5 +1,0 @@
-"""Pilots that fly by rule: position, attitude and flips from a script, with no learning."""
-
-from vpptwin.pilot.scripted import Script, pilot_commands
-
-__all__ = ["Script", "pilot_commands"]

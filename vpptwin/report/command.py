@@ -1,0 +1,85 @@
+"""`vpptwin diagnose`: diagnose, write the folder, print what was found."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from signal import Signals
+
+from vpptwin.logs.flight import Flight
+from vpptwin.report.export import name_files
+from vpptwin.report.output import Pieces, give_json, stage_results
+from vpptwin.report.result import REPORT, TWIN, VERDICT, Result, judge_logs, list_stale
+from vpptwin.report.sources import list_logs
+from vpptwin.report.terminal import print_summary
+from vpptwin.system.deadline import Deadline
+from vpptwin.system.errors import load_extra
+from vpptwin.system.files import STDOUT
+from vpptwin.system.progress import tell_wait
+from vpptwin.system.signals import defer_signal, write_line
+
+
+def diagnose_logs(
+    logs: Sequence[Path], twin: str, out: Path, topic_map: Path | None = None, json: Path | None = None,
+    effects: Sequence[Path] = (), force: bool = False, rrd: bool = False, device: str | None = None,
+    only: Sequence[str] = (), deadline: Deadline | None = None,
+) -> Result:  # fmt: skip
+    """Diagnose logs; write verdict, report, extended twin and the twins' predictions into `out`; print a summary.
+
+    Args:
+        logs: flight logs.
+        twin: `nominal` or a twin YAML.
+        out: folder of results.
+        topic_map: YAML that renames topics of other people's bags.
+        json: another place for the verdict; `-` prints it to standard output instead of the summary.
+        effects: Python files with effects of the user's own.
+        force: overwrite files in `out` that vpptwin did not write, too.
+        rrd: write the predictions for Rerun as well.
+        device: where simulations run, as `diagnose` has it.
+        only: effects that are candidates, likewise.
+        deadline: when to stop the search; the first signal that comes stops it, too.
+
+    Raises:
+        InputError: on bad logs, a bad twin or device, or a folder that cannot be written; old results are left as they
+            were.
+    """
+    flown = list_logs(logs)
+    if rrd:
+        load_extra("rerun", "--rrd")  # before the work
+    read = [Path(log) for log in flown if not isinstance(log, Flight)]
+    files = [VERDICT, REPORT, TWIN, *name_files(read), *(name_files(read, ".rrd") if rrd else ())]
+    deadline = deadline or Deadline()
+    with stage_results(out, files, [*list_stale(out), *files], force) as folder, defer_signal(partial(stop, deadline)):
+        found = judge_logs(flown, twin, topic_map, effects, True, device, only, deadline)
+        kept = found.write(folder, out)
+    result = complete(found, kept, out, rrd)
+    for line in result.lost:
+        print(f"vpptwin: {line}", file=sys.stderr)
+    if json is not None:
+        give_json(result.verdict.as_dict(), json)
+    if json != STDOUT:
+        print_summary(result.verdict, result.summary, out, [name for name in files if (out / name).exists()])
+    return result
+
+
+def stop(deadline: Deadline, number: int) -> bool:
+    """Stop at a signal with what was found so far, and say so; whether there is anything."""
+    kept = deadline.interrupt(number)
+    told = "what was found so far is kept; once more ends it" if kept else "nothing was found yet; old files stay"
+    write_line(f"{Signals(number).name}: {told}")
+    return kept
+
+
+def complete(found: Result, kept: Result, out: Path, rrd: bool) -> Result:
+    """Draw what was `found`, and write all files again with that; what was `kept` stays where that cannot be."""
+    with tell_wait("drawing"):
+        drawn = found.draw()
+    pieces = Pieces()
+
+    def save() -> Result:
+        with stage_results(out, drawn.files, force=True) as folder:
+            return drawn.write(folder, out, rrd)
+
+    return pieces.attempt("pictures and predictions", save, kept).tell(pieces.lost)

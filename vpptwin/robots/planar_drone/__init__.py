@@ -1,0 +1,1 @@
+"""The planar drone: its vehicle file, filters, pilots and topics."""

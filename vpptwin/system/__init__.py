@@ -1,0 +1,1 @@
+"""Files, processes, signals, errors: what has nothing to do with robots."""

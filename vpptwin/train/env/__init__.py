@@ -1,0 +1,1 @@
+"""The environment: what is observed, rewarded, randomized, and where episodes start and end."""

@@ -1,0 +1,62 @@
+"""Environments by what steps them, and by a task's name."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from vpptwin.train.config import Lesson, TrainConfig, check_values
+from vpptwin.train.env.device_env import make_device_env
+from vpptwin.train.env.tasks import TASKS, check_task_name
+from vpptwin.train.env.vpp_env import VppEnv, make_env
+from vpptwin.train.learn.devices import find_device
+
+
+def open_env(
+    config: TrainConfig, device: torch.device, fault_folder: Path | None = None, lesson: Lesson | None = None
+) -> VppEnv:
+    """The environment of a run: on the device, by Warp, or on the processor's cores, by numba.
+
+    Args:
+        config: of the run.
+        device: of the networks.
+        fault_folder: where simulations on the processor that diverged are written; None to only count them.
+        lesson: of training; None for flying at full difficulty.
+
+    Raises:
+        InputError: as `make_env` and `make_device_env`.
+    """
+    if config.on_device:
+        return make_device_env(config, device, lesson)
+    return make_env(config, fault_folder, lesson)
+
+
+def make_task_env(
+    task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
+    randomize: Sequence[str] = (), device: str = "cpu", engine: str | None = None,
+) -> VppEnv:  # fmt: skip
+    """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
+
+    Args:
+        task: one of `vpptwin.train.env.tasks.TASKS`.
+        twin: `nominal`, `typical` or a twin YAML.
+        num_envs: simulations flown side by side.
+        seed: of everything random.
+        noise: of the sensors; 1 for that of vehicle.yaml, 0 for none.
+        randomize: effects drawn from their priors at every reset; `paper` and `all` stand for groups.
+        device: of what it takes and gives, `cpu` or `cuda`.
+        engine: `numba`, or `warp` for simulations on the device; None for `warp` on a card.
+
+    Raises:
+        InputError: if there is no such task, twin or effect, or the device is missing.
+    """
+    check_task_name(task)
+    config = TrainConfig(
+        copy.deepcopy(TASKS[task]), twin=twin, num_envs=num_envs, seed=seed, noise=noise, randomize=list(randomize),
+        desynchronize=False, device=device, engine=engine,
+    )  # fmt: skip
+    check_values(config)
+    return open_env(config, find_device(device))

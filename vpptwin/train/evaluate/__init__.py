@@ -1,0 +1,1 @@
+"""Trained policies flown and measured."""

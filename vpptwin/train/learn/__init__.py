@@ -1,0 +1,1 @@
+"""PPO: networks, collection, updates, checkpoints."""

@@ -1,0 +1,79 @@
+"""Models of anyone's are compiled in a process of their own first: MuJoCo crashes on some, and on some never ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+
+from vpptwin.system.errors import InputError
+from vpptwin.system.resources import models_dir
+from vpptwin.twin.robot.parts import Element
+
+SECONDS = 60
+"""Processor time that compiling a model may take [s]."""
+PATIENCE = 3.0 * SECONDS
+"""How long it may take by the clock [s], as on a machine that is busy."""
+TRY = """
+import ctypes, os, resource, sys
+_, library, plugins, path, seconds, room = sys.argv
+mujoco = ctypes.CDLL(library, mode=ctypes.RTLD_GLOBAL)
+for plugin in filter(None, plugins.split(os.pathsep)):
+    ctypes.CDLL(plugin)
+told = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
+quiet, leave = told(lambda text: None), told(lambda text: os._exit(0))
+for name, call in (("mju_user_warning", quiet), ("mju_user_error", leave)):
+    ctypes.c_void_p.in_dll(mujoco, name).value = ctypes.cast(call, ctypes.c_void_p).value
+limits = {resource.RLIMIT_CPU: int(seconds), resource.RLIMIT_CORE: 0}
+if os.path.exists("/proc/self/statm"):
+    used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    limits[resource.RLIMIT_AS] = used + int(room)
+for what, most in limits.items():
+    hard = resource.getrlimit(what)[1]
+    resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+mujoco.mj_loadXML(os.fsencode(path), None, ctypes.create_string_buffer(1000), 1000)
+"""
+"""What the process runs: MuJoCo's library alone, which takes a tenth of what its Python package would."""
+_sound: set[tuple[object, ...]] = set()  # models of this process that compiled
+
+
+def try_model(path: Path, elements: list[Element], room: int) -> None:
+    """Compile a model in a process that may die; those that ship, and those that lived, are not tried again.
+
+    Whatever MuJoCo refuses lives too: the reason is told where it is compiled for good.
+
+    Args:
+        path: of the model.
+        elements: of it and of its parts.
+        room: memory that it may take [bytes].
+
+    Raises:
+        InputError: if it crashes, or does not end.
+    """
+    real = Path(os.path.realpath(path))
+    if real.parent == models_dir().resolve():
+        return
+    files = {os.path.realpath(element.file) for element in elements}
+    state = (real, *(item for file in sorted(files) for item in (file, os.stat(file).st_mtime_ns)))
+    if state in _sound:
+        return
+    home = Path(mujoco.__file__).parent
+    (library,) = [file for file in home.glob("libmujoco*") if ".so" in file.name or file.suffix == ".dylib"][:1]
+    plugins = os.pathsep.join(map(str, sorted((home / "plugin").glob("lib*"))))
+    command = [sys.executable, "-I", "-S", "-c", TRY, str(library), plugins, str(real), str(SECONDS), str(room)]
+    advice = "open it in MuJoCo's viewer, and take out what it needs so long for"
+    try:
+        ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE, cwd="/")
+    except subprocess.TimeoutExpired:
+        raise InputError(f"{path}: MuJoCo waits for a file", "regular files", advice) from None
+    died = -ended.returncode
+    if died == signal.SIGXCPU:
+        raise InputError(f"{path}: MuJoCo needs more than {SECONDS} s", "a model that compiles sooner", advice)
+    if died > 0:
+        found = f"{path}: MuJoCo crashes on it ({signal.Signals(died).name})"
+        raise InputError(found, "an MJCF that compiles", "take out its parts one by one until it does")
+    _sound.add(state)

@@ -1,0 +1,1 @@
+"""Pages that are played and served, live flights among them."""

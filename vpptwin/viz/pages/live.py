@@ -1,0 +1,165 @@
+"""`vpptwin play --live`: a policy in meshcat in real time, with a page of buttons and keys around it."""
+
+from __future__ import annotations
+
+import copy
+import json
+import time
+from collections.abc import Iterable
+from contextlib import closing
+from queue import SimpleQueue
+from typing import TYPE_CHECKING
+
+import meshcat.transformations as tf
+import mujoco
+import numpy as np
+from meshcat import Visualizer
+
+from vpptwin.actuators.blade import compute_thrust, max_thrust
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.system.signals import until_interrupted
+from vpptwin.viz.pages.browse import tell_address
+from vpptwin.viz.pages.page import TEMPLATES
+from vpptwin.viz.pages.serve import LOOPBACK, Answer, Server, keep_going
+from vpptwin.viz.scene import rotors
+from vpptwin.viz.scene.camera import View, set_backdrop
+from vpptwin.viz.scene.scene import ROOT, draw_bodies, draw_surroundings, find_craft, fit_craft, make_matrix, name_body
+from vpptwin.viz.scene.stage import aim_at, draw_ghost
+
+if TYPE_CHECKING:
+    from vpptwin.train.evaluate.live import LiveFlight
+
+VIEW = View(np.array([0.1, 0.0, 1.25]), 1.35)
+FRAME = 0.025
+"""Time between pictures, s."""
+KEYS = {
+    "f": "flip", "q": "turn left", "e": "turn right", "ArrowLeft": "push left", "ArrowRight": "push right",
+    "ArrowUp": "push up", "ArrowDown": "push down", "s": "spin", "j": "target left", "l": "target right",
+    "i": "target up", "k": "target down",
+}  # fmt: skip
+"""Keys of the page, and what they ask for."""
+
+
+class LiveStage:
+    """The rig in meshcat, moved by hand.
+
+    Args:
+        vis: where to draw.
+        model: the rig.
+        vehicle: numbers of the craft.
+    """
+
+    def __init__(self, vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
+        self._model, self._vehicle, self._data = copy.copy(model), vehicle, mujoco.MjData(model)
+        fit_craft(self._model, vehicle)
+        self._node = vis[f"{ROOT}/log"]
+        self._craft = self._node[name_body(model, find_craft(model))]
+        self._ghost = vis[f"{ROOT}/target"]
+        set_backdrop(vis)
+        draw_surroundings(vis[f"{ROOT}/world"], self._model)
+        draw_bodies(self._node, self._model)
+        rotors.draw_rotors(self._craft, self._model, vehicle)
+        rotors.draw_arrows(self._craft)
+        draw_ghost(self._ghost, self._model, vehicle)
+        aim_at(vis, VIEW)
+
+    def show(
+        self, qpos: np.ndarray, target: np.ndarray, angle: np.ndarray, pitch: np.ndarray, thrust: np.ndarray
+    ) -> None:
+        """Move everything.
+
+        Args:
+            qpos: joint positions (nq,).
+            target: x, z, θ (3,) m, m, rad.
+            angle: turned by the rotors, (2,) rad.
+            pitch: of the blades, (2,) rad.
+            thrust: of the rotors along body z, (2,) N.
+        """
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        for body in np.flatnonzero(self._model.body_weldid != 0):
+            pose = make_matrix(self._data.xpos[body], self._data.xquat[body])
+            self._node[name_body(self._model, int(body))].set_transform(pose)
+        half = -0.5 * target[2]  # θ turns about -y
+        turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
+        self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
+        full = max_thrust(self._vehicle.rotor)
+        for i, sign in enumerate(rotors.TURN_SIGNS):
+            rotor = self._craft[f"rotor_{i + 1}"]
+            rotor["spin"].set_transform(tf.rotation_matrix(sign * angle[i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
+            for blade in ("blade_a", "blade_b"):
+                feather = tf.rotation_matrix(sign * rotors.PITCH_EXAGGERATION * pitch[i], [1, 0, 0])
+                rotor["spin"][blade]["feather"].set_transform(feather)
+            for name, factor in (("positive", 1.0), ("negative", -1.0)):
+                length = float(max(factor * thrust[i] / full * rotors.ARROW_LENGTH, rotors.SHORTEST_ARROW))
+                arrow = rotor[f"{name}_thrust"]
+                arrow.set_property("visible", length > rotors.SHORTEST_ARROW)
+                arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
+                arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
+
+
+class Panel:
+    """A page with the scene, buttons and keys; what is asked for waits in `asked`.
+
+    Args:
+        commands: what may be asked for.
+        host: address of this machine to listen on.
+    """
+
+    def __init__(self, commands: Iterable[str], host: str = LOOPBACK) -> None:
+        self.asked: SimpleQueue[str] = SimpleQueue()
+        self.state: dict[str, float] = {}
+        known = set(commands)
+        page = TEMPLATES.get_template("live.html").render(keys=json.dumps(KEYS), buttons=KEYS).encode()
+
+        def ask(body: bytes) -> tuple[str, bytes]:
+            what = body.decode()
+            if what not in known:
+                raise ValueError(what)
+            self.asked.put(what)
+            return "text/plain", b""
+
+        gets: dict[str, Answer] = {
+            "": lambda body: ("text/html; charset=utf-8", page),
+            "state": lambda body: ("application/json", json.dumps(self.state).encode()),
+        }
+        self.server = Server(host, gets, {"": ask})
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return self.server.address
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.server.close()
+
+
+def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
+    """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
+    env, vehicle = flight.env, flight.env.twin.vehicle
+    panel = Panel(flight.commands, host)
+    with until_interrupted(), closing(panel):
+        stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
+        about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
+        tell_address(panel.server, about)
+        angle, redraw, due = np.zeros(2), 0.0, time.perf_counter()
+        for _ in keep_going():
+            while not panel.asked.empty():  # only this loop takes from it
+                flight.commands[panel.asked.get()]()
+            flight.step()
+            panel.state = flight.tell()
+            actuators = env.state.actuators
+            speed, pitch = actuators["rotor_speed"][0], actuators["blade"][0]
+            angle += speed * flight.period
+            due += flight.period
+            now = time.perf_counter()
+            if now >= redraw:
+                thrust = compute_thrust(vehicle.rotor, speed, pitch)
+                stage.show(env.state.qpos[0], env.episodes.target[0], angle, pitch, thrust)
+                # Drawing takes half of the time at most: the flight is to keep pace with the clock.
+                redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
+            if due > now:
+                time.sleep(due - now)
+            elif now - due > 0.5:
+                due = now  # a machine too slow for real time does not hurry afterwards

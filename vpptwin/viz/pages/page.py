@@ -1,0 +1,129 @@
+"""One self-contained HTML page: meshcat's viewer, the drawing commands, a legend and a playback bar."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import jinja2
+import meshcat
+import numpy as np
+import umsgpack
+
+from vpptwin.viz.plots import palette
+from vpptwin.viz.scene.camera import View, frame_view
+from vpptwin.viz.scene.motion import TRAIL_DURATION
+from vpptwin.viz.scene.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
+from vpptwin.viz.scene.scene import GRID_STEP, ROOT, find_corners, name_body
+from vpptwin.viz.scene.show import Show
+from vpptwin.viz.scene.stage import view_flight
+
+FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
+VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("vpptwin.viz"), autoescape=True, undefined=jinja2.StrictUndefined
+)
+
+
+class Command(Protocol):
+    """A meshcat command: what a viewer is told."""
+
+    def lower(self) -> Mapping[str, object]:
+        """The command as the viewer's message."""
+
+
+@dataclass
+class Recorder:
+    """Takes the place of meshcat's window: keeps the commands instead of sending them to a server."""
+
+    commands: list[bytes] = field(default_factory=list)
+
+    def send(self, command: Command) -> None:
+        """Keep one command, packed."""
+        self.commands.append(umsgpack.packb(command.lower()))
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """A colour, how it is drawn (solid, translucent, line) and what it stands for."""
+
+    colour: str
+    style: str
+    text: str
+
+
+@dataclass(frozen=True)
+class PageText:
+    """What the page says and knows around the scene."""
+
+    title: str  # name of the log
+    legend: tuple[LegendEntry, ...]  # what the colours mean
+    note: str  # what is not drawn to scale
+    start: float  # log time of the first frame [s]
+    frames: int  # number of frames of the animation
+    duration: float  # time of the last frame from the first [s]
+    # name -> centre x, z and distance of the camera [m]; "craft" follows the craft
+    views: dict[str, tuple[float, float, float]]
+    log_node: tuple[str, ...] = ()  # scene path of the body whose pose is read out, empty for none
+    twin_node: tuple[str, ...] = ()  # the same body of the twin, empty without a twin
+
+
+def describe_show(show: Show, title: str, caption: str) -> PageText:
+    """Legend, note, views and readouts for what a show holds; caption is what the legend calls the twin."""
+    legend = [LegendEntry(palette.LOG, "solid", "the log")]
+    notes = [f"Grid: {GRID_STEP:g} m."]
+    views = {
+        "flight": lower_view(view_flight(show)),
+        "rig": lower_view(frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.3)),
+    }
+    log_node: tuple[str, ...] = ()
+    twin_node: tuple[str, ...] = ()
+    if show.twin is not None:
+        legend.append(LegendEntry(palette.TWIN, "translucent", caption))
+    if show.followed >= 0:
+        views["craft"] = (0.0, 0.0, View(np.zeros(3), FOLLOWED_HALF_HEIGHT).distance)
+        body = name_body(show.model, show.followed)
+        log_node = (*split_path(ROOT), "log", body)
+        twin_node = (*split_path(ROOT), "twin", body) if show.twin is not None else ()
+        legend.append(LegendEntry(palette.TRAIL, "line", f"the log's last {TRAIL_DURATION:g} s"))
+    if show.target is not None:
+        legend.append(LegendEntry(palette.TARGET, "translucent", "target"))
+    if show.log.rotors is not None:
+        legend.append(LegendEntry(palette.POSITIVE_THRUST, "solid", "thrust"))
+        legend.append(LegendEntry(palette.NEGATIVE_THRUST, "solid", "negative thrust"))
+        notes.append(f"Rotors turn {TURN_SLOWDOWN:g} times slower and pitch {PITCH_EXAGGERATION:g} times further.")
+        notes.append("Thrust: k_T × speed × commanded pitch.")
+    start, duration = float(show.frames[0]), float(show.time[-1])
+    note = " ".join(notes)
+    return PageText(title, tuple(legend), note, start, len(show.frames), duration, views, log_node, twin_node)
+
+
+def lower_view(view: View) -> tuple[float, float, float]:
+    """Centre x and z and distance of the camera [m]."""
+    return float(view.centre[0]), float(view.centre[2]), view.distance
+
+
+def split_path(path: str) -> list[str]:
+    """The names along a scene path."""
+    return [name for name in path.split("/") if name]
+
+
+def render_page(commands: list[bytes], text: PageText) -> str:
+    """The page as HTML.
+
+    Args:
+        commands: packed meshcat commands in the order of drawing.
+        text: what the page says around the scene.
+    """
+    readout: dict[str, object] = {
+        "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
+        "views": text.views, "trail": round(TRAIL_DURATION * text.frames / text.duration),
+    }  # fmt: skip
+    drawing = json.dumps([base64.b64encode(command).decode() for command in commands])
+    viewer = VIEWER.read_text(encoding="utf-8")
+    page = TEMPLATES.get_template("play.html")
+    return page.render(text=text, viewer=viewer, commands=drawing, readout=readout)

@@ -1,0 +1,1 @@
+"""The rig as it is drawn: in meshcat, as pixels, as markers."""
