@@ -78,7 +78,7 @@ lock: $(STAMP) ## write constraints.txt anew from what .venv holds now
 
 clean: ## remove what runs leave behind, keep .venv
 	rm -rf out runs outputs build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis constraints.txt.new
-	find vpptwin tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find vpptwin proving tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean ## clean, and remove .venv too
 	rm -rf $(VENV)

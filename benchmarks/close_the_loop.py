@@ -4,7 +4,7 @@
     python benchmarks/close_the_loop.py --report benchmarks/results/close_the_loop_*.json --picture loop.svg
     python benchmarks/close_the_loop.py --stuck flip --json stuck.json
 
-For each of three rigs of the independent simulation (tests/reality, which shares no physics with vpptwin) with effects
+For each of three rigs of the independent simulation (proving/drone, which shares no physics with vpptwin) with effects
 hidden in it: (1) a policy is trained on the nominal twin, (2) exported to C and flown there, (3) two such flights are
 diagnosed, and again with the manoeuvre that the first diagnosis suggests if it does, (4) a policy is trained on the
 extended twin, its effects drawn from the identified intervals, (5) it flies. Beside it fly the nominal one, the same

@@ -23,13 +23,13 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hidden.campaign import read_results  # noqa: E402
-from hidden.case import Case, Finding  # noqa: E402
-from hidden.draw import Plan, draw_plan  # noqa: E402
-from hidden.rates import count, leaves_something  # noqa: E402
-from hidden.session import find, fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
+from proving.runner.campaign import read_results  # noqa: E402
+from proving.runner.case import Case, Finding  # noqa: E402
+from proving.runner.draw import Plan, draw_plan  # noqa: E402
+from proving.runner.rates import count, leaves_something  # noqa: E402
+from proving.runner.session import find, fly_sessions  # noqa: E402
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
 from vpptwin.system.files import write_json  # noqa: E402

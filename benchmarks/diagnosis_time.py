@@ -27,14 +27,14 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
-from hidden.costs import format_costs, profile_diagnosis  # noqa: E402
-from hidden.crafts import GROUNDS  # noqa: E402
-from hidden.draw import draw_plans  # noqa: E402
-from hidden.session import fly_sessions  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
-from tests.crafts import write_log  # noqa: E402
-from tests.mechanisms.session import draw_session  # noqa: E402
+from proving.hidden import write_log  # noqa: E402
+from proving.mechanisms.session import draw_session  # noqa: E402
+from proving.runner.costs import format_costs, profile_diagnosis  # noqa: E402
+from proving.runner.crafts import GROUNDS  # noqa: E402
+from proving.runner.draw import draw_plans  # noqa: E402
+from proving.runner.session import fly_sessions  # noqa: E402
 from vpptwin.diagnosis.judgement.diagnose import diagnose  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
 from vpptwin.system.files import write_json  # noqa: E402

@@ -10,13 +10,13 @@
 
 Each session is three 16 s flights of one rig, closed loop: gusts of a kind, strength and pace of their own, noise,
 dropouts, stamp jitter, small distractors, in a quarter of them outliers, the rig off nominal within its tolerance and,
-in three of five sessions, somewhat beyond (tests/reality, which shares no physics with vpptwin). Of twenty sessions
+in three of five sessions, somewhat beyond (proving/drone, which shares no physics with vpptwin). Of twenty sessions
 eight hide one effect, two one whose law is not ours, three two, one three, three one that the catalogue lacks, three
-none. `--rigs other` takes carriages, carts, pendula and arms instead, each drawn (tests/mechanisms, no MuJoCo): of
+none. `--rigs other` takes carriages, carts, pendula and arms instead, each drawn (proving/mechanisms, no MuJoCo): of
 twenty nine hide one effect, four two, three one from outside, four none. `--rigs quadrotor`, `servo` and `leg` take a
 quadrotor, an arm with position servos and a leg on a trunk in the hand, one effect in five of six sessions
-(hidden/crafts.py). Every result names its commit; results of several are neither gone on from nor reported without
---mixed.
+(proving/runner/crafts.py). Every result names its commit; results of several are neither gone on from nor reported
+without --mixed.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hidden import other  # noqa: E402
-from hidden.campaign import read_results, run_campaign, write_results  # noqa: E402
-from hidden.case import Case  # noqa: E402
-from hidden.commits import find_mixture, read_commit  # noqa: E402
-from hidden.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
-from hidden.pictures import draw_pictures  # noqa: E402
-from hidden.rates import compare_baselines, find_broken, format_table, list_failures, summarise  # noqa: E402
-from hidden.scores import ATTRIBUTES, format_groups, format_reliability, score  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
+
+from proving.runner import other  # noqa: E402
+from proving.runner.campaign import read_results, run_campaign, write_results  # noqa: E402
+from proving.runner.case import Case  # noqa: E402
+from proving.runner.commits import find_mixture, read_commit  # noqa: E402
+from proving.runner.draw import DECK, FLYING, Plan, draw_plan, draw_plans  # noqa: E402
+from proving.runner.pictures import draw_pictures  # noqa: E402
+from proving.runner.rates import compare_baselines, find_broken, format_table, list_failures, summarise  # noqa: E402
+from proving.runner.scores import ATTRIBUTES, format_groups, format_reliability, score  # noqa: E402
 
 NIGHTLY = 73127
 """Seed of the sessions that nobody may tune on: look at their rates, never at one of them. Once one was looked at, for

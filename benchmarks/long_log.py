@@ -20,8 +20,8 @@ from mcap.writer import CompressionType, Writer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.reality import fly, write_mcap
-from tests.reality.recording import Topic
+from proving.drone import fly, write_mcap
+from proving.drone.recording import Topic
 from vpptwin.diagnosis.evidence.preflight import inspect_flight
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs import read_flight

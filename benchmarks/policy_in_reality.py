@@ -9,7 +9,7 @@
 Wide random initial states and targets as the task draws them; hidden in every flight all the effects that training
 randomizes by default, drawn from the central 95 % of their priors (with `--effects worn` besides actuators with
 0.02 rad of play, up to 0.02 rad off in trim and 20 % in drag, as on the thrust stand); gusts, sensor noise, dropouts,
-a mocap that is 8 to 17 ms late, the rig off nominal within its tolerance (tests/reality, which shares no physics with
+a mocap that is 8 to 17 ms late, the rig off nominal within its tolerance (proving/drone, which shares no physics with
 vpptwin, nor the state estimate or the observation; unless `--controller` has vpptwin's firmware fly there). Several
 controllers fly the same flights, a column each.
 """
@@ -27,12 +27,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import torch  # noqa: E402
-from hidden.rates import Rate  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tests.policy_flights import Sky, fly_assignments, load_flyer, measure, summarise  # noqa: E402
-from tests.reality import write_mcap  # noqa: E402
+from proving.drone import write_mcap  # noqa: E402
+from proving.policy_flights import Sky, fly_assignments, load_flyer, measure, summarise  # noqa: E402
+from proving.runner.rates import Rate  # noqa: E402
 from vpptwin.robots.planar_drone.vehicle import load_vehicle  # noqa: E402
 from vpptwin.system.errors import InputError  # noqa: E402
 from vpptwin.system.files import check_target, write_whole  # noqa: E402

@@ -24,12 +24,12 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hidden.commits import read_commit  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 
 from examples.double_pendulum.convert import convert as convert_double  # noqa: E402
 from examples.simple_pendulum.convert import convert as convert_simple  # noqa: E402
 from examples.so101.convert import convert as convert_so101  # noqa: E402
+from proving.runner.commits import read_commit  # noqa: E402
 from vpptwin.system.files import write_json  # noqa: E402
 
 SURE = 0.9

@@ -35,7 +35,7 @@ import psutil
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.fuzzers import DRAW  # noqa: E402
+from proving.fuzzers import DRAW  # noqa: E402
 
 DEMO = ROOT / "demo" / "flights"
 HANG = 240.0

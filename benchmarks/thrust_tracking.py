@@ -3,7 +3,7 @@
     python benchmarks/thrust_tracking.py
     python benchmarks/thrust_tracking.py --stands 32 --seed 1 --json tracking.json --picture docs/pictures
 
-On the thrust stand of the independent simulation (tests/reality, no physics shared with vpptwin): 0.02 rad of play in
+On the thrust stand of the independent simulation (proving/drone, no physics shared with vpptwin): 0.02 rad of play in
 every linkage, its zero up to 0.02 rad off, a map of drag that is 20 % off, sensor noise, tolerances. The controllers
 are told nothing. Last, what the adaptive one costs inside the twin, as a ratio.
 """
@@ -25,7 +25,7 @@ import numpy as np  # noqa: E402
 from same_rig.report import describe_machine  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-from tests.thrust_tracking import COMMANDS, NOMINAL, Track, draw_stands, track_thrust  # noqa: E402
+from proving.thrust_tracking import COMMANDS, NOMINAL, Track, draw_stands, track_thrust  # noqa: E402
 from vpptwin.twin import Twin, load_twin  # noqa: E402
 from vpptwin.viz.plots.figure import INK, name_axes, open_figure, write_svg  # noqa: E402
 from vpptwin.viz.plots.palette import BLUE, VERMILION  # noqa: E402

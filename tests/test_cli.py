@@ -16,8 +16,8 @@ import pytest
 import yaml
 from PIL import Image
 
-from tests import leg
-from tests.quadrotor import write_twin
+from proving import leg
+from proving.quadrotor import write_twin
 from vpptwin import __version__
 from vpptwin.cli import demo
 from vpptwin.cli.main import main

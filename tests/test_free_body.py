@@ -11,8 +11,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from tests.crafts import write_log
-from tests.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
+from proving.hidden import write_log
+from proving.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Track
 from vpptwin.diagnosis.judgement.diagnose import diagnose

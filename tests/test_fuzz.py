@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.fuzzers import DRAW
+from proving.fuzzers import DRAW
 from tests.measured import read_peak
 from vpptwin.logs import read_flight
 from vpptwin.logs.spelling import list_flights

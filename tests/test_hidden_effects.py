@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.reality import ALIEN, Wind, draw_effect
-from tests.sessions import (
+from proving.drone import ALIEN, Wind, draw_effect
+from proving.sessions import (
     ACTUATION,
     ALIENS,
     FAMILIES,

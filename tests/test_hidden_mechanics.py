@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.reality import Wind, draw_effect, draw_together, draw_wind, fly_many, write_mcap
-from tests.sessions import (
+from proving.drone import Wind, draw_effect, draw_together, draw_wind, fly_many, write_mcap
+from proving.sessions import (
     CONFIDENT,
     FAMILIES,
     MECHANICS,

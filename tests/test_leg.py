@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.crafts import write_log
-from tests.leg import STEP, move, simulate, write_twin
+from proving.hidden import write_log
+from proving.leg import STEP, move, simulate, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.joints import smooth_series

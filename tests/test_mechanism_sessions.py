@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.mechanisms import DECK, FAMILIES, Session, draw_session
-from tests.mechanisms.hidden import Hidden, Scale, size_effect
-from tests.mechanisms.measure import Evidence, Visibility, measure_visibility
-from tests.mechanisms.plant import build_drives, build_laws
-from tests.mechanisms.sensors import Disturbance, Sensors, measure_inputs, measure_motion, push
-from tests.mechanisms.session import draw_kind
-from tests.mechanisms.trial import Motion, World, perform, plan_trial
+from proving.mechanisms import DECK, FAMILIES, Session, draw_session
+from proving.mechanisms.hidden import Hidden, Scale, size_effect
+from proving.mechanisms.measure import Evidence, Visibility, measure_visibility
+from proving.mechanisms.plant import build_drives, build_laws
+from proving.mechanisms.sensors import Disturbance, Sensors, measure_inputs, measure_motion, push
+from proving.mechanisms.session import draw_kind
+from proving.mechanisms.trial import Motion, World, perform, plan_trial
 from tests.test_mechanisms import CART, build_world
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight

@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.mechanisms.families import FAMILIES
-from tests.mechanisms.hidden import Hidden, Scale, hide, list_kinds, name_effect, size_effect
-from tests.mechanisms.measure import Evidence, trace_offset
-from tests.mechanisms.plant import FORMS, STEP, build_drives, build_laws
-from tests.mechanisms.rig import GRAVITY, JITTER, Drive, Link, Rig
-from tests.mechanisms.tree import build_tree, choose_dynamics, find_tree_dynamics, run_tree
-from tests.mechanisms.trial import Motion, Track, Trial, World, foresee, perform, plan_trial
+from proving.mechanisms.families import FAMILIES
+from proving.mechanisms.hidden import Hidden, Scale, hide, list_kinds, name_effect, size_effect
+from proving.mechanisms.measure import Evidence, trace_offset
+from proving.mechanisms.plant import FORMS, STEP, build_drives, build_laws
+from proving.mechanisms.rig import GRAVITY, JITTER, Drive, Link, Rig
+from proving.mechanisms.tree import build_tree, choose_dynamics, find_tree_dynamics, run_tree
+from proving.mechanisms.trial import Motion, Track, Trial, World, foresee, perform, plan_trial
 
 SWING = (0.0, -1.0, 0.0)
 CART = Rig(

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from tests.crafts import save_twin
+from proving.hidden import save_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.twin.spec import load_twin

@@ -13,7 +13,7 @@ from math import comb
 import numpy as np
 import pytest
 
-from tests.policy_flights import Outcome, Sky, load_flyer, measure, meets_angles
+from proving.policy_flights import Outcome, Sky, load_flyer, measure, meets_angles
 
 POLICIES = ("flip", "wall-backtrack")
 WANTED, OF = 0.97, 200  # share of flights

@@ -8,8 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.firmware import VpptwinFirmware
-from tests.policy_flights import (
+from proving.drone import EFFECTS, fly_policy
+from proving.drone.control import PITCH_LSB, Firmware
+from proving.drone.flight import FlightPlan
+from proving.drone.policy import PolicyPilot, observe
+from proving.drone.rig import load_nominal
+from proving.firmware import VpptwinFirmware
+from proving.policy_flights import (
     CENTRAL,
     PERIOD,
     Sky,
@@ -21,11 +26,6 @@ from tests.policy_flights import (
     read_drone,
     summarise,
 )
-from tests.reality import EFFECTS, fly_policy
-from tests.reality.control import PITCH_LSB, Firmware
-from tests.reality.flight import FlightPlan
-from tests.reality.policy import PolicyPilot, observe
-from tests.reality.rig import load_nominal
 from vpptwin.train.env import observe as trained
 from vpptwin.train.env.randomize import PAPER_EFFECTS
 from vpptwin.train.env.tasks import FLIP

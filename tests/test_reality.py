@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from proving.drone import CORE, EFFECTS, EXTENDED, Recording, fly, fly_many
+from proving.drone.effects import COMPANIONS, FRAME, Effects
+from proving.drone.rig import load_nominal
 from tests.effects.test_metadata import SPEC_EFFECTS
-from tests.reality import CORE, EFFECTS, EXTENDED, Recording, fly, fly_many
-from tests.reality.effects import COMPANIONS, FRAME, Effects
-from tests.reality.rig import load_nominal
 
 NOMINAL = load_nominal()
 CALM = {"gusts": False, "jitter": False, "dropouts": False}
@@ -38,7 +38,7 @@ def test_sizes_to_draw_are_apart_from_off(effect: str) -> None:
 
 def test_nothing_of_vpptwin_is_imported() -> None:
     """The simulation shares no physics with what it tests."""
-    code = "import sys, tests.reality; print([m for m in sys.modules if m.split('.')[0] in ('vpptwin', 'mujoco')])"
+    code = "import sys, proving.drone; print([m for m in sys.modules if m.split('.')[0] in ('vpptwin', 'mujoco')])"
     root = Path(__file__).resolve().parents[1]
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, check=True)
     assert found.stdout.strip() == "[]"

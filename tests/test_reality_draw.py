@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.reality import (
+from proving.drone import (
     COMPANIONS,
     CORE,
     EXTENDED,
@@ -16,8 +16,8 @@ from tests.reality import (
     measure_strength,
     true_size,
 )
-from tests.reality.rig import draw_tolerances
-from tests.sessions import read_seed
+from proving.drone.rig import draw_tolerances
+from proving.sessions import read_seed
 
 ALL = (*CORE, *EXTENDED)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.reality import Wind, draw_wind, fly, fly_many
-from tests.reality.gusts import AXES, KINDS, SERIES, STRENGTHS, TIMES, Field, draw_gust
-from tests.reality.rig import load_nominal
+from proving.drone import Wind, draw_wind, fly, fly_many
+from proving.drone.gusts import AXES, KINDS, SERIES, STRENGTHS, TIMES, Field, draw_gust
+from proving.drone.rig import load_nominal
 
 NOMINAL = load_nominal()
 STEPS = 400_000  # ms: 400 s are 800 correlation times of 0.5 s

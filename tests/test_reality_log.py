@@ -11,9 +11,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from tests.reality import Recording, draw_effect, fly, fly_many, write_mcap
-from tests.reality.demo import FLIGHTS, FOLDER, HIDDEN, SESSION
-from tests.reality.rig import load_nominal
+from proving.drone import Recording, draw_effect, fly, fly_many, write_mcap
+from proving.drone.demo import FLIGHTS, FOLDER, HIDDEN, SESSION
+from proving.drone.rig import load_nominal
 
 NOMINAL = load_nominal()
 CALM = {"gusts": False, "jitter": False, "dropouts": False}
@@ -164,7 +164,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_shipped_demo_flights_are_these(tmp_path: Path) -> None:
-    """demo/flights hold what tests/reality/demo.py flies: same messages, each file under 3 MB."""
+    """demo/flights hold what proving/drone/demo.py flies: same messages, each file under 3 MB."""
     for name, _, _, _ in FLIGHTS:
         assert (FOLDER / name).stat().st_size < 3e6
     name, manoeuvre, duration, seed = FLIGHTS[-1]

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from tests.reality import ALIEN, ALIEN_KINDS, CORE, EXTENDED, FORMS, draw_small, find_also, find_known, fly
-from tests.reality.effects import Effects
-from tests.reality.plant import Plant
-from tests.reality.rig import PITCH, Rig, X, Z
-from tests.reality.rotor import NODES, SUBSTEPS, Propeller, Servo
+from proving.drone import ALIEN, ALIEN_KINDS, CORE, EXTENDED, FORMS, draw_small, find_also, find_known, fly
+from proving.drone.effects import Effects
+from proving.drone.plant import Plant
+from proving.drone.rig import PITCH, Rig, X, Z
+from proving.drone.rotor import NODES, SUBSTEPS, Propeller, Servo
 from vpptwin.effects import CATALOGUE
 
 WEIGHT = 4.905  # N, of craft and slider, 0.50 kg; with the carriage 0.58 kg move along x

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests import servo_arm
-from tests.servo_arm import Hidden, move, write_twin
+from proving import servo_arm
+from proving.servo_arm import Hidden, move, write_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.windows import cut_windows, fly_windows

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests import sessions
-from tests.reality import Wind
-from tests.sessions import Effects, Flown, Session, Sessions, find_faults, measure_gust_mean
+from proving import sessions
+from proving.drone import Wind
+from proving.sessions import Effects, Flown, Session, Sessions, find_faults, measure_gust_mean
 
 
 @pytest.fixture

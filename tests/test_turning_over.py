@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.policy_flights import draw_targets, load_flyer
-from tests.reality import Wind, fly_policy, write_mcap
-from tests.reality.flight import FlightPlan
-from tests.sessions import Effects, Flown, diagnose_session, find_faults, read_seed
+from proving.drone import Wind, fly_policy, write_mcap
+from proving.drone.flight import FlightPlan
+from proving.policy_flights import draw_targets, load_flyer
+from proving.sessions import Effects, Flown, diagnose_session, find_faults, read_seed
 
 DURATION = 20.0  # s
 

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from loop.settings import Rig
-from tests.policy_flights import (
+from proving.drone import fly_policy, write_mcap
+from proving.drone.flight import FlightPlan, fly_many
+from proving.drone.policy import Policy
+from proving.policy_flights import (
     PERIOD,
     Assignment,
     assign,
@@ -18,9 +21,6 @@ from tests.policy_flights import (
     read_drone,
     summarise,
 )
-from tests.reality import fly_policy, write_mcap
-from tests.reality.flight import FlightPlan, fly_many
-from tests.reality.policy import Policy
 from vpptwin.deploy.load import CompiledController
 from vpptwin.robots.planar_drone.pilot.flight import fly
 from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
@@ -84,7 +84,7 @@ class Suggested:
     def command(
         self, tick: int, pose: np.ndarray, speed: np.ndarray, rate: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Thrust N and rate rad/s, as `tests.reality.pilot.Commander` says."""
+        """Thrust N and rate rad/s, as `proving.drone.pilot.Commander` says."""
         now = min(max(tick, 0), self._pilot.ticks - 1)
         command, self._memory = self._pilot.command(now, pose.T, np.column_stack([*speed, rate]), self._memory)
         return command[:, 0], command[:, 1]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tests.policy_flights import Effects, Sky, read_drone
-from tests.reality.rig import draw_tolerances, load_nominal
+from proving.drone.rig import draw_tolerances, load_nominal
+from proving.policy_flights import Effects, Sky, read_drone
 from vpptwin.train.env.tasks import Task
 
 TASK = ("task=flip", "task.target.z=[0.75,1.5]")

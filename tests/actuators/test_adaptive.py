@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.thrust_tracking import COMMANDS, NOMINAL, Spoil, Track, draw_stands, track_thrust
+from proving.thrust_tracking import COMMANDS, NOMINAL, Spoil, Track, draw_stands, track_thrust
 from vpptwin.actuators.adaptive import (
     COMMAND,
     COVARIANCE,

@@ -23,9 +23,9 @@ from loop.report import closed_share, draw_picture, error, format_table, misjudg
 from loop.settings import LOW, SETTINGS, STUCK, draw_rig, tell_truth  # noqa: E402
 from loop.steps import POLICIES, write_truth  # noqa: E402
 
-from tests.policy_flights import load_flyer  # noqa: E402
-from tests.reality import EFFECTS, true_size  # noqa: E402
-from tests.reality.rig import load_nominal  # noqa: E402
+from proving.drone import EFFECTS, true_size  # noqa: E402
+from proving.drone.rig import load_nominal  # noqa: E402
+from proving.policy_flights import load_flyer  # noqa: E402
 from vpptwin.logs.read import read_flight  # noqa: E402
 from vpptwin.system.errors import InputError  # noqa: E402
 from vpptwin.twin import load_twin  # noqa: E402

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.reality import (
+from proving.drone import (
     ALIEN,
     COMPANIONS,
     CORE,
@@ -40,7 +40,7 @@ def hidden(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def load(name: str) -> ModuleType:
     """A module of the benchmark."""
-    return importlib.import_module(f"hidden.{name}")
+    return importlib.import_module(f"proving.runner.{name}")
 
 
 def strength(effect: str) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.mechanisms import draw_session
+from proving.mechanisms import draw_session
 from vpptwin.logs.flight import Flight
 from vpptwin.twin import TwinSpec
 
@@ -29,7 +29,7 @@ def hidden(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def load(name: str) -> ModuleType:
     """A module of the benchmark."""
-    return importlib.import_module(f"hidden.{name}")
+    return importlib.import_module(f"proving.runner.{name}")
 
 
 def plan(number: int, kind: str, *effects: str, separable: bool = True, **more: Any) -> Any:  # noqa: ANN401

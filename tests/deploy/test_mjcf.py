@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests import quadrotor
+from proving import quadrotor
 from vpptwin.cli.main import main
 from vpptwin.deploy.hold import hold
 from vpptwin.deploy.mjcf import compare_rollouts, write_mjcf

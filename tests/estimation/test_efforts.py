@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.crafts import write_log
+from proving.hidden import write_log
+from proving.mechanisms.recording import record as record_session
+from proving.mechanisms.session import draw_session
+from proving.torque_arm import Truth, swing_arm, write_arm
 from tests.diagnosis.rigs import CARTS, record
-from tests.mechanisms.recording import record as record_session
-from tests.mechanisms.session import draw_session
-from tests.torque_arm import Truth, swing_arm, write_arm
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.checks.efforts import judge_efforts

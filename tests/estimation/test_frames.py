@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.signal import savgol_filter
 
-from tests.quadrotor import fly, write_twin
+from proving.quadrotor import fly, write_twin
 from vpptwin.estimation.checks.frames import ANGLES, QUATERNIONS, Reading, look_up, tell_rates
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight, Stream

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.reality.flight import FlightPlan, fly_many
-from tests.reality.recording import Recording
+from proving.drone.flight import FlightPlan, fly_many
+from proving.drone.recording import Recording
 from vpptwin.robots.planar_drone.kalman import BIAS_X, DEPTH, GIVE_UP, GYRO_BIAS, FilterNoise, KalmanFilter
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from proving.drone.flight import fly
+from proving.drone.recording import Recording, write_mcap
 from tests.estimation.synthetic import ANGLE_STD, POSITION_STD, expect_noise, expect_rate_noise
-from tests.reality.flight import fly
-from tests.reality.recording import Recording, write_mcap
 from vpptwin.estimation.initial import DRIFT_STD, SLOPE_STD, estimate_states
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.read import read_flight

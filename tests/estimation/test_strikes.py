@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.policy_flights import load_flyer
-from tests.reality import fly_policy, write_mcap
-from tests.reality.flight import FlightPlan
+from proving.drone import fly_policy, write_mcap
+from proving.drone.flight import FlightPlan
+from proving.policy_flights import load_flyer
 from vpptwin.estimation.gaps import usable_starts
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.estimation.series import Measurements, Series
@@ -103,7 +103,7 @@ STARTS = {
 
 
 def touches(pose: np.ndarray) -> np.ndarray:
-    """Whether the craft of tests/reality is inside of floor, wall or an end stop at poses (n, 3), (n,) bool."""
+    """Whether the craft of proving/drone is inside of floor, wall or an end stop at poses (n, 3), (n,) bool."""
     x, z, theta = pose.T
     low, far = z - 0.2 * np.abs(np.sin(theta)), x + 0.2 * np.abs(np.cos(theta))
     return (low < 0.015) | (far > 1.685) | (np.abs(x) > 1.5) | (z < 0.15) | (z > 2.5)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.quadrotor import MJCF, fly
+from proving.quadrotor import MJCF, fly
 from vpptwin.estimation.checks.frames import QUATERNIONS, Reading, look_up
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight

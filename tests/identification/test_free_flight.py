@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.reality.flight import fly_many
-from tests.reality.recording import write_mcap
+from proving.drone.flight import fly_many
+from proving.drone.recording import write_mcap
 from vpptwin.cli.main import main
 from vpptwin.drift.free_flight import FlightFit, fit_flights, pair_up, parse_parameters
 from vpptwin.logs.read import read_flight

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.bench_logs import write_bench
+from proving.thrust_stand_logs import write_bench
 from tests.viz.browser import Browser
 from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust
 from vpptwin.actuators.file import equip, load_actuator

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.reality.flight import fly
-from tests.reality.recording import Recording
+from proving.drone.flight import fly
+from proving.drone.recording import Recording
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.reality.recording import Recording, Topic
+from proving.drone.recording import Recording, Topic
 
 POSE, IMU, POLICY, COMMAND, STATE = "/mocap/pose", "/imu/data", "/cmd/rate_thrust", "/rotor/command", "/rotor/state"
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from proving.drone.recording import Recording, write_mcap
 from tests.logs import corrupt
 from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
-from tests.reality.recording import Recording, write_mcap
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.estimation.gaps import usable_starts

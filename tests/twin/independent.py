@@ -1,4 +1,4 @@
-"""The twin and the independent simulation (tests/reality) under the same commands, and how far apart they may be."""
+"""The twin and the independent simulation (proving/drone) under the same commands, and how far apart they may be."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from tests.reality.effects import COMPANIONS, CORE, EXTENDED, Size
-from tests.reality.replay import Replay, replay_commands
-from tests.reality.rig import ON_THE_RIG, PITCH, Rig, X, Z
+from proving.drone.effects import COMPANIONS, CORE, EXTENDED, Size
+from proving.drone.replay import Replay, replay_commands
+from proving.drone.rig import ON_THE_RIG, PITCH, Rig, X, Z
 from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, TwinSpec
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fuzzers import ELEMENTS, MODELS
+from proving.fuzzers import ELEMENTS, MODELS
 from tests.measured import run_measured
 from vpptwin.system.errors import InputError
 from vpptwin.system.plain import read_yaml

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests import servo_arm
+from proving import servo_arm
 from tests.effects.rigs import Rig, load_rigs
 from tests.twin.hover import share_kernel
 from vpptwin.twin import Twin, load_twin

@@ -1,4 +1,4 @@
-"""The twin against the independent simulation of tests/reality, for every effect on the motion that both have."""
+"""The twin against the independent simulation of proving/drone, for every effect on the motion that both have."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.reality.rig import ON_THE_RIG
+from proving.drone.rig import ON_THE_RIG
 from tests.twin.independent import DYNAMIC, SENSORS, Comparison, compare
 from vpptwin.twin import TwinSpec, load_twin
 

@@ -1,4 +1,4 @@
-"""Rotor speeds of the twin against those of the independent simulation of tests/reality, under the same commands."""
+"""Rotor speeds of the twin against those of the independent simulation of proving/drone, under the same commands."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import copy
 import numpy as np
 import pytest
 
-from tests.reality.rig import Rig
-from tests.reality.rotor import Motor, Servo
+from proving.drone.rig import Rig
+from proving.drone.rotor import Motor, Servo
 from vpptwin.twin import Twin, TwinSpec, load_twin
 
 HOLD, START = 0.05, 10.0

@@ -155,7 +155,7 @@ class Criteria:
         "issue 20")
     storm: float = assumed(3.0, "gust", "strength at most by which a leftover is whitened", "issue 20: 3 % of weight")
     gale: float = assumed(5.0, "gust", "strength from which a force that follows nothing is no weather indoors either",
-        "issue 20: 5 % of weight on one joint; gusts of tests/reality reach 6")
+        "issue 20: 5 % of weight on one joint; gusts of proving/drone reach 6")
     followed: float = calibrated(5.5, "sigma", "by which a missing force must follow something to be no gust",
         "sessions of seeds 8001, 8100 to 8105 and 8203, issue 20: 4.8 without, 6.2 with an effect")
     doubted: float = calibrated(3.5, "sigma", "the same from which a cause beside it is but suggested",

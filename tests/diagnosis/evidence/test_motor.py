@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.reality import fly_many, write_mcap
-from tests.reality.flight import FlightPlan
+from proving.drone import fly_many, write_mcap
+from proving.drone.flight import FlightPlan
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.channels import Channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, observe_motor, predict_motor

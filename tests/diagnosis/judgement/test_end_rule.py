@@ -127,7 +127,7 @@ def test_a_twin_that_predicts_as_well_is_kept(before: float, after: float) -> No
 
 @pytest.mark.parametrize(("after", "kept"), [(2.03, True), (2.05, False)])
 def test_a_slip_may_cost_what_tests_allow(after: float, kept: bool) -> None:
-    """Two percent where the twin sticks, as tests/sessions.py allows; no more."""
+    """Two percent where the twin sticks, as proving/sessions.py allows; no more."""
     assert bool(select(2.0, after, sticks=True)[1].fit.effects) == kept
 
 

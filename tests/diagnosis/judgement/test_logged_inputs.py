@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
+from proving.quadrotor import MASS, fly, write_twin
 from tests.diagnosis.rigs import CARTS, DECAYS, write_rig
-from tests.quadrotor import MASS, fly, write_twin
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.logged_inputs import (
     describe_input_error,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests import servo_arm
-from tests.torque_arm import Truth, swing_arm, write_arm
+from proving import servo_arm
+from proving.torque_arm import Truth, swing_arm, write_arm
 from vpptwin.diagnosis.evidence.other_motors import describe_other_motors
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.measurements import read_measurements

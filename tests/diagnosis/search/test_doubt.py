@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mechanisms import Session, draw_session
+from proving.mechanisms import Session, draw_session
 from vpptwin.diagnosis.judgement.diagnose import prepare
 from vpptwin.diagnosis.search.fits import Fit
 from vpptwin.diagnosis.search.search import Search

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.mechanisms import draw_session
+from proving.mechanisms import draw_session
 from vpptwin.diagnosis.evidence.forces import scale_twin
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.search.places import look_along

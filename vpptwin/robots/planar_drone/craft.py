@@ -101,7 +101,7 @@ class PlanarDrone(Robot):
 
     @cached_property
     def disturbance(self) -> Disturbance:
-        """Gusts; tests/reality shows how flights without an effect look."""
+        """Gusts; proving/drone shows how flights without an effect look."""
         airframe = self.vehicle.airframe
         std = GUST * (airframe.mass * self.vehicle.gravity) * np.array([1.0, 1.0, airframe.half_length])
         return Disturbance(std, GUST_TIME, known=True)

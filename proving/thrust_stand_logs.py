@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.reality.control import Firmware
-from tests.reality.effects import Effects
-from tests.reality.rig import load_nominal
-from tests.reality.rotor import STEP
-from tests.reality.thrust_stand import ThrustStand
+from proving.drone.control import Firmware
+from proving.drone.effects import Effects
+from proving.drone.rig import load_nominal
+from proving.drone.rotor import STEP
+from proving.drone.thrust_stand import ThrustStand
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import write_flight
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hidden.baselines.track import STEP, VEHICLE, Track, prepare_track
+from proving.runner.baselines.track import STEP, VEHICLE, Track, prepare_track
 from vpptwin.effects import Effect
 from vpptwin.logs.flight import Flight
 from vpptwin.twin import Twin, load_twin

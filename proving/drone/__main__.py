@@ -1,4 +1,4 @@
-"""Fly one flight into a log: `python -m tests.reality --effect rail_x.coulomb:force=0.3 --out flight.mcap`."""
+"""Fly one flight into a log: `python -m proving.drone --effect rail_x.coulomb:force=0.3 --out flight.mcap`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .recording import write_mcap
 
 def main() -> None:
     """Parse the command line, fly, write."""
-    parser = argparse.ArgumentParser(prog="python -m tests.reality", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m proving.drone", description=__doc__)
     parser.add_argument("--effect", action="append", default=[], metavar="ID:NAME=VALUE[,NAME=VALUE]")
     parser.add_argument("--manoeuvre", choices=sorted(MANOEUVRES), default="aggressive")
     parser.add_argument("--duration", type=float, default=20.0, help="s")

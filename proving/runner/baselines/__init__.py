@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hidden.baselines.ranking import name_by_ranking
-from hidden.baselines.sparse import name_by_regression
-from hidden.baselines.sysid import name_by_sysid
+from proving.runner.baselines.ranking import name_by_ranking
+from proving.runner.baselines.sparse import name_by_regression
+from proving.runner.baselines.sysid import name_by_sysid
 from vpptwin.logs.flight import Flight
 
 Method = Callable[[Sequence[Flight]], str]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hidden.case import Case, Finding, Named
-from hidden.draw import Plan
-from tests.reality import fly_many, write_mcap
-from tests.reality.flight import FlightPlan
+from proving.drone import fly_many, write_mcap
+from proving.drone.flight import FlightPlan
+from proving.runner.case import Case, Finding, Named
+from proving.runner.draw import Plan
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.judgement.verdict import Verdict
@@ -76,7 +76,7 @@ def diagnose_session(plan: Plan, flights: Sequence[Flight], oracle: bool) -> Cas
 
 def name_by_baselines(flights: Sequence[Flight]) -> dict[str, str]:
     """What the methods of others name."""
-    from hidden.baselines import BASELINES  # only here: they bring packages of their own
+    from proving.runner.baselines import BASELINES  # only here: they bring packages of their own
 
     return {name: method(flights) for name, method in BASELINES.items()}
 

@@ -1,6 +1,6 @@
 """Sessions with something hidden: three flights of one rig, what the diagnosis makes of them, what is wrong with that.
 
-The flights come from tests/reality, which shares no physics with vpptwin. What is hidden is drawn from one seed, fixed
+The flights come from proving/drone, which shares no physics with vpptwin. What is hidden is drawn from one seed, fixed
 in `make test` and fresh in `make night`; a failure prints how to repeat it (`VPPTWIN_SEED=... pytest ...`).
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
 
-from tests.reality import CORE, EXTENDED, Wind, draw_small, draw_wind, find_known, fly_many, true_size, write_mcap
-from tests.reality.flight import FlightPlan
-from tests.reality.rig import PITCH, X, Z, load_nominal
+from proving.drone import CORE, EXTENDED, Wind, draw_small, draw_wind, find_known, fly_many, true_size, write_mcap
+from proving.drone.flight import FlightPlan
+from proving.drone.rig import PITCH, X, Z, load_nominal
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.judgement.verdict import Cause, Verdict
 from vpptwin.logs.read import read_flight

@@ -1,4 +1,4 @@
-"""What tests/quadrotor.py, tests/servo_arm.py and tests/leg.py have in common: files, and what may be hidden."""
+"""What proving/quadrotor.py, proving/servo_arm.py and proving/leg.py have in common: files, and what may be hidden."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from hidden.draw import Plan
-from hidden.mechanisms import MechanismPlan
+from proving.runner.draw import Plan
+from proving.runner.mechanisms import MechanismPlan
 
 CONFIDENT = 0.9
 """A cause named with more than this is claimed, not suggested."""

@@ -1,4 +1,4 @@
-"""Fly the logs that ship in demo/flights: `python -m tests.reality.demo`."""
+"""Fly the logs that ship in demo/flights: `python -m proving.drone.demo`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FLIGHTS = (
 
 def main() -> None:
     """Fly and write every demo log."""
-    parser = argparse.ArgumentParser(prog="python -m tests.reality.demo", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m proving.drone.demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder")
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from hidden.case import Case
-from hidden.rates import Figure, Rate, confidence_bins, count, is_flagged, leaves_something, list_claims
+from proving.runner.case import Case
+from proving.runner.rates import Figure, Rate, confidence_bins, count, is_flagged, leaves_something, list_claims
 
 
 def is_detected(case: Case) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from absl import logging
 from mujoco import sysid
 
-from hidden.baselines.track import VEHICLE, Track, prepare_track
+from proving.runner.baselines.track import VEHICLE, Track, prepare_track
 from vpptwin.logs.flight import Flight
 from vpptwin.system.resources import models_dir
 from vpptwin.twin.robot.losses import take_out_losses

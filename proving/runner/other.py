@@ -16,13 +16,13 @@ from itertools import chain, islice
 from itertools import count as count_up
 from pathlib import Path
 
-from hidden.campaign import open_pool
-from hidden.case import Case
-from hidden.crafts import GROUNDS, CraftSession
-from hidden.mechanisms import MechanismPlan
-from hidden.rates import Figure, Rate, count, is_flagged, measure_parameters, measure_time
-from hidden.session import read_verdict
-from tests.mechanisms import Session, draw_session
+from proving.mechanisms import Session, draw_session
+from proving.runner.campaign import open_pool
+from proving.runner.case import Case
+from proving.runner.crafts import GROUNDS, CraftSession
+from proving.runner.mechanisms import MechanismPlan
+from proving.runner.rates import Figure, Rate, count, is_flagged, measure_parameters, measure_time
+from proving.runner.session import read_verdict
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.logs.read import read_flight
 from vpptwin.twin import load_twin

@@ -1,4 +1,4 @@
-"""Sessions of other rigs (tests/mechanisms) as the benchmark counts the drone's: what was hidden, how visible."""
+"""Sessions of other rigs (proving/mechanisms) as the benchmark counts the drone's: what was hidden, how visible."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from tests.mechanisms import SEEN, Recorded, Session
+from proving.mechanisms import SEEN, Recorded, Session
 
 QUIET = 0.25
 """Chi square that jitter and small effects may add where a verdict is to be silent."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from tests.reality.control import PITCH_LSB, THROTTLE_LSB
-from tests.reality.sensors import quantise
+from proving.drone.control import PITCH_LSB, THROTTLE_LSB
+from proving.drone.sensors import quantise
 from vpptwin.actuators.adaptive import start_memory
 from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.layer import layer_dtype
@@ -36,7 +36,7 @@ def _run(vehicle, memories, thrust, rate, gyro, speed, current, pitch):  # noqa:
 
 
 class VpptwinFirmware:
-    """`tests.reality.control.Controller` of a batch of crafts: vpptwin's loops, which believe in a vehicle."""
+    """`proving.drone.control.Controller` of a batch of crafts: vpptwin's loops, which believe in a vehicle."""
 
     def __init__(self, count: int, adaptive: bool, vehicle: Vehicle = NOMINAL) -> None:
         self.vehicle = record_vehicle(vehicle)[0]

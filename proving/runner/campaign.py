@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hidden.case import Case
-from hidden.draw import Plan
-from hidden.session import fly_sessions, run_session
+from proving.runner.case import Case
+from proving.runner.draw import Plan
+from proving.runner.session import fly_sessions, run_session
 
 BATCH = 16
 """Sessions flown together: 48 flights take 40 s of a core, one alone 9 s."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.reality import (
+from proving.drone import (
     ALIEN,
     ALIEN_KINDS,
     COMPANIONS,

@@ -10,7 +10,7 @@ from itertools import chain, pairwise
 import numpy as np
 from scipy.stats import binom
 
-from hidden.case import CONFIDENT, Case
+from proving.runner.case import CONFIDENT, Case
 
 Z_90, Z_95 = 1.645, 1.960
 BINS = (0.0, 0.5, 0.7, CONFIDENT, 0.99, 1.01)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from hidden.case import Case
+from proving.runner.case import Case
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = ("vpptwin", "tests", "benchmarks", "models", ":!benchmarks/results")

@@ -155,7 +155,7 @@ def write_mcap(recording: Recording, path: str | Path) -> Path:
     unfinished = path.with_name(path.name + ".part")
     with unfinished.open("wb") as stream:
         writer = Writer(stream, chunk_size=4 * 1024 * 1024, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="vpptwin tests.reality")
+        writer.start(profile="ros2", library="vpptwin proving.drone")
         schemas: dict[str, int] = {}
         for name, topic in recording.topics.items():
             if topic.kind not in schemas:

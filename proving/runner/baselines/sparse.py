@@ -8,7 +8,7 @@ import numpy as np
 import pysindy
 from scipy.signal import fftconvolve, savgol_coeffs
 
-from hidden.baselines.track import RATE, SMOOTHED, VEHICLE, Track, prepare_track
+from proving.runner.baselines.track import RATE, SMOOTHED, VEHICLE, Track, prepare_track
 from vpptwin.logs.flight import Flight
 
 CARRIED, MOVED = (

@@ -1,6 +1,6 @@
 """Trained policies in the independent simulation: what a task asks of them, what is hidden, what comes of it.
 
-Task and priors are vpptwin's, the flight is not: tests/reality shares no physics with it, nor the state estimate or the
+Task and priors are vpptwin's, the flight is not: proving/drone shares no physics with it, nor the state estimate or the
 observation. A flight depends on its seed and number alone, however many are flown.
 """
 
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from tests.firmware import VpptwinFirmware
-from tests.reality import EFFECTS, Recording, fly_policy
-from tests.reality.flight import FlightPlan
-from tests.reality.policy import Policy
-from tests.thrust_tracking import draw_worn
+from proving.drone import EFFECTS, Recording, fly_policy
+from proving.drone.flight import FlightPlan
+from proving.drone.policy import Policy
+from proving.firmware import VpptwinFirmware
+from proving.thrust_tracking import draw_worn
 from vpptwin.effects import Effect, Parameter
 from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
 from vpptwin.system.errors import InputError
@@ -49,7 +49,7 @@ class Sky:
         dropouts: of mocap frames.
         rig: what one rig has, which then flies all flights; None for effects drawn for every flight.
         session: seed of that rig's tolerances; None for another rig every flight.
-        worn: actuators are as bad as those on the thrust stand (`tests.thrust_tracking.draw_worn`).
+        worn: actuators are as bad as those on the thrust stand (`proving.thrust_tracking.draw_worn`).
         controller: of actuators, "map" or "adaptive" in vpptwin's firmware; "own" for the simulation's own firmware.
     """
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tests.crafts import Hidden, draw_one, record, save_twin
+from proving.hidden import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 PARTS = {

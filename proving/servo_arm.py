@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from tests.crafts import Hidden, draw_one, record, save_twin
+from proving.hidden import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 LENGTH, CENTRE, MASS, INERTIA = (0.15, 0.0), (0.08, 0.07), (0.12, 0.10), (2.5e-4, 2.0e-4)  # m, m, kg, kg m²

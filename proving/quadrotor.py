@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from tests.crafts import Hidden, draw_one, record, save_twin
+from proving.hidden import Hidden, draw_one, record, save_twin
 from vpptwin.logs.flight import Flight, Stream
 
 MASS, ARM, TORQUE = 0.030, 0.0325, 0.006  # kg, m, m (torque over thrust)

@@ -1,7 +1,7 @@
-"""Sessions of a quadrotor, of an arm with position servos and of a leg (tests/quadrotor.py, servo_arm.py, leg.py).
+"""Sessions of a quadrotor, of an arm with position servos and of a leg (proving/quadrotor.py, servo_arm.py, leg.py).
 
 Simulated without MuJoCo, one effect hidden or none. Whether the logs show it and tell it from its look-alikes is not
-worked out there, as it is for the rigs of tests/mechanisms.
+worked out there, as it is for the rigs of proving/mechanisms.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hidden.mechanisms import MechanismPlan
-from tests import leg, quadrotor, servo_arm
-from tests.crafts import write_log
+from proving import leg, quadrotor, servo_arm
+from proving.hidden import write_log
+from proving.runner.mechanisms import MechanismPlan
 
 GROUNDS = {"quadrotor": quadrotor, "servo": servo_arm, "leg": leg}
 LOGS = {"quadrotor": (quadrotor.fly, 3, 12.0), "servo": (servo_arm.move, 2, 16.0), "leg": (leg.move, 2, 16.0)}

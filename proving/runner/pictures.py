@@ -10,8 +10,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hidden.case import Case
-from hidden.rates import Rate, confidence_bins, count, leaves_something
+from proving.runner.case import Case
+from proving.runner.rates import Rate, confidence_bins, count, leaves_something
 
 FAMILIES = {
     "horizontal rail": ("rail_x", "rail.tilt", "carriage"),

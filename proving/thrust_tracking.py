@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from tests.firmware import NOMINAL, STEP, start_memories
-from tests.reality.effects import Effects
-from tests.reality.thrust_stand import ThrustStand
+from proving.drone.effects import Effects
+from proving.drone.thrust_stand import ThrustStand
+from proving.firmware import NOMINAL, STEP, start_memories
 from vpptwin.actuators.adaptive import DRAG, FAULT, HALF_GAP, TRIM
 from vpptwin.actuators.controller import drive_rotor
 from vpptwin.actuators.numbers import record_vehicle
