@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.diagnosis.judgement.test_verdict import VERDICT
+from tests.builders import VERDICT
 from vpptwin.cli.main import main
 from vpptwin.report.provenance import trace_origin
 from vpptwin.report.twin_file import compose_twin

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +11,8 @@ import pytest
 from proving import sessions
 from proving.drone import Wind
 from proving.sessions import Effects, Flown, Session, Sessions, find_faults, measure_gust_mean
+from tests.builders import VERDICT
+from vpptwin.diagnosis.judgement.verdict import Cause, Estimate
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list[Effects]:
         return hidden
 
     monkeypatch.setattr(sessions, "fly_session", fly)
-    monkeypatch.setattr(sessions, "diagnose_session", lambda hidden: SimpleNamespace(hidden=hidden, story=f"{hidden}"))
+    monkeypatch.setattr(sessions, "diagnose_session", lambda hidden: make_session(hidden, {}))
     return seen
 
 
@@ -54,19 +55,17 @@ def test_two_in_a_row_fail(flown: list[Effects], tmp_path: Path) -> None:
     assert len(flown) == 3
 
 
-def make_session(hidden: Effects, small: Effects, *causes: Any) -> Session:  # noqa: ANN401
-    """A made-up session."""
-    errors = SimpleNamespace(chi2=9.0, position_rmse_m=[0.01] * 3, angle_rmse_rad=[0.01] * 3)
-    verdict: Any = SimpleNamespace(causes=causes, gap=True, before=errors, after=errors)
-    return Session(Flown(hidden, small, Wind(), 3, [], ""), verdict, "")
+def make_session(hidden: Effects, small: Effects, *causes: Cause) -> Session:
+    """A session with that verdict."""
+    verdict = replace(VERDICT, causes=list(causes), after=VERDICT.before)
+    return Session(Flown(hidden, small, Wind(), 3, [], ""), verdict, f"{hidden}")
 
 
 def test_small_deviations_are_no_faults() -> None:
     """One named first does not stand before what is hidden, and is no claim; without it there it is."""
     hidden, small = {"mocap.delay": {"delay": 0.01}}, {"rail.tilt": {"angle": 0.01}}
-    estimate = SimpleNamespace(value=0.01, std=0.001, nominal=0.0)
     causes = [
-        SimpleNamespace(effect=effect, confidence=0.99, also_explained_by=[], parameters={name: estimate})
+        Cause(effect, 0.99, {name: Estimate(0.01, "", 0.001, 0.0)}, 0.5, [], "")
         for effect, name in (("rail.tilt", "angle"), ("mocap.delay", "delay"))
     ]
     assert find_faults(make_session(hidden, small, *causes)) == []

@@ -28,10 +28,15 @@ def some_policy(seed: int) -> Policy:
     return Policy(Sight())
 
 
+def advance(exam: Exam, steps: int, total: int = 1000) -> None:
+    """Have so many steps of the run be done."""
+    exam.trainer = SimpleNamespace(collected_frames=steps, total_frames=total)  # type: ignore[assignment]
+
+
 def sit(config: TrainConfig, policy: Policy, folder: Path) -> dict[str, float]:
     """The result of one exam in a run of its own."""
     exam = Exam(config, policy, folder)
-    exam.trainer = SimpleNamespace(collected_frames=100, total_frames=1000)  # type: ignore[assignment]
+    advance(exam, 100)
     result = exam()
     assert result is not None
     return result
@@ -42,7 +47,7 @@ def test_the_same_policy_gets_the_same_score(tmp_path: Path) -> None:
     exam = Exam(tiny_config(*SMALL), some_policy(0), tmp_path)
     results = []
     for steps in (100, 200, 300):
-        exam.trainer = SimpleNamespace(collected_frames=steps, total_frames=1000)  # type: ignore[assignment]
+        advance(exam, steps)
         results.append(exam())
     assert results[0] == results[1] == results[2]
     for overrides in (("seed=5", "num_envs=8"), ("curriculum.enabled=false",), ("desynchronize=false", "critic=lstm")):
@@ -98,7 +103,7 @@ def test_schedule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: tu
     monkeypatch.setattr(Exam, "_fly", lambda self: Flights(np.zeros(1), np.zeros(1), none, none, none, none, 0, 0))
     exam, taken = Exam(tiny_config(*overrides), some_policy(0), tmp_path), []
     for steps in range(50, 1001, 50):
-        exam.trainer = SimpleNamespace(collected_frames=steps, total_frames=1000)  # type: ignore[assignment]
+        advance(exam, steps)
         if exam() is not None:
             taken.append(steps)
     assert taken == expected
@@ -116,7 +121,7 @@ def test_the_best_policy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for k in range(5):
         with torch.no_grad():
             policy.body[1].bias.fill_(float(k))
-        exam.trainer = SimpleNamespace(collected_frames=100 * (k + 1), total_frames=1000)  # type: ignore[assignment]
+        advance(exam, 100 * (k + 1))
         exam()
         content = read_checkpoint(tmp_path / BEST_NAME)
         kept.append((content["steps"], float(content["policy"]["body.1.bias"][0])))
@@ -134,7 +139,7 @@ def test_the_error_is_of_flights_that_did_not_fail(
     flown = Flights(np.array([0.1, 7.0]), np.zeros(2), np.array(failed), none, none, none, 0, 0)
     monkeypatch.setattr(Exam, "_fly", lambda self: flown)
     exam = Exam(tiny_config(*SMALL), some_policy(0), tmp_path)
-    exam.trainer = SimpleNamespace(collected_frames=100, total_frames=100)  # type: ignore[assignment]
+    advance(exam, 100, 100)
     logged = exam()
     assert logged is not None
     assert logged["exam_error_m"] == pytest.approx(error, nan_ok=True)

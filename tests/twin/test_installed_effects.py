@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.diagnosis.judgement.test_verdict import VERDICT
+from tests.builders import VERDICT
 from tests.twin.own_effect_files import WAVE, write_rig
 from vpptwin.cli.main import main
 from vpptwin.report.provenance import trace_origin

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from types import SimpleNamespace
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.diagnosis.fakes import lay_starts
-from vpptwin.diagnosis.criteria import CRITERIA
+from tests.builders import CART, Unsearched, guess, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.judgement.conclusion import HARMING, OUTWEIGHED, UNFELT, doubt_gain, list_passing, order_causes
 from vpptwin.diagnosis.judgement.diagnose import Material, keep_better
@@ -19,9 +17,11 @@ from vpptwin.diagnosis.judgement.errors import PredictionErrors
 from vpptwin.diagnosis.judgement.holdout import HeldOut
 from vpptwin.diagnosis.judgement.selection import Selection
 from vpptwin.diagnosis.judgement.verdict import Cause, Rival
+from vpptwin.diagnosis.search.fits import Fit
+from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects import friction, joint
-from vpptwin.effects.base import Site
 from vpptwin.effects.catalogue import generic_place
+from vpptwin.twin.robot.robot import Loads
 
 KEY = ("rail_x.coulomb", "force")
 
@@ -29,18 +29,17 @@ KEY = ("rail_x.coulomb", "force")
 @pytest.mark.parametrize(("waves", "passing"), [(0.4, {"swing.cogging", "swing.spring"}), (1.0, set())])
 def test_a_wave_that_does_not_come_again_is_no_cogging(waves: float, passing: set[str]) -> None:
     """0.8 of it in 2 rad of travel: nor is what depends on place beside it sure; friction there, and 2 waves, are."""
-    place = generic_place("swing", True, 1.0)
+    ones, place = np.ones(1), generic_place("swing", True, 1.0)
     effects = [make(place) for make in (joint.cogging, joint.spring, friction.coulomb)]
-    unknowns = [SimpleNamespace(effect=effect) for effect in effects]
-    robot = SimpleNamespace(loads=SimpleNamespace(travel=np.array([1.0])), locate=lambda effect: Site(dof=0))
-    search = SimpleNamespace(
-        bench=SimpleNamespace(spec=SimpleNamespace(robot=robot)), unknowns=unknowns, criteria=CRITERIA
-    )
-    fit = SimpleNamespace(effects={e.id for e in effects}, values={("swing.cogging", "waves"): waves})
-    assert list_passing(cast(Any, search), cast(Any, fit)) == passing
+    spec = load_rig(CART.replace('"a" type="slide"', '"swing" type="hinge"').replace('joint="a"', 'joint="swing"'))
+    spec = replace(spec, robot=spec.robot.scale(Loads(ones, ones, ones, 0.0 * ones, ones, ones)))
+    unknowns = tuple(Unknown(effect, p, p.off) for effect in effects for p in effect.parameters)
+    fit = guess({u.key: waves if u.parameter.name == "waves" else u.nominal for u in unknowns})
+    assert list_passing(Unsearched(lay_bench([0.0], spec=spec), unknowns), fit) == passing
 
 
 OTHER = ("rail_x.bias", "force")
+KNOWN = lay_bench([0.0], spec=load_known())
 Values = Mapping[tuple[str, str], float]
 
 
@@ -50,7 +49,7 @@ class Given(PredictionErrors):
     _noise = {"rad": np.ones(len(HORIZONS_S))}  # noqa: RUF012 (a property there)
 
     def __init__(self, before: np.ndarray, after: np.ndarray) -> None:
-        super().__init__(lay_starts([3.0 * i for i in range(len(before))]))
+        super().__init__(lay_bench([3.0 * i for i in range(len(before))]))
         self.given = before, after
 
     def squares(self, values: Values) -> dict[str, np.ndarray]:
@@ -64,39 +63,40 @@ def keep(chi2: Callable[[set[str]], float], errors: PredictionErrors, sticks: bo
     class Judges(HeldOut):
         """Held-out windows on which these are known."""
 
-        criteria = CRITERIA
-        short = cast(Any, SimpleNamespace(guessed=False))
-
         def __init__(self) -> None:
+            super().__init__(KNOWN, KNOWN)
             self.errors = errors
 
         def chi2(self, values: Values) -> float:
             """By the effects that are on."""
             return chi2({effect for effect, _ in values})
 
-    def fit_to(values: Values) -> Any:  # noqa: ANN401 (of a fit no more is asked for)
-        return SimpleNamespace(effects=frozenset(effect for effect, _ in values), values=values)
+    class Least(Unsearched):
+        """A search whose fits are as they were."""
 
-    search = SimpleNamespace(
-        start=fit_to({}), sticks=lambda effects: sticks, reframe=lambda fit: fit, follow=lambda fit: fit,
-        without=lambda fit, effect: fit_to({key: value for key, value in fit.values.items() if key[0] != effect}),
-    )  # fmt: skip
+        start = guess({})
+
+        def sticks(self, effects: frozenset[str]) -> bool:
+            """Of these."""
+            return sticks
+
+        def without(self, fit: Fit, effect: str) -> Fit:
+            """One less."""
+            return guess({key: value for key, value in fit.values.items() if key[0] != effect})
+
+        def reframe(self, fit: Fit) -> Fit:
+            """The same."""
+            return fit
+
+        follow = reframe
+
     names = KEY[0], OTHER[0]
     told = {KEY[0]: [Rival(OTHER[0], 0.1), Rival("rail_x.viscous", 0.2)], OTHER[0]: []}
-    instead = {KEY[0]: [Rivalling(frozenset({rival.effect, OTHER[0]})) for rival in told[KEY[0]]], OTHER[0]: []}
+    instead = {KEY[0]: [guess({(rival.effect, "force"): 0.1, OTHER: 0.1}) for rival in told[KEY[0]]], OTHER[0]: []}
     given = Selection(
-        fit_to({KEY: 0.3, OTHER: 0.1}), [], told, cast(Any, instead), dict(zip(names, (99.0, 40.0))),
-        unconfirmed=frozenset(names),
-    )  # fmt: skip
-    return given, keep_better(cast(Material, SimpleNamespace(search=search, held_out=Judges())), given)
-
-
-@dataclass(frozen=True)
-class Rivalling:
-    """What is asked of a rival's fit."""
-
-    effects: frozenset[str]
-    values: Values = field(default_factory=dict)
+        guess({KEY: 0.3, OTHER: 0.1}), [], told, instead, dict(zip(names, (99.0, 40.0))), unconfirmed=frozenset(names)
+    )
+    return given, keep_better(Material([], Least(KNOWN, ()), Judges(), None), given)
 
 
 CALM = Given(np.full((8, len(HORIZONS_S)), 9.0), np.full((8, len(HORIZONS_S)), 4.0))
@@ -179,10 +179,9 @@ def test_one_window_that_is_disturbed_is_no_veto(after: list[float], farther: bo
     class Judges(HeldOut):
         """Four windows of which this is known; without effects they cost 1, 2, 4 and 8."""
 
-        criteria = CRITERIA
-        short = cast(Any, SimpleNamespace(guessed=guessed))
-
         def __init__(self) -> None:
+            bench = lay_bench([0.0], spec=load_rig() if guessed else load_known())
+            super().__init__(bench, bench)
             self.errors = CALM
 
         def chi2_by_window(self, values: Mapping[Any, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -211,7 +210,7 @@ def test_what_a_cause_must_take_away(chi2: tuple[float, float], errors: tuple[fl
         """The same, and chi²."""
 
         def __init__(self) -> None:
-            self.criteria = CRITERIA
+            super().__init__(KNOWN, KNOWN)
             self.errors = Given(*(np.full((10, len(HORIZONS_S)), each) for each in errors))
 
         def chi2(self, values: Mapping[Any, float]) -> float:

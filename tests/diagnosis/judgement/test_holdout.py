@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from tests.builders import guess, lay_bench
 from tests.diagnosis.carts import load_cart, measure_cart, open_judges
-from tests.diagnosis.fakes import guess, lay_starts
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench
@@ -70,7 +70,7 @@ def test_one_window_decides_nothing() -> None:
 
 def test_blocks_are_stretches_of_a_flight() -> None:
     """Windows within 1.5 s count as one; those of another flight never do."""
-    bench = lay_starts([0.0, 0.9 * CRITERIA.block, 1.1 * CRITERIA.block, 5.2 * CRITERIA.block, 0.1], [0, 0, 0, 0, 1])
+    bench = lay_bench([0.0, 0.9 * CRITERIA.block, 1.1 * CRITERIA.block, 5.2 * CRITERIA.block, 0.1], [0, 0, 0, 0, 1])
     np.testing.assert_array_equal(blocks_of(bench.windows, CRITERIA.block), [0, 0, 1, 2, 3])
 
 
@@ -122,7 +122,7 @@ class Scored(HeldOut):
     """Judges whose squares are given in the same way."""
 
     def __init__(self, start: np.ndarray, squares: dict[float, np.ndarray]) -> None:
-        self.short, self.criteria = lay_starts(list(start)), CRITERIA
+        self.short, self.criteria = lay_bench(start), CRITERIA
         self._given = squares
 
     def chi2_by_window(self, values: dict) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +164,7 @@ def test_intervals_of_the_change_bracket_it() -> None:
         rng = np.random.default_rng(seed)
         errors = [np.repeat(rng.standard_normal(40), 3) + 0.5 * rng.standard_normal(120) for _ in range(2)]
         squares = {0.0: errors[0] ** 2, 1.0: (0.5 * errors[1]) ** 2}
-        change = Given(lay_starts(list(start)), squares).change({"size": 0.0}, {"size": 1.0})
+        change = Given(lay_bench(start), squares).change({"size": 0.0}, {"size": 1.0})
         assert list(change) == ["position_rmse_m"]
         assert len(change["position_rmse_m"]) == len(HORIZONS_S)
         low, high = change["position_rmse_m"][2]
@@ -227,8 +227,7 @@ def test_what_sticks_may_slip_in_any_window(rubbing: HeldOut) -> None:
 
 def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> None:
     """Two fits that differ in gusts alone are as good as each other; one that is better stays so."""
-    calm, windy = guess({}), guess({})
-    windy.likelihood.gust = np.full(1, 5.0)
+    calm, windy = guess({}), guess({}, gust=5.0)
     assert rubbing.surprise(calm, False).sum() != rubbing.surprise(windy, False).sum()
     assert rubbing.weigh((calm, False), (windy, False))[0] == 0.0
     gain, error = rubbing.weigh((windy, False), (guess(TRUTH), True))

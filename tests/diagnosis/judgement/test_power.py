@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -103,9 +102,8 @@ def test_what_excludes_the_twin_is_not_cleared(tmp_path: Path) -> None:
     assert reasons["slide.coulomb"].endswith(" N, which is neither needed nor excluded")
 
 
-def test_what_only_changes_another_effect_needs_it() -> None:
+def test_what_only_changes_another_effect_needs_it(moving: Search) -> None:
     """Friction that depends on the direction is not there to be seen where there is no friction."""
     effect = asymmetry(Place("a", "on a"))
-    nothing = SimpleNamespace(effects=frozenset())
-    found = weigh_strength(SimpleNamespace(), nothing, Unknown(effect, effect.parameters[0], 0.0))  # type: ignore[arg-type]
+    found = weigh_strength(moving, moving.start, Unknown(effect, effect.parameters[0], 0.0))
     assert found == Unseen("a.asymmetry", "it only changes a.coulomb, which is not there")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from tests.diagnosis.fakes import FRAME, guess, linear
+from tests.builders import FRAME, Unsearched, guess, lay_bench, linear, load_known, load_rig, whiten_nothing
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.judgement.blocks import improvement
 from vpptwin.diagnosis.judgement.holdout import HeldOut
@@ -38,7 +38,8 @@ from vpptwin.diagnosis.judgement.selection import (
 from vpptwin.diagnosis.judgement.verdict import Rival
 from vpptwin.diagnosis.search.fits import Fit, find_cheapest
 from vpptwin.diagnosis.search.frame import Frame
-from vpptwin.diagnosis.search.search import Step
+from vpptwin.diagnosis.search.likelihood import Likelihood
+from vpptwin.diagnosis.search.search import Search, Step
 from vpptwin.diagnosis.search.shortlist import Start
 from vpptwin.diagnosis.search.suspects import Unknown
 from vpptwin.effects.body import FreeBody, effects_for_body
@@ -121,29 +122,34 @@ class Judges:
         """As made."""
         return self.favour
 
-    def likelihood(self, *_: Any) -> SimpleNamespace:  # noqa: ANN401
+    def likelihood(self, *_: Any) -> Likelihood:  # noqa: ANN401
         """Residuals are white already."""
-        return SimpleNamespace(whiten=lambda residual: residual)
+        return whiten_nothing(1)
 
     def residual(self, values: dict) -> np.ndarray:
-        """One number in every window."""
-        return np.full((WINDOWS, 1), len(values) * np.sqrt(self.power / WINDOWS))
+        """One number."""
+        return np.full((1, 1), len(values) * np.sqrt(self.power))
 
 
-def search_of(known: bool) -> Any:  # noqa: ANN401
-    """What the rules read of a search, for a rig whose disturbances are known, as the drone's, or assumed."""
-    bench = SimpleNamespace(guessed=not known, track=None)
-    return SimpleNamespace(unknowns=UNKNOWNS, criteria=CRITERIA, sticks=lambda effects: False, bench=bench)
+class Still(Unsearched):
+    """A search in which nothing sticks, on a rig whose disturbances are known, as the drone's, or assumed."""
+
+    def __init__(self, known: bool, unknowns: tuple[Unknown, ...] = UNKNOWNS) -> None:
+        super().__init__(lay_bench(2.0 * np.arange(16.0), spec=load_known() if known else load_rig()), unknowns)
+
+    def sticks(self, effects: frozenset[str]) -> bool:
+        """Nothing does."""
+        return False
 
 
-SEARCH, OTHER_RIG = search_of(True), search_of(False)
+SEARCH, OTHER_RIG = Still(True), Still(False)
 
 
 def judge(
     judges: Judges,
     drop: float,
     earlier_drops: dict[str, float] | None = None,
-    search: Any = SEARCH,  # noqa: ANN401
+    search: Search = SEARCH,
     **values: float,
 ) -> bool:
     """Whether the last of the values is a cause beside the others, beside which it brings a drop in cost."""
@@ -213,7 +219,7 @@ def test_what_leaves_as_little_of_much_is_as_good(
     there: float,
     left: float,
     other: float,
-    search: Any,  # noqa: ANN401
+    search: Search,
     as_good: bool,
 ) -> None:
     """Where far more is left than noise makes, on rigs whose noise is assumed."""
@@ -247,9 +253,8 @@ def test_look_alikes_are_told_apart_by_more_than_a_point(gain: float, rival: str
 def test_evidence_that_scatters_tells_little(spread: float, left: float, other: float, counts: float) -> None:
     """Sixteen windows favour a cause by 2 each and scatter about that: so much is left of 32, over the temper."""
     drops = 2.0 + spread * np.tile([1.0, -1.0], 8)
-    search, judges, cause, rival = search_of(False), Judges(0.0), fit(100.0, a_coulomb=1.0), fit(132.0, a_bias=1.0)
+    search, judges, cause, rival = Still(False), Judges(0.0), fit(100.0, a_coulomb=1.0), fit(132.0, a_bias=1.0)
     search.cost_by_window = lambda fit: drops if fit is rival else 0.0 * drops
-    search.bench.windows = SimpleNamespace(start=2.0 * np.arange(16.0), flight=np.zeros(16, int))
     judges.chi2 = lambda values: {0: 300.0}.get(len(values), other if rival.values is values else left)  # type: ignore
     nothing = tell_nothing(search, judges, fit(400.0), cause, rival, 32.0)  # type: ignore[arg-type]
     told = (32.0 - max(nothing, 0.0)) / CRITERIA.temper
@@ -263,7 +268,7 @@ def test_freedom_tells_no_weight_hung_on_from_one_that_lies_elsewhere() -> None:
     """
     effects = effects_for_links([Link("a", 1.0, (0.0, 0.0, -0.1), 0.1, ways="z")])
     unknowns = tuple(Unknown(e, p, p.off) for e in effects for p in e.parameters)
-    search = SimpleNamespace(unknowns=unknowns)
+    search = Still(True, unknowns)
     rows = np.eye(len(unknowns)) / [u.parameter.size for u in unknowns]
     about = linear(np.array([u.nominal for u in unknowns]), 30.0 * rows, np.zeros(len(unknowns)))
     fits = {e.id: replace(guess({(e.id, e.parameters[0].name): 0.0}), about=about) for e in effects}
@@ -310,7 +315,7 @@ def test_gusts_that_are_but_assumed_stand_for_no_cause(known: bool, left: float,
     """What takes nearly all of a large chi² away is named beside gusts that could have made it, if none contradicts."""
     judges = Judges(gain)
     judges.left = {0: 28.0, 1: left}
-    assert judge(judges, 1.2 * BAR, None, search_of(known), a_coulomb=0.5) is named
+    assert judge(judges, 1.2 * BAR, None, Still(known), a_coulomb=0.5) is named
 
 
 @pytest.mark.parametrize(
@@ -341,8 +346,7 @@ def test_what_held_out_log_alone_does_not_show_is_suggested(gain: float, favour:
     assert confirms(OTHER_RIG, judges, before, after) == confirmed
     assert confirms(SEARCH, judges, before, after)
     somewhere = tuple(replace(u, effect=replace(u.effect, placed=True)) for u in UNKNOWNS)
-    searched: Any = SimpleNamespace(**{**vars(SEARCH), "unknowns": somewhere})
-    assert confirms(searched, judges, before, after) == (gain > CRITERIA.sigmas_held_out)
+    assert confirms(Still(True, somewhere), judges, before, after) == (gain > CRITERIA.sigmas_held_out)
 
 
 @pytest.mark.parametrize(
@@ -371,7 +375,7 @@ def test_a_vector_is_faint_if_all_its_axes_are(y: float, faint: bool) -> None:
     """A wind across is no less a wind for not blowing along, by standard deviations of 0.1 mN."""
     body = FreeBody("quad", 0.03, (1e-5, 1e-5, 2e-5), 0.02, 0.3, 1e-3, 1.0)
     (wind,) = (effect for effect in effects_for_body(body) if effect.id == "quad.wind")
-    search = SimpleNamespace(**{**vars(OTHER_RIG), "unknowns": tuple(Unknown(wind, p, p.off) for p in wind.parameters)})
+    search = Still(False, tuple(Unknown(wind, p, p.off) for p in wind.parameters))
     found = guess({("quad.wind", axis): {"x": 1e-5, "y": y, "z": 0.0}[axis] for axis in "xyz"})
     found = replace(found, std=dict.fromkeys(found.values, 1e-4))
     assert is_faint(search, found, "quad.wind") is faint
@@ -402,7 +406,8 @@ def test_what_falls_behind_is_heard_where_no_other_is_left() -> None:
         return Step(step.before, step.tried | step.behind)
 
     for search, heard in ((OTHER_RIG, "a.bias"), (SEARCH, None)):
-        asking = SimpleNamespace(**vars(search), judge_behind=judged)
+        asking = copy(search)
+        asking.judge_behind = judged  # type: ignore[method-assign]
         found, accepted = accept_cause(asking, Half(10.0, favour=3.0), step, {})  # type: ignore[arg-type]
         assert accepted == heard
         assert set(found.tried) == {"a.coulomb"} | ({"a.bias"} if heard else set())
@@ -519,9 +524,8 @@ def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
 
 def test_what_nothing_shows_is_not_fitted() -> None:
     """An effect without any start is left out, instead of ending the fit of the others."""
-    start = guess({})
-    search = SimpleNamespace(start=start, rank=lambda fit: [])
-    assert fit_together(search, ["motor.rate_limit"]) is start  # type: ignore[arg-type]
+    script = Script({}, set())
+    assert fit_together(script, ["motor.rate_limit"]) is script.start
 
 
 def test_costs_of_two_frames_are_not_compared() -> None:
@@ -538,7 +542,7 @@ def test_costs_of_two_frames_are_not_compared() -> None:
     assert here.evidence_against(fit(50.0)) == 40.0
 
 
-class Script:
+class Script(Still):
     """A search on another rig that finds what it is told to: every suspect in turn brings so much.
 
     Args:
@@ -547,8 +551,8 @@ class Script:
     """
 
     def __init__(self, drops: dict[str, float], lasting: set[str]) -> None:
+        super().__init__(False)
         self.drops, self.lasting, self.tried = drops, lasting, list[str]()
-        self.unknowns, self.criteria, self.bench = UNKNOWNS, CRITERIA, OTHER_RIG.bench
         self.start = self.of(frozenset())
         self.refine = self.reframe = self.rederive = lambda fit: fit
 
@@ -584,10 +588,6 @@ class Script:
         """None."""
         return []
 
-    def sticks(self, effects: frozenset[str]) -> bool:
-        """Nothing does."""
-        return False
-
 
 class StrictJudges(Judges):
     """Judges who favour every step, but find each set with one of the `harmful` worse than the plain twin."""
@@ -620,7 +620,7 @@ def test_a_suspect_that_does_not_last_is_taken_in_once() -> None:
 
 
 @pytest.mark.parametrize(("search", "size", "doubt"), [(OTHER_RIG, 1.0, 0.9), (SEARCH, 1e-6, 0.1)])
-def test_a_cause_that_fades_beside_a_later_one_goes(search: SimpleNamespace, size: float, doubt: float) -> None:
+def test_a_cause_that_fades_beside_a_later_one_goes(search: Search, size: float, doubt: float) -> None:
     """Clear of nothing when it was taken in; a standard error of it, or within its tolerance, in the end."""
 
     class Fading(Script):

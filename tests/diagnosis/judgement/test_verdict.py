@@ -1,4 +1,4 @@
-"""verdict.json as SPEC 7 lays it out, written whole or not at all."""
+"""verdict.json as docs/diagnose.md lays it out, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -8,32 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.builders import AFTER, BEFORE, CAUSE, FORCE, VERDICT
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.diagnosis.judgement.verdict import (
-    Cause,
-    Cleared,
-    Estimate,
-    Experiment,
-    Rival,
-    Unexplained,
-    Unseen,
-    Verdict,
-)
+from vpptwin.diagnosis.judgement.verdict import Cleared, Experiment, Rival, Unseen, Verdict
 from vpptwin.system.files import write_json, write_whole
-
-FORCE = Estimate(0.3081, "N", 0.0123, 0.0)
-CAUSE = Cause(
-    "rail_x.coulomb",
-    0.9,
-    {"force": FORCE},
-    0.62,
-    [Rival("rail_x.viscous", 0.06), Rival("air.drag", 0.04)],
-    "dry friction on the horizontal rail",
-)
-BEFORE = Score([0.001, 0.002, 0.005, 0.01, 0.02], [0.01, 0.02, 0.03, 0.04, 0.05], {"θ rate": [1, 2, 3, 4, 5.0]}, 9.0)
-AFTER = Score([0.001, 0.001, 0.002, 0.004, 0.0049], [0.01, 0.01, 0.01, 0.02, 0.02], {"θ rate": [1, 1, 1, 1, 2.0]}, 1.1)
-NOTHING = Unexplained(False, 0.01, None, [])
-VERDICT = Verdict(["a.mcap", "b.mcap"], "nominal", 80, 40, BEFORE, AFTER, True, [CAUSE], NOTHING, warnings=["late"])
 
 
 def write_and_read(verdict: Verdict, folder: Path) -> dict:
@@ -47,7 +25,7 @@ def write_and_read(verdict: Verdict, folder: Path) -> dict:
 
 
 def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
-    """Every key of SPEC 7 where it belongs, with what was put in; the sentence stays out."""
+    """Every key where it belongs, with what was put in; the sentence stays out."""
     content = write_and_read(VERDICT, tmp_path)
     assert content["logs"] == ["a.mcap", "b.mcap"]
     assert content["twin"] == "nominal"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.diagnosis.judgement.test_verdict import CAUSE, VERDICT
+from tests.builders import CAUSE, VERDICT
 from tests.diagnosis.made_up import EXPERIMENT, read_demo
 from tests.twin.own_effect_files import write_rig
 from vpptwin.cli.main import build_parser

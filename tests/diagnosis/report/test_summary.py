@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.diagnosis.judgement.test_verdict import AFTER, BEFORE, CAUSE, VERDICT
+from tests.builders import AFTER, BEFORE, CAUSE, VERDICT
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S
 from vpptwin.diagnosis.evidence.noise import NoiseFloor
 from vpptwin.diagnosis.judgement.verdict import (

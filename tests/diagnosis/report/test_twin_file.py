@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.diagnosis.judgement.test_verdict import CAUSE, VERDICT
+from tests.builders import CAUSE, VERDICT
 from tests.diagnosis.rigs import CARTS, Case, write_rig
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.evidence.runs import Key

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tests.diagnosis.fakes import Starts
+from tests import builders
+from tests.builders import SLIDERS, disturb, load_rig
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.likelihood import (
@@ -35,11 +35,8 @@ STRENGTH = np.array([0.6, 3.0])
 
 def lay_bench(start: np.ndarray, flight: np.ndarray | None = None, outdoors: bool = True) -> Bench:
     """Windows of 0.3 s on a rig of two degrees of freedom, with gusts as on the drone or as indoors."""
-    flights = np.zeros(len(start), dtype=int) if flight is None else flight
-    windows = Starts(start=start, flight=flights, steps=300, dt=LENGTH / 300)
     wind = Disturbance(np.ones(NV), GUST_TIME if outdoors else 0.0, outdoors)
-    spec = SimpleNamespace(robot=SimpleNamespace(disturbance=wind), model=SimpleNamespace(nv=NV))
-    return SimpleNamespace(spec=spec, windows=windows, segments=SEGMENTS, criteria=CRITERIA)  # type: ignore[return-value]
+    return builders.lay_bench(start, flight, disturb(load_rig(SLIDERS), wind), steps=300, segments=SEGMENTS)
 
 
 def draw_response(count: int, seed: int = 0) -> Response:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from tests.builders import linear
 from tests.diagnosis.carts import load_cart, measure_cart, open_search
-from tests.diagnosis.fakes import linear
 from tests.diagnosis.rigs import FRICTION, drive_cart
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.runs import Key

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tests.diagnosis.fakes import lay_starts, linear
+from tests.builders import lay_bench, linear
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.search.frame import Linearisation
 from vpptwin.diagnosis.search.solution import (
@@ -198,7 +198,7 @@ def test_evidence_is_the_integral_over_the_range() -> None:
 
 def test_scatter_by_hand() -> None:
     """Scores 1, 2, -1, -1 in a stretch of four windows and 6 after it: sums 1 and 6, curvature 16; √37 / 16."""
-    bench = lay_starts([0.0, 0.25 * STRETCH, 0.5 * STRETCH, 0.75 * STRETCH, 1.01 * STRETCH])
+    bench = lay_bench([0.0, 0.25 * STRETCH, 0.5 * STRETCH, 0.75 * STRETCH, 1.01 * STRETCH])
     fit = linear(np.zeros(1), np.array([[1.0, 2.0, 1.0, 1.0, 3.0]]), np.array([1.0, 1.0, -1.0, -1.0, 2.0]))
     solution = Solution(np.zeros(1), 0.0, np.array([[16.0]]), np.ones(1), NOWHERE)
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [np.sqrt(37.0) / 16.0])
@@ -213,7 +213,7 @@ def test_windows_of_other_flights_are_other_stretches() -> None:
     fit = linear(np.zeros(1), np.ones((1, 2)), np.array([1.0, 2.0]))
     solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)), np.ones(1), NOWHERE)
     for flight, expected in (([0, 1], np.sqrt(5.0)), ([0, 0], 3.0)):
-        np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_starts([0.5, 0.5], flight)), [expected])
+        np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_bench([0.5, 0.5], flight)), [expected])
 
 
 def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
@@ -222,6 +222,6 @@ def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
     error -= error.mean()
     fit = linear(np.zeros(1), np.ones((1, len(error))), error)
     solution = Solution(np.zeros(1), 0.0, np.array([[float(len(error))]]), np.ones(1), NOWHERE)
-    bench = lay_starts(list(STRETCH * (np.arange(800) // 4 + 0.2 * (np.arange(800) % 4) + 0.1)))
+    bench = lay_bench(list(STRETCH * (np.arange(800) // 4 + 0.2 * (np.arange(800) % 4) + 0.1)))
     # 200 draws know their own scatter to 5 %.
     np.testing.assert_allclose(scatter_by_stretch(fit, solution, bench), [1.0 / np.sqrt(200.0)], rtol=0.15)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 
+from tests.builders import SLIDERS, lay_bench, load_known, load_rig
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.search.suspects import (
     CUT,
@@ -38,8 +36,8 @@ PLACE = Place("rail", "on a rail")
 
 
 def command(values: np.ndarray, known: bool = True) -> Bench:
-    """A bench of which only the commands count, (K, steps, nu), and whether it is the drone's."""
-    return SimpleNamespace(windows=SimpleNamespace(command=values), guessed=not known)  # type: ignore[return-value]
+    """Commands of a cart, (K, steps, 1), and whether it is known, as the drone is, how logs without an effect look."""
+    return lay_bench(np.zeros(len(values)), spec=load_known() if known else load_rig(), command=values)
 
 
 UNIFORM = command(np.linspace(-1.0, 1.0, 100001).reshape(1, -1, 1))
@@ -133,12 +131,12 @@ def test_on_a_rig_that_nobody_knows_limits_cut_off_shares_of_their_own_input() -
     Nor does how often one is run into: of peaks of 4 for a thousandth of the time, beside a rest of 0.58, a limit of 2
     cuts off 0.063, a ninth of all, and the four smallest shares less.
     """
-    robot = SimpleNamespace(locate=lambda effect: SimpleNamespace(actuator=1))
     both = np.concatenate([1e3 * UNIFORM.windows.command, UNIFORM.windows.command], axis=2)
-    bench = SimpleNamespace(windows=SimpleNamespace(command=both), guessed=True, spec=SimpleNamespace(robot=robot))
-    found = list_limits(CLIP, bench)  # type: ignore[arg-type]
+    bench = lay_bench([0.0], spec=load_rig(SLIDERS), command=both)
+    clip, rate = (replace(limit, effect=replace(limit.effect, target="second")) for limit in (CLIP, RATE))
+    found = list_limits(clip, bench)
     np.testing.assert_allclose(found, 1.0 - np.array(CUT) ** (2.0 / 3.0), rtol=1e-3)
-    rates = list_limits(RATE, bench)  # type: ignore[arg-type]
+    rates = list_limits(rate, bench)
     np.testing.assert_allclose(rates, 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0]), rtol=1e-4)
     peaks = np.where(np.arange(10000) % 1000 == 0, 4.0, np.linspace(-1.0, 1.0, 10000))
     assert sum(limit > 2.0 for limit in cut_off(peaks)) == 4
@@ -197,26 +195,22 @@ def test_what_the_twin_has_is_not_tried() -> None:
         ("wire", 1.0, [2.0]),
     ],
 )
-def test_force_limits_are_tried_where_a_servo_runs_into_them(joint: str, nominal: float, found: list[float]) -> None:
+def test_force_limits_are_tried_where_a_servo_runs_into_them(
+    joint: str, nominal: float, found: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Targets up to 0.5 rad from an arm at rest ask for 5 of 10 N m, evenly spread; a tendon tells nothing.
 
     Beyond a share L of the largest is (1 - L)^3 of the mean square.
     """
     drive = "tendon='wire'" if joint == "wire" else "joint='arm'"
-    model = mujoco.MjModel.from_xml_string(
-        "<mujoco><worldbody><body><joint name='arm'/><geom size='0.1' mass='1'/></body></worldbody><tendon>"
-        "<fixed name='wire'><joint joint='arm' coef='1'/></fixed></tendon><actuator>"
+    spec = load_rig(
+        "<mujoco><worldbody><body><joint name='arm'/><geom size='0.1' mass='1'/></body>"
+        "</worldbody><tendon><fixed name='wire'><joint joint='arm' coef='1'/></fixed></tendon><actuator>"
         f"<position name='servo' {drive} kp='10' kv='1' forcerange='-10 10'/></actuator></mujoco>"
     )
-    rest = np.full((1, 1, len(UNIFORM.windows.command[0]) + 1, 1), 0.2)
-    robot = SimpleNamespace(locate=lambda effect: SimpleNamespace(actuator=0))
-    bench: Any = SimpleNamespace(
-        windows=SimpleNamespace(command=0.2 + 0.5 * UNIFORM.windows.command),
-        spec=SimpleNamespace(model=model, robot=robot),
-        without_sensors=lambda variation: variation,
-        simulate=lambda variations, sensors: Motion(rest, 0.0 * rest, None),
-        guessed=True,
-    )  # fmt: skip
+    bench = lay_bench([0.0], spec=spec, command=0.2 + 0.5 * UNIFORM.windows.command)
+    rest = np.full((1, 1, bench.windows.steps + 1, 1), 0.2)
+    monkeypatch.setattr(bench, "simulate", lambda variations, sensors: Motion(rest, 0.0 * rest, None))
     limit = attach(FORCE_LIMIT, "servo")
     unknown = Unknown(limit, limit.parameters[0], nominal)
     assert list_force_limits([unknown], bench)[limit.id] == pytest.approx(found, abs=5e-3)
