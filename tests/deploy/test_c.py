@@ -16,9 +16,10 @@ from vpptwin.actuators.controller import run_cascade
 from vpptwin.actuators.layer import layer_dtype
 from vpptwin.actuators.motor import compute_current
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.deploy.c_source import as_float, write_c
+from vpptwin.deploy.c_source import write_c
 from vpptwin.deploy.content import TOLERANCE, Content, draw_observations
 from vpptwin.deploy.load import CompiledController, load_exported
+from vpptwin.engine.trace.c99 import as_float
 from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.observe import accumulate_error, observe
