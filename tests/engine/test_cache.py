@@ -229,7 +229,7 @@ def test_an_entry_that_is_not_what_was_sealed_is_built_anew(
 
 def test_the_oldest_entries_make_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many models come by, so many are kept."""
-    monkeypatch.setattr(store, "MOST", 5)
+    monkeypatch.setattr(store, "MAX_ENTRIES", 5)
     for number in range(9):
         entry = fill(tmp_path, monkeypatch, f"key{number}").parent
         os.utime(entry, (number, number))

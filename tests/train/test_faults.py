@@ -10,7 +10,7 @@ import torch
 
 from tests.train.conftest import HOVER, step, tiny_config
 from vpptwin.train.env.vpp_env import make_env
-from vpptwin.twin.health import MOST, find_diverged, replay_fault
+from vpptwin.twin.health import MAX_FAULTS, find_diverged, replay_fault
 
 
 @pytest.mark.parametrize("way", ["action", "velocity", "state"])
@@ -51,4 +51,4 @@ def test_faults_are_bounded_on_disk(tmp_path: Path) -> None:
     for _ in range(3):
         assert torch.isfinite(step(env, torch.tensor([torch.nan, 0.0]))["observation"]).all()
     assert env.faults == 48
-    assert len(list((tmp_path / "faults").iterdir())) == MOST
+    assert len(list((tmp_path / "faults").iterdir())) == MAX_FAULTS

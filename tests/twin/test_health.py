@@ -13,7 +13,7 @@ from vpptwin.system.errors import InputError
 from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.twin import Twin, TwinState, load_twin
 from vpptwin.twin.health import (
-    MOST,
+    MAX_FAULTS,
     Fault,
     describe_replay,
     find_diverged,
@@ -119,9 +119,9 @@ def test_only_the_first_faults_are_kept(tmp_path: Path) -> None:
     """Files are numbered as the faults are, and there are never more than the limit, nor any leftovers."""
     _, fault = fly_fault("command")
     save_faults(tmp_path / "faults", dict.fromkeys(range(1, 4), fault))
-    save_faults(tmp_path / "faults", dict.fromkeys(range(4, MOST + 9), fault))
+    save_faults(tmp_path / "faults", dict.fromkeys(range(4, MAX_FAULTS + 9), fault))
     names = sorted(path.name for path in (tmp_path / "faults").iterdir())
-    assert names == [f"fault-{k:04d}.npz" for k in range(1, MOST + 1)]
+    assert names == [f"fault-{k:04d}.npz" for k in range(1, MAX_FAULTS + 1)]
 
 
 def test_refused_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

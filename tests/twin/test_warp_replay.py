@@ -20,7 +20,7 @@ from vpptwin.report.result import diagnose
 from vpptwin.system.errors import InputError
 from vpptwin.system.resources import flights_dir
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.stepping.replay import Driven, Replay
+from vpptwin.twin.stepping.replay import Driven, Trajectory
 from vpptwin.twin.warp.device import find_device
 from vpptwin.twin.warp.replay import PROCESSOR, Given, WarpReplay, WarpTwins, choose_maker
 
@@ -55,7 +55,7 @@ def draw_pair(makers: list[type[Twin] | WarpTwins], rig: Rig, active: tuple[str,
     return pair
 
 
-def check_same(found: Replay, expected: Replay, maker: type[Twin] | WarpTwins) -> None:
+def check_same(found: Trajectory, expected: Trajectory, maker: type[Twin] | WarpTwins) -> None:
     """To the last bit on the processor."""
     pairs = {name: (found.state.arrays()[name], values) for name, values in expected.state.arrays().items()}
     pairs |= {"way": (found.qpos, expected.qpos), "speeds": (found.qvel, expected.qvel)}

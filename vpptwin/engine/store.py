@@ -13,7 +13,7 @@ from platformdirs import user_cache_path
 from vpptwin.engine.compile import KEPT
 from vpptwin.system.files import write_whole
 
-MOST = 300
+MAX_ENTRIES = 300
 """Steps kept: one of each model and catalogue, some 0.4 MB each."""
 SEAL = "seal"
 
@@ -84,5 +84,5 @@ def is_private(folder: Path) -> bool:
 def make_room(root: Path) -> None:
     """Remove the oldest entries until there is room for one more."""
     entries = sorted(root.iterdir(), key=lambda entry: entry.lstat().st_mtime)
-    for entry in entries[: max(len(entries) - MOST + 1, 0)]:
+    for entry in entries[: max(len(entries) - MAX_ENTRIES + 1, 0)]:
         shutil.rmtree(entry, ignore_errors=True)

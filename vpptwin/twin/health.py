@@ -26,7 +26,7 @@ from vpptwin.twin.twin import Twin
 FASTEST = 1e4
 """A joint faster than this [m/s, rad/s] has left physics, if its numbers are still finite."""
 KIND, FORMAT = "vpptwin fault", 2
-MOST = 20
+MAX_FAULTS = 20
 """Faults that are kept of a run; the first tell most."""
 RECORDED = ("mujoco", "numba", "numpy")
 
@@ -50,7 +50,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Replay:
+class FaultReplay:
     """A fault flown again."""
 
     fault: Fault  # as it was taken down
@@ -78,9 +78,9 @@ def take_fault(
 
 
 def save_faults(folder: Path, faults: Mapping[int, Fault]) -> None:
-    """Write faults by their number in a run, 1 the first, as far as `MOST`; a disk that refuses is only warned of."""
+    """Write faults by their number in a run, 1 the first, as far as `MAX_FAULTS`; a disk that refuses is only warned of."""
     for number, fault in faults.items():
-        if number > MOST:
+        if number > MAX_FAULTS:
             return
         try:
             write_fault(folder / f"fault-{number:04d}.npz", fault)
@@ -130,7 +130,7 @@ def read_fault(path: Path | str) -> Fault:
         raise InputError(f"{path} is not a fault", "a file of a run's folder faults", "check the path") from error
 
 
-def replay_fault(path: Path | str, twin: str | Path | None = None) -> Replay:
+def replay_fault(path: Path | str, twin: str | Path | None = None) -> FaultReplay:
     """Fly a fault again, in a twin with that one simulation.
 
     Args:
@@ -146,7 +146,7 @@ def replay_fault(path: Path | str, twin: str | Path | None = None) -> Replay:
     after = flown.step_policy(fault.before, fault.command, fault.duration)
     pairs = zip(after.arrays().values(), fault.after.arrays().values(), strict=True)
     equal = all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
-    return Replay(fault, after, equal, first, parts)
+    return FaultReplay(fault, after, equal, first, parts)
 
 
 def find_onset(twin: Twin, fault: Fault) -> tuple[float | None, tuple[str, ...]]:
@@ -161,7 +161,7 @@ def find_onset(twin: Twin, fault: Fault) -> tuple[float | None, tuple[str, ...]]
     return None, ()
 
 
-def describe_replay(replay: Replay) -> str:
+def describe_replay(replay: FaultReplay) -> str:
     """What a replay showed, in a few lines."""
     fault, start = replay.fault, replay.fault.before
     thrust, rate = fault.command

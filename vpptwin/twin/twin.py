@@ -26,7 +26,7 @@ from vpptwin.twin.stepping.kernel import CONTEXT, delay_depth, warm_up, write_ke
 from vpptwin.twin.stepping.layout import read_layout
 from vpptwin.twin.stepping.pipeline import Pipeline
 from vpptwin.twin.stepping.recall import Past, Recollection, evolves, write_recollection
-from vpptwin.twin.stepping.replay import Driven, Replay
+from vpptwin.twin.stepping.replay import Driven, Trajectory
 from vpptwin.twin.stepping.stepped import leave_out
 
 MANY = 256
@@ -289,7 +289,7 @@ class Twin:
     def replay_commands(
         self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,
         throttle: np.ndarray | None = None, disturbance: np.ndarray | None = None, driven: Driven | None = None,
-    ) -> Replay:  # fmt: skip
+    ) -> Trajectory:  # fmt: skip
         """Run under logged actuator commands, one per inner step.
 
         Args:
@@ -307,12 +307,12 @@ class Twin:
         after, qpos, qvel, speed = self.trace_commands(state, commands, rotor_speed, throttle, disturbance, driven)
         qpos = np.concatenate([qpos[:, 1:], after.qpos[:, None]], axis=1)
         qvel = np.concatenate([qvel[:, 1:], after.qvel[:, None]], axis=1)
-        return Replay(after, qpos, qvel, speed)
+        return Trajectory(after, qpos, qvel, speed)
 
     def trace_commands(
         self, state: TwinState, commands: np.ndarray, rotor_speed: np.ndarray | None = None,
         throttle: np.ndarray | None = None, disturbance: np.ndarray | None = None, driven: Driven | None = None,
-    ) -> Replay:  # fmt: skip
+    ) -> Trajectory:  # fmt: skip
         """As `replay_commands`; positions and velocities *before* every step, as they are kept on the way."""
         result, steps, model = state.copy(), commands.shape[1], self.spec.model
         shape = self.num_sims, steps
@@ -326,7 +326,7 @@ class Twin:
         if driven is not None:
             tape["lead"] = self._lead_joints(result, driven, steps)
         self._run(result, steps, tape)
-        return Replay(result, tape["qpos"], tape["qvel"], tape.get("rotor_speed"))
+        return Trajectory(result, tape["qpos"], tape["qvel"], tape.get("rotor_speed"))
 
     def _lead_joints(self, state: TwinState, driven: Driven, steps: int) -> np.ndarray:
         """Put driven joints at the start of their tracks; the velocities that lead them along, (N, steps, nv)."""

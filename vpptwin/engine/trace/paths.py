@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.engine.trace.terms import REAL, TRUTH, WHOLE, ZERO, Frame, Term, Unwritable, Value, common_kind, same
+from vpptwin.engine.trace.terms import REAL, TRUTH, WHOLE, ZERO, Scope, Term, Unwritable, Value, common_kind, same
 
 ASSIGNED, VARIABLE = re.compile(r"\s*([rnbt]\d+) = "), re.compile(r"\b[rnbt]\d+\b")
 NORMAL, CONTINUE, BREAK = "normal", "continue", "break"
@@ -182,7 +182,7 @@ class Paths:
             self.loops.pop()
             fresh = {
                 here: (container, key, value) for here, (container, key, value) in (loop.left | written).items()
-                if here not in loop.carried and not (isinstance(container, Frame) and container.serial > born)
+                if here not in loop.carried and not (isinstance(container, Scope) and container.serial > born)
                 and (isinstance(container, list) or key in container)
             }  # fmt: skip
             numbers = {}

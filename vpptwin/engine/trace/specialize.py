@@ -23,7 +23,7 @@ import numpy as np
 from vpptwin.actuators.numbers import choose
 from vpptwin.engine.trace.arithmetic import MATH, Arithmetic
 from vpptwin.engine.trace.paths import BREAK, CONTINUE, NORMAL, Ending
-from vpptwin.engine.trace.terms import WHOLE, Cells, Frame, Record, Repeat, Ring, Term, Unwritable, Value
+from vpptwin.engine.trace.terms import WHOLE, Cells, Record, Repeat, Ring, Scope, Term, Unwritable, Value
 
 
 @cache
@@ -70,7 +70,7 @@ class Writer(Arithmetic):
             bound = inspect.signature(plain).bind(*given, **named)
             bound.apply_defaults()
             self.serial += 1
-            return self.run(tree.body, Frame(plain, dict(bound.arguments), self.serial))
+            return self.run(tree.body, Scope(plain, dict(bound.arguments), self.serial))
         except Unwritable as error:
             if not error.stack:
                 error.stack = list(self.stack)
@@ -78,15 +78,15 @@ class Writer(Arithmetic):
         finally:
             self.stack.pop()
 
-    def run(self, statements: Sequence[ast.stmt], frame: Frame) -> Value:
+    def run(self, statements: Sequence[ast.stmt], scope: Scope) -> Value:
         """Run the statements of a whole function; what it returns."""
         self.loops.append(None)
         end = ast.Return(None, lineno=getattr(statements[-1], "end_lineno", 1))
-        ending = self.block([*statements, end], frame)
+        ending = self.block([*statements, end], scope)
         self.loops.pop()
         return ending[1]
 
-    def block(self, statements: Sequence[ast.stmt], frame: Frame) -> Ending:
+    def block(self, statements: Sequence[ast.stmt], scope: Scope) -> Ending:
         """Run statements one after the other."""
         queue = list(statements)
         while queue:
@@ -94,49 +94,49 @@ class Writer(Arithmetic):
             if self.stack:
                 self.stack[-1] = (self.stack[-1][0], node.lineno)
             if not isinstance(node, ast.If):
-                ending = self.statement(node, frame)
+                ending = self.statement(node, scope)
                 if ending != NORMAL:
                     return ending
                 continue
-            test = self.truth(self.value(node.test, frame))
+            test = self.truth(self.value(node.test, scope))
             if not isinstance(test, Term):
                 queue = [*(node.body if test else node.orelse), *queue]
                 continue
             # What comes after a branch that ends elsewhere belongs to the other one.
             jumps = any(map(may_jump, (node.body, node.orelse)))
             rest = queue if jumps else []
-            ways = [partial(self.block, [*way, *rest], frame) for way in (node.body, node.orelse)]
+            ways = [partial(self.block, [*way, *rest], scope) for way in (node.body, node.orelse)]
             ending = self.fork(test, *ways)
             if jumps:
                 return ending
         return NORMAL
 
-    def statement(self, node: ast.stmt, frame: Frame) -> Ending:
+    def statement(self, node: ast.stmt, scope: Scope) -> Ending:
         """Run one statement."""
         match node:
             case ast.Return():
-                return ("return", None if node.value is None else self.value(node.value, frame))
+                return ("return", None if node.value is None else self.value(node.value, scope))
             case ast.Assign():
-                value = self.value(node.value, frame)
+                value = self.value(node.value, scope)
                 for target in node.targets:
-                    self.assign(target, value, frame)
+                    self.assign(target, value, scope)
             case ast.AnnAssign():
                 if node.value is not None:
-                    self.assign(node.target, self.value(node.value, frame), frame)
+                    self.assign(node.target, self.value(node.value, scope), scope)
             case ast.AugAssign():
-                now = self.value(copy_load(node.target), frame)
-                result = self.operate(node.op, now, self.value(node.value, frame))
+                now = self.value(copy_load(node.target), scope)
+                result = self.operate(node.op, now, self.value(node.value, scope))
                 if isinstance(now, Cells):
                     self.fill(now, ..., result)
                 else:
-                    self.assign(node.target, result, frame)
+                    self.assign(node.target, result, scope)
             case ast.For():
-                return self.count_through(node, frame)
+                return self.count_through(node, scope)
             case ast.While():
-                return self.unroll(node.body, self.while_true(node.test, frame), frame)
+                return self.unroll(node.body, self.while_true(node.test, scope), scope)
             case ast.Expr():
                 if not isinstance(node.value, ast.Constant):
-                    self.value(node.value, frame)
+                    self.value(node.value, scope)
             case ast.Break():
                 loop = self.loops[-1] if self.loops else None
                 if loop is not None:
@@ -151,65 +151,65 @@ class Writer(Arithmetic):
                 raise Unwritable(f"uses {type(node).__name__.lower()}, which Warp cannot compile")
         return NORMAL
 
-    def while_true(self, test: ast.expr, frame: Frame) -> Iterator[None]:
+    def while_true(self, test: ast.expr, scope: Scope) -> Iterator[None]:
         """Once for every time that a condition holds, which has to be known."""
         while True:
-            holds = self.truth(self.value(test, frame))
+            holds = self.truth(self.value(test, scope))
             if isinstance(holds, Term):
                 raise Unwritable("uses while with a condition that changes, which Warp cannot compile")
             if not holds:
                 return
             yield
 
-    def unroll(self, body: Sequence[ast.stmt], turns: Iterator[None], frame: Frame) -> Ending:
+    def unroll(self, body: Sequence[ast.stmt], turns: Iterator[None], scope: Scope) -> Ending:
         """The body of a loop, as often as it turns."""
         self.loops.append(None)
         ending: Ending = NORMAL
         for _ in turns:
-            ending = self.block(body, frame)
+            ending = self.block(body, scope)
             if ending == BREAK or isinstance(ending, tuple):
                 break
         self.loops.pop()
         return ending if isinstance(ending, tuple) else NORMAL
 
-    def count_through(self, node: ast.For, frame: Frame) -> Ending:
+    def count_through(self, node: ast.For, scope: Scope) -> Ending:
         """A loop: over numbers that are known it unrolls; over `Repeat` it stays one."""
         if node.orelse:
             raise Unwritable("uses for with else, which Warp cannot compile")
-        over = self.value(node.iter, frame)
+        over = self.value(node.iter, scope)
         if isinstance(over, Repeat):
             name = self.fresh(WHOLE)
 
             def turn() -> Ending:
-                self.assign(node.target, name, frame)
-                return self.block(node.body, frame)
+                self.assign(node.target, name, scope)
+                return self.block(node.body, scope)
 
             self.repeat(f"for {name.text} in range({over.times}):", turn)
             return NORMAL
         if not isinstance(over, (range, tuple, list, Cells, np.ndarray)):
             raise Unwritable("goes through what is not known before")
         items = [self.item(over, i) for i in range(len(over.index) if isinstance(over, Cells) else len(over))]
-        return self.unroll(node.body, self.assign_each(node.target, items, frame), frame)
+        return self.unroll(node.body, self.assign_each(node.target, items, scope), scope)
 
-    def assign_each(self, target: ast.expr, items: list[Value], frame: Frame) -> Iterator[None]:
+    def assign_each(self, target: ast.expr, items: list[Value], scope: Scope) -> Iterator[None]:
         """Give one value after the other."""
         for item in items:
-            self.assign(target, item, frame)
+            self.assign(target, item, scope)
             yield
 
-    def assign(self, target: ast.expr, value: Value, frame: Frame) -> None:
+    def assign(self, target: ast.expr, value: Value, scope: Scope) -> None:
         """Give a value to a name, some names, an element or a field."""
         match target:
             case ast.Name():
-                self.put(frame, target.id, value)
+                self.put(scope, target.id, value)
             case ast.Tuple() | ast.List():
                 parts = [self.item(value, i) for i in range(len(target.elts))] if isinstance(value, Cells) else value
                 if len(parts) != len(target.elts):
                     raise Unwritable(f"unpacks {len(parts)} values into {len(target.elts)}")
                 for each, part in zip(target.elts, parts, strict=True):
-                    self.assign(each, part, frame)
+                    self.assign(each, part, scope)
             case ast.Subscript():
-                base, key = self.value(target.value, frame), self.value(target.slice, frame)
+                base, key = self.value(target.value, scope), self.value(target.slice, scope)
                 if isinstance(base, Record):
                     self.fill(base.fields[key], (), value)
                 elif isinstance(base, Ring):
@@ -219,63 +219,63 @@ class Writer(Arithmetic):
                 else:
                     raise Unwritable("writes into what is known before")
             case ast.Attribute():
-                base = self.value(target.value, frame)
+                base = self.value(target.value, scope)
                 if not isinstance(base, Record):
                     raise Unwritable(f"writes to {target.attr}")
                 self.fill(base.fields[target.attr], (), value)
             case _:
                 raise Unwritable("assigns to what Warp cannot")
 
-    def value(self, node: ast.expr, frame: Frame) -> Value:
+    def value(self, node: ast.expr, scope: Scope) -> Value:
         """The value of an expression."""
         match node:
             case ast.Constant():
                 return node.value
             case ast.Name():
-                return self.look_up(node.id, frame)
+                return self.look_up(node.id, scope)
             case ast.Attribute():
-                return self.attribute(self.value(node.value, frame), node.attr)
+                return self.attribute(self.value(node.value, scope), node.attr)
             case ast.Subscript():
-                return self.item(self.value(node.value, frame), self.value(node.slice, frame))
+                return self.item(self.value(node.value, scope), self.value(node.slice, scope))
             case ast.Slice():
-                ends = [None if e is None else self.value(e, frame) for e in (node.lower, node.upper, node.step)]
+                ends = [None if e is None else self.value(e, scope) for e in (node.lower, node.upper, node.step)]
                 return slice(*ends)
             case ast.Tuple() | ast.List():
-                return tuple(self.value(e, frame) for e in node.elts)
+                return tuple(self.value(e, scope) for e in node.elts)
             case ast.BinOp():
-                return self.operate(node.op, self.value(node.left, frame), self.value(node.right, frame))
+                return self.operate(node.op, self.value(node.left, scope), self.value(node.right, scope))
             case ast.UnaryOp():
-                return self.turn(node.op, self.value(node.operand, frame))
+                return self.turn(node.op, self.value(node.operand, scope))
             case ast.Compare():
-                values = [self.value(e, frame) for e in (node.left, *node.comparators)]
+                values = [self.value(e, scope) for e in (node.left, *node.comparators)]
                 pairs = [self.compare(op, a, b) for op, a, b in zip(node.ops, values, values[1:])]
                 return self.join("and", [partial(self.load, pair) for pair in pairs])
             case ast.BoolOp():
                 word = "and" if isinstance(node.op, ast.And) else "or"
-                return self.join(word, [partial(self.value, e, frame) for e in node.values])
+                return self.join(word, [partial(self.value, e, scope) for e in node.values])
             case ast.IfExp():
-                test = self.truth(self.value(node.test, frame))
+                test = self.truth(self.value(node.test, scope))
                 if not isinstance(test, Term):
-                    return self.value(node.body if test else node.orelse, frame)
-                return self.choose(test, self.value(node.body, frame), self.value(node.orelse, frame))
+                    return self.value(node.body if test else node.orelse, scope)
+                return self.choose(test, self.value(node.body, scope), self.value(node.orelse, scope))
             case ast.Call():
-                given = [self.value(a, frame) for a in node.args]
-                named = {str(k.arg): self.value(k.value, frame) for k in node.keywords}
-                return self.invoke(self.value(node.func, frame), ast.unparse(node.func), given, named)
+                given = [self.value(a, scope) for a in node.args]
+                named = {str(k.arg): self.value(k.value, scope) for k in node.keywords}
+                return self.invoke(self.value(node.func, scope), ast.unparse(node.func), given, named)
         raise Unwritable(f"uses {type(node).__name__.lower()}, which Warp cannot compile")
 
-    def look_up(self, name: str, frame: Frame) -> Value:
+    def look_up(self, name: str, scope: Scope) -> Value:
         """What a name stands for."""
-        if name in frame:
-            return self.load(frame[name])
+        if name in scope:
+            return self.load(scope[name])
         if name in self.names:
             return self.names[name]
-        if frame.function is not None:
-            closed = dict(zip(frame.function.__code__.co_freevars, frame.function.__closure__ or ()))
+        if scope.function is not None:
+            closed = dict(zip(scope.function.__code__.co_freevars, scope.function.__closure__ or ()))
             if name in closed:
                 return closed[name].cell_contents
-            if name in frame.function.__globals__:
-                return frame.function.__globals__[name]
+            if name in scope.function.__globals__:
+                return scope.function.__globals__[name]
         if hasattr(builtins, name):
             return getattr(builtins, name)
         raise Unwritable(f"uses {name}, which may not be defined there")

@@ -71,7 +71,7 @@ class Unwritable(Exception):  # noqa: N818
         self.stack: list[tuple[FunctionType | None, int]] = []
 
 
-class Frame(dict[str, Value]):
+class Scope(dict[str, Value]):
     """Names of a function that runs."""
 
     def __init__(self, function: FunctionType | None, names: dict[str, Value], serial: int) -> None:

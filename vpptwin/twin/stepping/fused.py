@@ -12,7 +12,7 @@ import numpy as np
 
 from vpptwin.engine.tree import Pose, Reach, Shape, Tree
 from vpptwin.system.cores import in_parts
-from vpptwin.twin.stepping.layout import PER_SIMULATION, Layout, make_pose, read_matrices
+from vpptwin.twin.stepping.layout import PER_SIMULATION, TreeLayout, make_pose, read_matrices
 
 FIELDS = (*Shape._fields, "gravity", "gain", "bias", "force_range")
 """Numbers that may differ by simulation, in the order of the table of their addresses."""
@@ -101,7 +101,7 @@ def fly(address, begin, end, room):
 """
 
 
-def list_statics(layout: Layout, model: mujoco.MjModel) -> dict[str, np.ndarray]:
+def list_statics(layout: TreeLayout, model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """Arrays that all simulations share, by name, for the table of their addresses."""
     nv, nu = int(model.nv), int(model.nu)
     shared = {f"tree.{n}": a for n, a in zip(Tree._fields, layout.tree)}
@@ -139,7 +139,7 @@ def array_at(address: str, array: np.ndarray | tuple[int, ...]) -> str:
     return f"array_at({address}, {shape}, np.{kind})"
 
 
-def write_fused(layout: Layout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str) -> str:
+def write_fused(layout: TreeLayout, model: mujoco.MjModel, places: int, carriage: int, step: str, row: str) -> str:
     """The text of the fused step for a model's sizes.
 
     Args:
@@ -188,7 +188,12 @@ class Stepper:
     """
 
     def __init__(
-        self, layout: Layout, model: mujoco.MjModel, table: Mapping[str, np.ndarray], num_sims: int, num_threads: int
+        self,
+        layout: TreeLayout,
+        model: mujoco.MjModel,
+        table: Mapping[str, np.ndarray],
+        num_sims: int,
+        num_threads: int,
     ) -> None:
         self._held = list(list_statics(layout, model).values())
         self._statics = np.array([array.ctypes.data for array in self._held], np.int64)

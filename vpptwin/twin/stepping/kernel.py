@@ -29,9 +29,9 @@ from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View, forese
 from vpptwin.system.cores import in_parts
 from vpptwin.system.progress import tell_wait
 from vpptwin.twin.stepping.fused import write_fused
-from vpptwin.twin.stepping.layout import Layout
+from vpptwin.twin.stepping.layout import TreeLayout
 from vpptwin.twin.stepping.pipeline import Function, Pipeline, fingerprint, write_pipeline
-from vpptwin.twin.stepping.step import Rig, Row, Seen, Tape
+from vpptwin.twin.stepping.step import PastStep, Rig, Row, Tape
 
 CONTEXT = np.dtype(
     [(name, np.int64) for name in (
@@ -177,7 +177,7 @@ _KERNELS: dict[str, tuple[Any, Any]] = {}
 
 def write_kernel(
     model: mujoco.MjModel, catalogue: Sequence[Effect], step: str, carriage: int, depth: int, adaptive: bool = False,
-    layout: Layout | None = None,
+    layout: TreeLayout | None = None,
 ) -> Kernel:  # fmt: skip
     """The step of a catalogue on a model, compiled once per process, and once per machine where files last.
 
@@ -269,7 +269,7 @@ def compile_entry(source: str, name: str, key: str, pipeline: Pipeline | None, d
 
     namespace: dict[str, Any] = {
         "__name__": __name__, "np": np, "array_at": array_at,
-        **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape, Seen)},
+        **{thing.__name__: thing for thing in (Tree, Shape, Reach, Pose, View, Row, Rig, Tape, PastStep)},
         **{function.__name__: function for function in FUNCTIONS}, "foresee_actuators": foresee_actuators,
         "foresee_drag": foresee_drag,
         "CONTEXT": CONTEXT, "VEHICLE": vehicle_dtype(), "SIZES": SIZES, "push_commands": push_commands,

@@ -15,7 +15,7 @@ from vpptwin.twin.robot.model import HINGE, SLIDE, find_meeting
 SITE, JOINT = int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_JOINT)
 EULER, IMPLICITFAST = int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 PLANE, BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
-MOST = 12
+MAX_DOFS = 12
 """Degrees of freedom up to which it pays."""
 EQUAL = 1e-9
 """By which inertia, bias and moments may differ from MuJoCo's, as shares of the largest."""
@@ -35,7 +35,7 @@ AT_CONTACTS = {"geom_solref", "geom_friction"}
 
 
 @dataclass(frozen=True)
-class Layout:
+class TreeLayout:
     """What the fused step needs to know of a model: see `Tree`, `Shape` and `Reach`."""
 
     tree: Tree  # how it hangs together
@@ -44,7 +44,7 @@ class Layout:
     implicit: bool = False  # whether velocities of actuators are integrated implicitly, as damping always is
 
 
-def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
+def read_layout(model: mujoco.MjModel, written: Set[str]) -> TreeLayout | None:
     """The layout of a model; None where it has what only MuJoCo steps, or what the tree gets otherwise than MuJoCo.
 
     Args:
@@ -57,7 +57,7 @@ def read_layout(model: mujoco.MjModel, written: Set[str]) -> Layout | None:
     tree, numbers = read_tree(model)
     reach = read_reach(model, tree)
     implicit = int(model.opt.integrator) == IMPLICITFAST and bool(find_braking(model).any())
-    layout = None if reach is None else Layout(tree, numbers, reach, implicit)
+    layout = None if reach is None else TreeLayout(tree, numbers, reach, implicit)
     return layout if layout is not None and agrees(layout, model) else None
 
 
@@ -82,7 +82,7 @@ def is_plain(model: mujoco.MjModel) -> bool:
             "geom_adhesion")  # fmt: skip
     kinds, integrator = np.asarray(model.jnt_type), int(model.opt.integrator)
     return bool(
-        0 < model.nv <= MOST and not flags and not model.opt.density and not model.opt.viscosity
+        0 < model.nv <= MAX_DOFS and not flags and not model.opt.density and not model.opt.viscosity
         and (integrator == EULER or (integrator == IMPLICITFAST and brakes_at_joints(model)))
         and not any(getattr(model, name) for name in absent)
         and not any(np.any(getattr(model, name)) for name in zero)
@@ -184,7 +184,7 @@ def make_pose(nbody: int, nv: int) -> Pose:
     )  # fmt: skip
 
 
-def agrees(layout: Layout, model: mujoco.MjModel) -> bool:
+def agrees(layout: TreeLayout, model: mujoco.MjModel) -> bool:
     """Whether inertia, bias and moments are MuJoCo's, in three random poses and motions."""
     rng, data = np.random.default_rng(0), mujoco.MjData(model)
     nv, nu = int(model.nv), int(model.nu)

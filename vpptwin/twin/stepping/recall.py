@@ -57,12 +57,12 @@ def recall_effects(address, begin, end, room):
                 at = track.lead_qvel + (track.lead + 1) * {nv} * 8 * mark
                 lead_qvel = array_at(at, (track.lead, {nv}), np.float64)
                 for n in range(track.lead):
-                    seen = Seen(time[k] + n * track.dt, track.dt, lead_qpos[n], lead_qvel[n], inertia)
+                    seen = PastStep(time[k] + n * track.dt, track.dt, lead_qpos[n], lead_qvel[n], inertia)
                     recall(active, parameters, own, dry, seen, scratch)
                 for j in range({states}):
                     own[j] -= lead_rest[mark, j]
                 mark += 1
-            seen = Seen(time[k], track.dt, qpos[k], qvel[k], inertia)
+            seen = PastStep(time[k], track.dt, qpos[k], qvel[k], inertia)
             recall(active, parameters, states, dry, seen, scratch)
 """
 

@@ -19,7 +19,7 @@ class Driven:
     velocity: np.ndarray  # likewise, (N, steps, nv) m/s, rad/s
 
 
-class Replay(NamedTuple):
+class Trajectory(NamedTuple):
     """What became of N simulations under logged commands."""
 
     state: TwinState  # the final state

@@ -63,7 +63,7 @@ class Rig(NamedTuple):
     carriage: int  # index of the carriage's body, -1 without one
 
 
-class Seen(NamedTuple):
+class PastStep(NamedTuple):
     """What is known of a past step: as in `View`."""
 
     time: float
@@ -94,7 +94,7 @@ def push_craft(
 
 @compilable(forceinline=True)
 def push_joints(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | Seen, load: np.ndarray, lever: float,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | PastStep, load: np.ndarray, lever: float,
     force: np.ndarray,
 ) -> None:  # fmt: skip
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
@@ -102,7 +102,7 @@ def push_joints(
 
 @compilable(forceinline=True)
 def muster_friction(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View | Seen,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, view: View | PastStep,
     load: np.ndarray, lever: float, forward: np.ndarray, backward: np.ndarray, force: np.ndarray,
 ) -> bool:  # fmt: skip
     """Write the friction levels against motion forward and backward, (nv,) [N, N m]; tell whether any rubs.
@@ -206,7 +206,7 @@ def step_rig(rig: Rig, view: View, row: Row, tape: Tape, k: int) -> None:
 
 @compilable(forceinline=True)
 def recall(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, seen: Seen, scratch: np.ndarray
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, dry: np.ndarray, seen: PastStep, scratch: np.ndarray
 ) -> None:
     """Let what evolves of the effects on joints and bodies go on over a past step; `scratch` is room, (4, nv)."""
     load, forward, backward, force = scratch[0], scratch[1], scratch[2], scratch[3]

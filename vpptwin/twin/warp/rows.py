@@ -13,7 +13,7 @@ from vpptwin.engine.trace.terms import REAL, Cells, Term
 
 
 @dataclass(frozen=True)
-class Rows:
+class TableLayout:
     """Which rows of a table each array of numbers takes.
 
     Attributes:
@@ -33,7 +33,7 @@ class Rows:
 
     @property
     def count(self) -> int:
-        """Rows of the table."""
+        """TableLayout of the table."""
         return sum(map(math.prod, self.shapes.values()))
 
     def __getitem__(self, name: str) -> slice:

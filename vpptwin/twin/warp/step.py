@@ -20,7 +20,7 @@ import numpy as np
 from vpptwin.effects import Effect
 from vpptwin.engine.trace.paths import drop_unused
 from vpptwin.engine.trace.specialize import Writer, keep_source
-from vpptwin.engine.trace.terms import REAL, WHOLE, Cells, Frame, Record, Repeat, Ring, Term, Unwritable
+from vpptwin.engine.trace.terms import REAL, WHOLE, Cells, Record, Repeat, Ring, Scope, Term, Unwritable
 from vpptwin.engine.tree import FUNCTIONS, Pose, Shape
 from vpptwin.engine.view import View, foresee_actuators, foresee_drag
 from vpptwin.system.errors import InputError
@@ -32,7 +32,7 @@ from vpptwin.twin.stepping.pipeline import keep_plain
 from vpptwin.twin.stepping.step import Rig, Row, Tape
 from vpptwin.twin.twin import Twin
 from vpptwin.twin.warp.device import NEED, load_warp
-from vpptwin.twin.warp.rows import Rows
+from vpptwin.twin.warp.rows import TableLayout
 
 EVERY = slice(None)
 UNDERSTOOD = "numbers, arithmetic, if, loops over what is known, and numpy's functions of numbers"
@@ -95,8 +95,8 @@ class WarpStep:
         self._check_rig()
         self.effects = self._list_effects()
         one = twin.initial_state(ids=np.zeros(1, int)).arrays()
-        self.state = Rows({name: array.shape[1:] for name, array in one.items()})
-        self.numbers = Rows({name: array.shape[1:] for name, array in self._list_numbers(twin).items()})
+        self.state = TableLayout({name: array.shape[1:] for name, array in one.items()})
+        self.numbers = TableLayout({name: array.shape[1:] for name, array in self._list_numbers(twin).items()})
         head = HEAD.format(inputs=self.inputs)
         self.source = head + "".join(f"    {line}\n" for line in self._write(steps))
 
@@ -156,16 +156,16 @@ class WarpStep:
         keep_source(twin.pipeline.source, file)
         names: dict[str, Any] = {"SWEEPS": Repeat(100)} | ({"SETTLED": SETTLED} if self.single else {})
         writer = Writer(self.single, names)
-        frame = Frame(None, self._name_all(steps) | twin.pipeline.build(keep_plain, file), 0)
+        scope = Scope(None, self._name_all(steps) | twin.pipeline.build(keep_plain, file), 0)
         text = self.lines.format(
             nv=int(model.nv),
             nu=int(model.nu),
             step=CALLS[twin.spec.robot.step],
             implicit=bool(twin.layout and twin.layout.implicit),
         )
-        ends = self._list_ends(frame)
+        ends = self._list_ends(scope)
         try:
-            writer.run(ast.parse(text).body, frame)
+            writer.run(ast.parse(text).body, scope)
         except Unwritable as error:
             raise self._refuse(error) from None
         for places, cells in ends:
@@ -173,7 +173,7 @@ class WarpStep:
                 value = cells.store[place]
                 if not isinstance(value, Term) or where not in value.text:
                     writer.lines.append(f"{where} = {writer.write_out(value)}")
-        touches = writer.write_out(frame["touches"], "wp.int32")
+        touches = writer.write_out(scope["touches"], "wp.int32")
         return drop_unused([*writer.lines, f"touched[i] = {touches}"])
 
     def _list_ends(self, names: Mapping[str, Any]) -> list[tuple[list[str], Cells]]:
