@@ -78,7 +78,7 @@ def take_fault(
 
 
 def save_faults(folder: Path, faults: Mapping[int, Fault]) -> None:
-    """Write faults by their number in a run, 1 the first, as far as `MAX_FAULTS`; a disk that refuses is only warned of."""
+    """Write faults by their number in a run, 1 the first, up to `MAX_FAULTS`; a disk that refuses is only warned of."""
     for number, fault in faults.items():
         if number > MAX_FAULTS:
             return

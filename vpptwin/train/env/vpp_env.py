@@ -24,7 +24,7 @@ from vpptwin.train.env.rotors import load_trained_twin, strengthen
 from vpptwin.train.env.starts import SOON, FailedStarts
 from vpptwin.train.env.tasks import Task
 from vpptwin.twin import Twin, TwinState
-from vpptwin.twin.health import MOST, find_diverged, save_faults, take_fault
+from vpptwin.twin.health import MAX_FAULTS, find_diverged, save_faults, take_fault
 from vpptwin.twin.sensors import read_sensors, sensor_noise
 from vpptwin.twin.spec import TwinSpec, check_effects
 from vpptwin.twin.stepping.past import history_depth, record_poses, start_sensors
@@ -295,7 +295,7 @@ class VppEnv(EnvBase):
         ids = np.flatnonzero(broken)
         if len(ids):
             if self.fault_folder is not None:
-                kept = ids[: max(MOST - self.faults, 0)]
+                kept = ids[: max(MAX_FAULTS - self.faults, 0)]
                 faults = (take_fault(self.twin, self._before, self.state, command, self._period, i) for i in kept)
                 save_faults(self.fault_folder, dict(enumerate(faults, self.faults + 1)))
             self.faults += len(ids)
