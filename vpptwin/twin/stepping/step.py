@@ -94,8 +94,8 @@ def push_craft(
 
 @compilable(forceinline=True)
 def push_joints(
-    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | PastStep, load: np.ndarray, lever: float,
-    force: np.ndarray,
+    active: np.ndarray, parameters: np.ndarray, states: np.ndarray, view: View | PastStep, load: np.ndarray,
+    lever: float, force: np.ndarray,
 ) -> None:  # fmt: skip
     """Add the FORCE effects on joints to `force`, (nv,) [N, N m]."""
 
