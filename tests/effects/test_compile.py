@@ -9,8 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from vpptwin.effects import CATALOGUE, Effect, Stage, effects_for_rig, generic_place
-from vpptwin.effects.base import Craft, Motion, Rotor
+from vpptwin.effects import CATALOGUE, Craft, Effect, Motion, Rotor, Stage, effects_for_rig, generic_place
 
 CART_EFFECTS = effects_for_rig(
     [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}

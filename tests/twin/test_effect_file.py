@@ -62,7 +62,8 @@ def build_effects(model):
 
 def test_imported_effects_of_ours_are_not_the_users(rig: Path, tmp_path: Path) -> None:
     """A file may import the catalogue's effects to look at them; only its own join."""
-    file = write_effects(tmp_path, "from vpptwin.effects.air import DRAG\n" + WAVE + "\nALIAS = OWN\n")
+    ours = "from vpptwin.robots.planar_drone.effects.catalogue import DRAG\n"
+    file = write_effects(tmp_path, ours + WAVE + "\nALIAS = OWN\n")
     assert list_ids(rig, file) == [*list_ids(rig), "slide.wave"]
 
 

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from vpptwin.effects.parameter import Parameter
-
-Constants = MutableMapping[str, np.ndarray]
-"""Named per-simulation constants, each (N, ...): fields of the MuJoCo model, of the actuators and of the sensors."""
 
 
 class Stage(Enum):
@@ -69,32 +64,6 @@ class Motion(NamedTuple):
     inertia: float
 
 
-class Craft(NamedTuple):
-    """The planar craft, as FORCE effects on it see it.
-
-    Attributes:
-        x, z: position of the hinge [m].
-        v_x, v_z: its velocity [m/s].
-        rate: q [rad/s].
-        sine, cosine: of θ.
-        arm: hinge to rotor [m].
-        speed_1, speed_2: of the rotors [rad/s].
-        time: s since the start of the log.
-    """
-
-    x: float
-    z: float
-    v_x: float
-    v_z: float
-    rate: float
-    sine: float
-    cosine: float
-    arm: float
-    speed_1: float
-    speed_2: float
-    time: float
-
-
 class Body(NamedTuple):
     """A free body, as FORCE effects on it see it.
 
@@ -120,43 +89,6 @@ class Body(NamedTuple):
     q: float
     r: float
     time: float
-
-
-class Rotor(NamedTuple):
-    """One rotor, as THRUST effects see it.
-
-    Attributes:
-        side: -1 for rotor 1 on the left arm, +1 for rotor 2.
-        speed: rad/s.
-        pitch: blade pitch, mean over the step [rad].
-        height: of the hinge above the floor [m].
-        axial: velocity of the rotor along its thrust axis [m/s].
-    """
-
-    side: float
-    speed: float
-    pitch: float
-    height: float
-    axial: float
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where a CONSTANT effect sits in the rig at hand: indices into the MuJoCo model, -1 where it has no such place.
-
-    Attributes:
-        dof: index of the degree of freedom it acts on.
-        place: index of its joint's position in qpos.
-        actuator: index of the actuator it acts on.
-        body: index of the body it acts on: `target` where that is a body, else the craft.
-        pair: index of the pair of geoms that it acts on.
-    """
-
-    dof: int = -1
-    place: int = -1
-    actuator: int = -1
-    body: int = -1
-    pair: int = -1
 
 
 ApplyFunction = Callable[..., Any]
@@ -191,7 +123,7 @@ class Effect:
         apply: the one implementation of its physics; see `Stage` for the signature.
         shows: signals in which it can be seen.
         look_alikes: ids that are hard to tell from it.
-        writes: names of the constants it changes (CONSTANT effects declare every one).
+        writes: names of the constants it changes (CONSTANT effects declare every one; a `Change` tells them itself).
         target: the joint, actuator or body it acts on, "" for the craft.
         members: names of the actuators or joints that it acts on alike, all in the place of one `target`.
         needs: joints and bodies that the model must have besides those of the planar craft.
@@ -224,6 +156,9 @@ class Effect:
     fades_along: str = ""
     placed: bool = False
     touching: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "writes", self.writes or getattr(self.apply, "writes", ()))
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.effects.base import Body, Constants, Effect, Site, Stage
+from vpptwin.effects.base import ApplyFunction, Body, Effect, Stage
+from vpptwin.effects.constants import Change, Constants, Site, add
 from vpptwin.effects.parameter import Parameter, Prior
 
 AXES = ("x", "y", "z")
@@ -44,19 +45,18 @@ class FreeBody:
     room: float = 1.0
 
 
-def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
-    """Mass added to that of a body [kg]."""
-    constants["body_mass"][:, site.body] += mass
+add_mass = add(("body_mass", "body"))
+"""m + mass [kg]."""
 
 
-def apply_com(constants: Constants, site: Site, /, **moved: np.ndarray) -> None:
-    """Centre of mass moved along those of the body's axes x, y, z that are given [m]."""
-    for axis, by in moved.items():
-        constants["body_ipos"][:, site.body, AXES.index(axis)] += by
+def move_centre(axes: str) -> Change:
+    """C + offset along each of some of the body's axes [m]; the inertia about its origin grows by m c² (Steiner)."""
+    return add(*(("body_ipos", "body", AXES.index(axis)) for axis in axes))
 
 
 def apply_inertia(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:
     """Inertia about the principal axes times these; of three that no body can have the largest is cut to the sum."""
+    # I_x ≤ I_y + I_z, and so for each: no mass distribution has other principal moments (Wensing and others 2018).
     moments = constants["body_inertia"][:, site.body] * np.stack([x, y, z], axis=1)
     constants["body_inertia"][:, site.body] = np.minimum(moments, moments.sum(axis=1, keepdims=True) - moments)
 
@@ -87,13 +87,13 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
     """The effects of one free body, `NAME.mass` and so on."""
     name, source = body.name, "assumption: shares of what the model, or the log, has"
 
-    def add(
+    def have(
         kind: str, summary: str, equation: str, parameters: tuple[Parameter, ...], alike: tuple[str, ...], follows: str,
-        apply: object, writes: tuple[str, ...] = (),
+        apply: ApplyFunction, writes: tuple[str, ...] = (),
     ) -> Effect:  # fmt: skip
+        stage = Stage.CONSTANT if writes or isinstance(apply, Change) else Stage.FORCE
         return Effect(
-            f"{name}.{kind}", f"{summary} {name}", equation, parameters,
-            Stage.CONSTANT if writes else Stage.FORCE, apply, BODY_SHOWS,  # type: ignore[arg-type]
+            f"{name}.{kind}", f"{summary} {name}", equation, parameters, stage, apply, BODY_SHOWS,
             tuple(f"{name}.{other}" for other in alike), writes, name, dissipative=kind == "drag", follows=follows,
         )  # fmt: skip
 
@@ -121,16 +121,16 @@ def effects_for_body(body: FreeBody) -> tuple[Effect, ...]:
         for way in ("along", "across")
     )  # fmt: skip
     return (
-        add("mass", "a wrong mass of", "m + mass", (mass,), ("wind",), "command", apply_mass, ("body_mass",)),
-        add("com", "a centre of mass that is not where it should be in", "c + (x, y, z)",
-            along_axes("m", 0.0, body.size, body.shift or 0.05 * body.size), ("twist",), "position", apply_com,
-            ("body_ipos",)),
-        add("inertia", "a wrong inertia of", "I times (x, y, z)", moments, (), "command", apply_inertia,
+        have("mass", "a wrong mass of", "m + mass", (mass,), ("wind",), "command", add_mass),
+        have("com", "a centre of mass that is not where it should be in", "c + (x, y, z)",
+            along_axes("m", 0.0, body.size, body.shift or 0.05 * body.size), ("twist",), "position",
+            move_centre("xyz")),
+        have("inertia", "a wrong inertia of", "I times (x, y, z)", moments, (), "command", apply_inertia,
             ("body_inertia",)),
-        add("drag", "drag of the air on", "-(along v_z + across v_xy) in its axes", drag, ("wind",), "velocity",
+        have("drag", "drag of the air on", "-(along v_z + across v_xy) in its axes", drag, ("wind",), "velocity",
             apply_drag),
-        add("wind", "a steady force on", "+(x, y, z) in the world's axes",
+        have("wind", "a steady force on", "+(x, y, z) in the world's axes",
             along_axes("N", 0.0, windy, 0.02 * body.force), ("mass", "drag"), "position", apply_wind),
-        add("twist", "a steady torque on", "+(x, y, z) about its axes",
+        have("twist", "a steady torque on", "+(x, y, z) about its axes",
             along_axes("N m", 0.0, twisted, 0.02 * body.torque), ("com",), "position", apply_twist),
     )  # fmt: skip

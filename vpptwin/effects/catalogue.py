@@ -1,108 +1,25 @@
-"""The list of effects: one for the drone on its rig, and factories that give any joint and actuator its own."""
+"""The effects of any rig, made of laws for its joints, actuators, links and contacts.
+
+The drone on its rail has a list of its own, `vpptwin.robots.planar_drone.effects.catalogue`.
+"""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from vpptwin.effects import (
-    actuator,
-    air,
-    airframe,
-    contact,
-    flex,
-    friction,
-    joint,
-    link,
-    motor,
-    rail,
-    rotor,
-    sensing,
-    servo,
-)
+from vpptwin.effects import actuator, friction, joint, link, sensing
 from vpptwin.effects.base import Effect
 from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION, Place
 from vpptwin.effects.link import Link
 
-RAIL = Place("rail_x", "on the horizontal rail", reason="the craft weighs 4.4 N")
-RAIL_SPOT = Place(
-    "rail_x", "on the horizontal rail", tolerance=0.02, size=0.2, travel=1.0, reason="a knock in the rail"
-)
-GUIDE = Place("rail_z", "on the vertical guide", reason="the craft weighs 4.4 N")
-PIVOT_FRICTION = Place("pitch", "in the pivot", rotary=True, scale=0.1, reason="0.5 N at a rotor")
-PIVOT_DAMPING = Place("pitch", "in the pivot", rotary=True, scale=0.03, reason="0.36 N m at 12 rad/s")
-PIVOT_TORQUE = Place("pitch", "in the pivot", rotary=True, scale=0.25, reason="1.25 N at a rotor")
-
-CATALOGUE: tuple[Effect, ...] = (
-    friction.coulomb(RAIL, ("rail_x.viscous", "rail_x.stiction", "rail_x.jamming", "rail_x.tight_spot")),
-    friction.coulomb(GUIDE, ("rail_z.viscous", "rail_z.stiction", "rail_z.jamming")),
-    friction.coulomb(PIVOT_FRICTION, ("pitch.viscous",)),
-    friction.stiction(RAIL, ("rail_x.coulomb",)),
-    friction.stiction(GUIDE, ("rail_z.coulomb",)),
-    rail.JAMMING_X,
-    rail.JAMMING_Z,
-    friction.tight_spot(RAIL_SPOT, ("rail_x.coulomb",)),
-    # These scale all dry friction of their joint, so they come after it.
-    friction.asymmetry(RAIL, ("rail.tilt", "rail_x.bias")),
-    friction.asymmetry(GUIDE, ("rail_z.bias",)),
-    flex.lugre(RAIL, modifies=("coulomb", "stiction", "jamming", "tight_spot"), needs=rail.RIG),
-    flex.lugre(GUIDE, modifies=("coulomb", "stiction", "jamming"), needs=rail.RIG),
-    flex.lugre(PIVOT_FRICTION, modifies=("coulomb",)),
-    joint.viscous(RAIL, ("rail_x.coulomb", "air.drag", "rotor.in_plane")),
-    joint.viscous(GUIDE, ("rail_z.coulomb", "air.drag", "rotor.inflow")),
-    joint.viscous(PIVOT_DAMPING, ("pitch.coulomb", "rotor.inflow")),
-    joint.bias(RAIL, ("rail.tilt", "mocap.misalignment", "rail_x.asymmetry", "rail_x.spring")),
-    joint.bias(GUIDE, ("airframe.mass", "rotor.thrust_gain", "rail_z.asymmetry")),
-    joint.bias(PIVOT_TORQUE, ("rotor.asymmetry", "airframe.com", "servo.trim")),
-    joint.spring(RAIL, ("rail_x.bias", "carriage.mass")),
-    flex.elastic(RAIL, ("carriage.mass",), rail.RIG),
-    rail.TILT,
-    rail.CARRIAGE_MASS,
-    airframe.MASS,
-    airframe.INERTIA,
-    airframe.COM,
-    airframe.COM_HEIGHT,
-    air.DRAG,
-    rotor.THRUST_GAIN,
-    rotor.ASYMMETRY,
-    rotor.NEGATIVE_THRUST,
-    rotor.STALL,
-    rotor.INFLOW,
-    air.GROUND_EFFECT,  # strengthens whatever thrust the rotors are left with
-    rotor.IN_PLANE,
-    motor.DRAG,
-    motor.SAG,
-    servo.LAG,
-    servo.RATE_LIMIT,
-    servo.BACKLASH,
-    servo.TRIM,
-    servo.DELAY,
-    *contact.effects_for_contacts(("/mocap/pose", "/imu/data"), [(0.01, 0.3)], 0.001, needs=rail.RIG),
-    *sensing.OF_DRONE,
-)
-"""Every effect of the drone on its rail rig (SPEC 5)."""
-
-GENERIC_JOINT: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
-    (friction.coulomb, ("viscous", "stiction", "load", "tight_spot")),
-    (friction.stiction, ("coulomb",)),
-    (joint.viscous, ("coulomb", "fade", "drag")),
-    (joint.drag, ("viscous", "fade")),
-    (joint.bias, ("spring", "offset")),
-    (joint.spring, ("bias", "inertia", "offset", "cogging")),
-    (joint.cogging, ("spring",)),
-    (joint.inertia, ("spring",)),
-    (joint.offset, ("bias", "spring")),
-    (friction.load, ("coulomb", "fade")),
-    (joint.fade, ("viscous", "drag", "load")),
-    (friction.tight_spot, ("coulomb",)),
-    (flex.lugre, ()),
-    (sensing.velocity_bias, ()),
-    (sensing.velocity_scale, ()),
-)
-"""Factories that give joint j of any rig the effects j.coulomb, j.stiction and so on, with their look-alikes there."""
-HINGES_ONLY, DRIVEN_ONLY = ("offset",), ("load", "fade")
-"""Where the zero of a slide lies moves nothing; what nothing drives has no gears."""
+GENERIC_JOINT = (
+    friction.coulomb, friction.stiction, joint.viscous, joint.drag, joint.bias, joint.spring, joint.cogging,
+    joint.inertia, joint.offset, friction.load, joint.fade, friction.tight_spot, friction.lugre, sensing.velocity_bias,
+    sensing.velocity_scale,
+)  # fmt: skip
+"""The laws that give joint j of any rig the effects j.coulomb, j.stiction and so on: a new law is named here."""
 
 GENERIC_TOLERANCE = 0.0005
 """Build tolerance of other people's rigs, as a share of a joint's typical force: little is taken for granted there."""
@@ -134,7 +51,7 @@ GENERIC_WHOLE = tuple(
 
 What is tolerated of each is tolerated of all, so that these tolerate nothing beside.
 """
-GENERIC_DRIVES: tuple[tuple[Callable[..., Effect], tuple[str, ...]], ...] = (
+GENERIC_DRIVES = (
     (friction.coulomb, ("viscous", "load")), (joint.viscous, ("coulomb",)), (friction.load, ("coulomb",)),
 )  # fmt: skip
 """What becomes joints.coulomb and so on where the drives of joints are of one make, whose gears rub alike."""
@@ -177,10 +94,9 @@ def effects_for_rig(
     for group in drives or {}:
         effects += effects_for_drives([place for place in joints if place.joint in group], len(joints))
     for place in joints:
-        barred = (*(() if place.rotary else HINGES_ONLY), *(() if place.driven else DRIVEN_ONLY))
-        for make, alike in GENERIC_JOINT:
-            if make.__name__ not in barred:
-                effects.append(make(place, tuple(f"{place.joint}.{kind}" for kind in alike if kind not in barred)))
+        laws = [law for law in GENERIC_JOINT if not law.only or getattr(place, law.only)]
+        had = {law.kind for law in laws}
+        effects += [law(place, tuple(f"{place.joint}.{kind}" for kind in law.alike if kind in had)) for law in laws]
     for group in groups:
         size = max(actuators[name] for name in group)
         effects += [actuator.attach(effect, "+".join(group), size, room, group) for effect in GENERIC_GROUP]

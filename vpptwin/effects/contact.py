@@ -9,7 +9,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from vpptwin.effects.base import Constants, Effect, Site, Stage
+from vpptwin.effects.base import Effect, Stage
+from vpptwin.effects.constants import Constants, Site, multiply
 from vpptwin.effects.parameter import Parameter, Prior
 
 SOFTEST, HARDEST, DEADEST = 0.02, 20.0, 10.0
@@ -33,16 +34,6 @@ def apply_compliance(constants: Constants, site: Site, /, stiffness: np.ndarray,
             first = own[..., 0] * np.where(direct, tough, 1.0 / damped)
             own[..., 1] *= np.where(direct, damped, damped / np.sqrt(tough))
             own[..., 0] = first
-
-
-def apply_friction(constants: Constants, site: Site, /, gain: np.ndarray) -> None:
-    """A factor on the sliding friction of all geoms: of two that touch the larger counts."""
-    constants["geom_friction"][..., 0] *= gain[:, None]
-
-
-def apply_pair_friction(constants: Constants, site: Site, /, gain: np.ndarray) -> None:
-    """A factor on the sliding friction of one pair of geoms, either way."""
-    constants["pair_friction"][:, site.pair, :2] *= gain[:, None]
 
 
 def factor(name: str, low: float, high: float, size: float, source: str) -> Parameter:
@@ -80,17 +71,18 @@ def effects_for_contacts(
         stage=Stage.CONSTANT, apply=apply_compliance, shows=shows, needs=needs, follows="position", touching=True,
         writes=("geom_solref",) * geoms + ("pair_solref",) * bool(pairs),
     )  # fmt: skip
+    # |F_t| ≤ gain μ N (Coulomb); of two geoms that touch, the larger μ counts.
     rubbing, gain = "gain μ N where bodies slide on each other", factor("gain", 0.0, 5.0, 0.25, TABLES)
     found = [compliance]
     if geoms:
         found.append(Effect(
-            "contact.friction", "another sliding friction of contacts", rubbing, (gain,),
-            Stage.CONSTANT, apply_friction, shows, writes=("geom_friction",), needs=needs, touching=True,
+            "contact.friction", "another sliding friction of contacts", rubbing, (gain,), Stage.CONSTANT,
+            multiply(("geom_friction", ..., 0)), shows, needs=needs, touching=True,
         ))  # fmt: skip
+    either_way = multiply(("pair_friction", "pair", 0), ("pair_friction", "pair", 1))
     found += [
-        Effect(f"{pair}.friction", f"another sliding friction of the pair {pair}", rubbing,
-               (gain,), Stage.CONSTANT, apply_pair_friction, shows,
-               writes=("pair_friction",), target=pair, needs=needs, touching=True)
+        Effect(f"{pair}.friction", f"another sliding friction of the pair {pair}", rubbing, (gain,), Stage.CONSTANT,
+               either_way, shows, target=pair, needs=needs, touching=True)
         for pair in pairs if pair and f"{pair}.friction" != found[-1].id
     ]  # fmt: skip
     return tuple(found)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vpptwin.effects.base import Constants, Effect, Site, Stage
-from vpptwin.effects.body import AXES, apply_com
+from vpptwin.effects.base import Effect, Stage
+from vpptwin.effects.body import AXES, move_centre
+from vpptwin.effects.constants import Constants, Site
 from vpptwin.effects.joint import JOINT_SHOWS
 from vpptwin.effects.parameter import Parameter, Prior
 
@@ -44,6 +45,7 @@ def apply_payload(
     constants: Constants, site: Site, /, mass: np.ndarray, place_x: np.ndarray, place_y: np.ndarray, place_z: np.ndarray
 ) -> None:
     """A point mass on a link: mass, centre of mass and inertia follow, so that they are those of a body."""
+    # c' = c + m_p/(m + m_p) r, I' = I + m m_p/(m + m_p) (|r|² 1 - r rᵀ), r from the old centre to the point (Steiner).
     rows, body = np.flatnonzero(mass), site.body
     fields = [constants[name] for name in ("body_mass", "body_ipos", "body_iquat", "body_inertia")]
     own, centre, turn, moments = (field[rows, body] for field in fields)
@@ -83,6 +85,7 @@ def to_attitude(matrix: np.ndarray) -> np.ndarray:
 
 def apply_tilt(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray) -> None:
     """The mount turned by the rotation vector (x, y, 0), so that gravity comes from elsewhere [rad]."""
+    # g' = g cos φ - (u × g) sin φ + u (u·g)(1 - cos φ) with φ u = (x, y, 0), turned back (Rodrigues).
     angle, gravity = np.hypot(x, y), constants["opt.gravity"]
     axis = np.stack([x, y, 0.0 * x], axis=1) / np.maximum(angle, 1e-300)[:, None]
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
@@ -140,7 +143,7 @@ def displace(link: Link, alike: tuple[str, ...]) -> Effect:
     return Effect(
         f"{link.name}.com", f"a centre of mass that is not where it should be in {link.name}",
         f"c + ({', '.join(axis if axis in link.ways else '0' for axis in AXES)})", parameters, Stage.CONSTANT,
-        apply_com, JOINT_SHOWS, alike, ("body_ipos",), link.name, follows="position",
+        move_centre(link.ways), JOINT_SHOWS, alike, target=link.name, follows="position",
     )  # fmt: skip
 
 

@@ -1,27 +1,22 @@
 """Effects on what signals say of the motion: late, by another clock, shifted, turned, off by a factor.
 
 One kind each, for whatever `signals` names: poses of a body, its gyro, velocities of a joint, joints on a topic of
-their own. The drone's motion capture and gyro are cases of them.
+their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import cycle
 
-import numpy as np
-
-from vpptwin.effects.base import Constants, Effect, Site, Stage
-from vpptwin.effects.body import BODY_SHOWS
-from vpptwin.effects.joint import Place
+from vpptwin.effects.base import Effect, Stage
+from vpptwin.effects.body import AXES, BODY_SHOWS
+from vpptwin.effects.constants import add, multiply
+from vpptwin.effects.joint import JointLaw, Place
 from vpptwin.effects.parameter import Parameter, Prior
 
-X, Z, PITCH = 0, 1, 2
-"""Degrees of freedom of the drone."""
-LINEAR, ANGULAR, BODY = (0, 1, 2), (3, 4, 5), (0, 1, 2, 3, 4, 5)
-"""Those of a free body, from its first on."""
-AXES = ("x", "y", "z")
+LINEAR, ANGULAR = (0, 1, 2), (3, 4, 5)
+"""Degrees of freedom of a free body, from its first on."""
 SLIGHT = 0.001
 """Zero error of logged velocities that a well-built sensor may have, as a share of what they reach."""
 LATEST = 0.15
@@ -29,24 +24,6 @@ LATEST = 0.15
 
 Dofs = tuple[int, ...]
 """Degrees of freedom that a signal shows."""
-
-
-@dataclass(frozen=True)
-class Misread:
-    """The function of an effect on signals: it adds to constants of degrees of freedom, or multiplies them."""
-
-    # constant → degrees of freedom, each with a parameter of its own or all with the one there is
-    places: tuple[tuple[str, Dofs], ...]
-    factor: bool = False  # it multiplies
-
-    def __call__(self, constants: Constants, site: Site, /, **errors: np.ndarray) -> None:
-        """Write parameters, (n,) each, into the constants, (n, nv)."""
-        for name, dofs in self.places:
-            for dof, error in zip(dofs, cycle(errors.values())):
-                if self.factor:
-                    constants[name][:, dof] *= error
-                else:
-                    constants[name][:, dof] += error
 
 
 @dataclass(frozen=True)
@@ -72,12 +49,11 @@ class Sensor:
         self, kind: str, summary: str, equation: str, parameters: Iterable[Parameter],
         places: tuple[tuple[str, Dofs], ...], alike: tuple[str, ...] = (), follows: str = "velocity",
     ) -> Effect:  # fmt: skip
-        """An effect on this sensor, that of a `scale` a factor."""
-        places = tuple((name, dofs) for name, dofs in places if dofs)
-        factor = kind.endswith("scale")
+        """An effect on this sensor, that of a `scale` a factor: each degree of freedom has a parameter, or all one."""
+        law = (multiply if kind.endswith("scale") else add)(*((name, dof) for name, dofs in places for dof in dofs))
         return Effect(
-            f"{self.name}.{kind}", summary, equation, tuple(parameters), Stage.CONSTANT, Misread(places, factor),
-            self.shows, alike, tuple(name for name, _ in places), self.target, follows=follows,
+            f"{self.name}.{kind}", summary, equation, tuple(parameters), Stage.CONSTANT, law, self.shows, alike,
+            target=self.target, follows=follows,
         )  # fmt: skip
 
 
@@ -130,59 +106,49 @@ def length_scale(sensor: Sensor, lengths: Dofs, rates: Dofs = (), alike: tuple[s
     return sensor.misread("scale", summary, "lengths × scale", [parameter], places, alike, follows="position")
 
 
-def rate_bias(sensor: Sensor, kind: str = "bias", tolerance: float = 0.004, unit: str = "rad/s") -> Effect:
-    """Rates that are not zero at rest: of one axis, or of three, which a well-built sensor keeps within `tolerance`."""
-    names = ("bias",) if len(sensor.rate) == 1 else AXES
-    source = "a MEMS gyro, some 1 degree/s" if kind == "bias" else "half a percent of what it reaches"
-    parameters = [
-        Parameter(name=name, unit=unit, off=0.0, low=-125.0 * tolerance, high=125.0 * tolerance,
-                  prior=Prior("normal", 0.0, 5.0 * tolerance), size=10.0 * tolerance, tolerance=tolerance,
-                  source=f"assumption: {source}")
-        for name in names
-    ]  # fmt: skip
-    equation = "q + bias" if len(names) == 1 else "rates + (x, y, z)"
-    return sensor.misread(kind, f"a bias of {sensor.what}", equation, parameters, (("rate.bias", sensor.rate),))
-
-
-def rate_scale(sensor: Sensor, kind: str = "scale", alike: tuple[str, ...] = ()) -> Effect:
-    """Rates that are off by a factor."""
-    parameter = Parameter(
-        name="scale", unit="", off=1.0, low=0.7, high=1.3, prior=Prior("normal", 1.0, 0.02), size=0.04,
-        tolerance=0.004, source="assumption: a MEMS gyro, scale within 2 %",
+def bias_of_rates(name: str, tolerance: float, unit: str, source: str) -> Parameter:
+    """What a rate may read at rest, which a well-built sensor keeps within `tolerance`."""
+    return Parameter(
+        name=name, unit=unit, off=0.0, low=-125.0 * tolerance, high=125.0 * tolerance,
+        prior=Prior("normal", 0.0, 5.0 * tolerance), size=10.0 * tolerance, tolerance=tolerance,
+        source=f"assumption: {source}",
     )  # fmt: skip
-    summary = f"a wrong scale of {sensor.what}"
-    return sensor.misread(kind, summary, "q × scale", [parameter], (("rate.scale", sensor.rate),), alike)
 
 
-MOCAP = Sensor("mocap", "motion capture poses", (X, Z, PITCH), shows=("/mocap/pose",))
-CLOCK = Sensor("clock", "motion capture poses", (X, Z, PITCH), shows=("/mocap/pose",))
-GYRO = Sensor("gyro", "the gyro", rate=(PITCH,), shows=("/imu/data",))
-OF_DRONE = (
-    delay(MOCAP, ("clock.drift",)),
-    drift(CLOCK, ("mocap.delay",)),
-    misalignment(MOCAP, (PITCH,), ("rail_x.bias", "rail.tilt")),
-    length_scale(MOCAP, (X, Z)),
-    rate_bias(GYRO),
-    rate_scale(GYRO, alike=("airframe.inertia", "rotor.thrust_gain")),
-)
-"""Those of the drone on its rig."""
+def rate_bias(sensor: Sensor) -> Effect:
+    """Rates of a gyro that are not zero at rest, about one axis or three."""
+    names = ("bias",) if len(sensor.rate) == 1 else AXES
+    parameters = [bias_of_rates(name, 0.004, "rad/s", "a MEMS gyro, some 1 degree/s") for name in names]
+    equation = "q + bias" if len(names) == 1 else "rates + (x, y, z)"
+    return sensor.misread("bias", f"a bias of {sensor.what}", equation, parameters, (("rate.bias", sensor.rate),))
 
 
-def velocity_bias(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """`JOINT.rate_bias`: logged velocities that are not zero at rest."""
-    found = rate_bias(of_velocity(place), "rate_bias", SLIGHT * place.speed, "rad/s" if place.rotary else "m/s")
-    (bias,) = found.parameters
-    return replace(found, parameters=(replace(bias, low=place.room * bias.low, high=place.room * bias.high),))
+RATE_SCALE = Parameter(
+    name="scale", unit="", off=1.0, low=0.7, high=1.3, prior=Prior("normal", 1.0, 0.02), size=0.04, tolerance=0.004,
+    source="assumption: a MEMS gyro, scale within 2 %",
+)  # fmt: skip
 
 
-def velocity_scale(place: Place, look_alikes: tuple[str, ...] = ()) -> Effect:
-    """`JOINT.rate_scale`: logged velocities that are off by a factor."""
-    return rate_scale(of_velocity(place), "rate_scale", look_alikes)
+def rate_scale(sensor: Sensor, alike: tuple[str, ...] = ()) -> Effect:
+    """Rates that are off by a factor."""
+    places = (("rate.scale", sensor.rate),)
+    return sensor.misread("scale", f"a wrong scale of {sensor.what}", "q × scale", [RATE_SCALE], places, alike)
 
 
-def of_velocity(place: Place) -> Sensor:
-    """What tells a joint's velocity."""
-    return Sensor(place.joint, f"logged velocities {place.where}", rate=(place.dof,), target=place.joint)
+def list_velocity_bias(place: Place) -> tuple[Parameter, ...]:
+    """What logged velocities of a joint may read at rest."""
+    bias = bias_of_rates("bias", SLIGHT * place.speed, f"{place.length}/s", "half a percent of what it reaches")
+    return (replace(bias, low=place.room * bias.low, high=place.room * bias.high),)
+
+
+velocity_bias = JointLaw(
+    "rate_bias", "a bias of logged velocities {where}", "q + bias", Stage.CONSTANT, add(("rate.bias", "dof")),
+    list_velocity_bias, shows=("/joint_states",),
+)  # fmt: skip
+velocity_scale = JointLaw(
+    "rate_scale", "a wrong scale of logged velocities {where}", "q × scale", Stage.CONSTANT,
+    multiply(("rate.scale", "dof")), lambda place: (RATE_SCALE,), shows=("/joint_states",),
+)  # fmt: skip
 
 
 def late_joint(joint: str, dof: int) -> Effect:

@@ -24,8 +24,8 @@ from vpptwin.diagnosis.search.suspects import (
 from vpptwin.effects import Effect, Parameter, Prior
 from vpptwin.effects.actuator import FORCE_LIMIT, attach
 from vpptwin.effects.joint import Place, bias, spring, viscous
-from vpptwin.effects.servo import RATE_LIMIT
 from vpptwin.estimation.windows import Motion
+from vpptwin.robots.planar_drone.effects.catalogue import RATE_LIMIT
 from vpptwin.twin.spec import load_twin
 
 RATE = Unknown(RATE_LIMIT, RATE_LIMIT.parameters[0], 1000.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from vpptwin.diagnosis.criteria import CRITERIA, Criteria
 from vpptwin.effects import Effect
-from vpptwin.effects.actuator import apply_gain
+from vpptwin.effects.actuator import GAIN
 from vpptwin.effects.joint import apply_bias
 from vpptwin.estimation.dynamics import REACH, measure_forces
 from vpptwin.estimation.measurements import Measurements, read_measurements
@@ -37,7 +37,7 @@ def describe_input_error(spec: TwinSpec, effect: Effect) -> str:
     """
     if spec.robot.disturbance.known:
         return ""
-    if effect.apply is apply_gain:
+    if effect.apply is GAIN.apply:
         whose = " and ".join(effect.members) or effect.target
         return f"{effect.id}: a log that shows the input of {whose} wrong by that factor would look the same"
     if effect.apply is not apply_bias:

@@ -12,7 +12,8 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from vpptwin.effects import CATALOGUE, Effect
+from vpptwin.effects import Effect
+from vpptwin.robots.planar_drone.effects.catalogue import CATALOGUE
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.losses import take_out_losses

@@ -277,6 +277,7 @@ def versions() -> str:
 
 COMPILED = (
     "effects/base.py",
+    "robots/planar_drone/effects/laws.py",
     "actuators/*.py",
     "engine/*.py",
     *(f"twin/stepping/{name}.py" for name in ("step", "friction", "kernel", "fused", "pipeline")),

@@ -20,9 +20,9 @@ from vpptwin.actuators.layer import (
     weaken_control,
 )
 from vpptwin.actuators.numbers import Number, VehicleNumbers
-from vpptwin.effects.base import Craft, Rotor
 from vpptwin.engine.compile import compilable
 from vpptwin.engine.view import View, find_idle, foresee_actuators
+from vpptwin.robots.planar_drone.effects.laws import Craft, Rotor
 from vpptwin.twin.stepping.friction import expand_inertia, rub
 
 X, Z, PITCH = 0, 1, 2
