@@ -95,14 +95,14 @@ def read_seed() -> int:
     return int(os.environ["VPPTWIN_SEED"])
 
 
-MECHANICS = ("sticking rail", "rail", "guide and pivot", "craft", "two")
-"""Families of tests/test_hidden_mechanics.py, and two effects of any."""
+MECHANICS = ("sticking rail", "rail", "guide and pivot", "craft")
+"""Families of tests/test_hidden_mechanics.py."""
 ACTUATION, ALIENS = ("rotors", "servo and timing", "sensors"), "alien"
 """Families of tests/test_hidden_effects.py, and what the catalogue lacks."""
 
 
 def draw_name() -> str:
-    """What the seed of this run hides, of all that the two files can: each takes a minute or more."""
+    """What the seed of this run hides, of the families of both files: each takes most of a minute."""
     return str(np.random.default_rng([read_seed(), 1]).choice([*MECHANICS, *ACTUATION, ALIENS]))
 
 

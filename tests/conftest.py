@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 from pathlib import Path
 
 import hypothesis
+import numpy as np
 import pytest
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -31,6 +33,15 @@ def pytest_configure() -> None:
 def pytest_report_header() -> str:
     """Print the seed, so that a run can be repeated even where nothing failed."""
     return f"VPPTWIN_SEED={os.environ['VPPTWIN_SEED']}"
+
+
+@pytest.fixture(autouse=True)
+def _same_draws() -> None:
+    """What a test draws without a generator of its own does not depend on the tests before it."""
+    seed = int(os.environ["VPPTWIN_SEED"])
+    np.random.seed(seed)  # noqa: NPY002
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(seed)
 
 
 @pytest.fixture(autouse=True)

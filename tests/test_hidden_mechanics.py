@@ -37,12 +37,14 @@ LOPSIDED = "lopsided rail"
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> Sessions:
     """The sessions of this file."""
     every = [effect for family in FAMILIES.values() for effect in family]
-    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in (*MECHANICS[:-1], LOPSIDED)}
+    draws = {name: lambda rng, name=name: draw_effect(rng, FAMILIES[name]) for name in (*MECHANICS, LOPSIDED)}
     draws["two"] = lambda rng: draw_together(rng, 2, every)
     return Sessions(draws, tmp_path_factory.mktemp("sessions"), "tests/test_hidden_mechanics.py")
 
 
-@pytest.mark.parametrize("hidden", [*mark_undrawn(MECHANICS), pytest.param(LOPSIDED, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "hidden", [*mark_undrawn(MECHANICS), *(pytest.param(name, marks=pytest.mark.slow) for name in (LOPSIDED, "two"))]
+)
 def test_what_is_hidden_is_named(sessions: Sessions, hidden: str) -> None:
     """An effect of a family, of any sign, or two that are no look-alikes.
 

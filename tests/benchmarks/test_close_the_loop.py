@@ -13,22 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from close_the_loop import main
+from loop.flights import Suggested, fly_rig, log_flights, log_manoeuvre, predict
+from loop.report import closed_share, draw_picture, error, format_table, misjudged, score, tell_gain
+from loop.settings import LOW, SETTINGS, STUCK, draw_rig, tell_truth
+from loop.steps import POLICIES, write_truth
+
+from proving.drone import EFFECTS, true_size
+from proving.drone.rig import load_nominal
+from proving.policy_flights import load_flyer
+from vpptwin.logs.read import read_flight
+from vpptwin.system.errors import InputError
+from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "benchmarks"))
-
-from close_the_loop import main  # noqa: E402
-from loop.flights import Suggested, fly_rig, log_flights, log_manoeuvre, predict  # noqa: E402
-from loop.report import closed_share, draw_picture, error, format_table, misjudged, score, tell_gain  # noqa: E402
-from loop.settings import LOW, SETTINGS, STUCK, draw_rig, tell_truth  # noqa: E402
-from loop.steps import POLICIES, write_truth  # noqa: E402
-
-from proving.drone import EFFECTS, true_size  # noqa: E402
-from proving.drone.rig import load_nominal  # noqa: E402
-from proving.policy_flights import load_flyer  # noqa: E402
-from vpptwin.logs.read import read_flight  # noqa: E402
-from vpptwin.system.errors import InputError  # noqa: E402
-from vpptwin.twin import load_twin  # noqa: E402
 
 
 @pytest.mark.parametrize("setting", [*SETTINGS, STUCK], ids=lambda setting: setting.name)

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-import pytest
+import criteria
 
 from vpptwin.diagnosis.criteria import CRITERIA
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def criteria(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    return importlib.import_module("criteria")
 
 
 def run(
@@ -33,7 +24,7 @@ def run(
     return {"number": number, "plan": plan, "name": name, "change": change, "found": found}
 
 
-def test_counts_stay_counts(criteria: ModuleType) -> None:
+def test_counts_stay_counts() -> None:
     """Half of 5 suspects are 2, half of 1 is 1; 10 becomes 20; nothing else changes."""
     assert criteria.vary(CRITERIA, "shortlist", 0.5).shortlist == 2
     assert criteria.vary(criteria.vary(CRITERIA, "starts", 0.5), "starts", 0.5).starts == 1
@@ -41,7 +32,7 @@ def test_counts_stay_counts(criteria: ModuleType) -> None:
     assert (doubled.bar, doubled.temper) == (20.0, CRITERIA.temper)
 
 
-def test_changes_are_counted_on_the_same_sessions(criteria: ModuleType) -> None:
+def test_changes_are_counted_on_the_same_sessions() -> None:
     """Session 3 hides nothing and 7 a torque: a low bar names in 3, a high one misses 7; 0 is left out.
 
     Session 0 has no diagnosis with the criterion as it is.
@@ -59,6 +50,6 @@ def test_changes_are_counted_on_the_same_sessions(criteria: ModuleType) -> None:
     assert criteria.tell_change(table.get(("temper", "doubled"))) == "-"
 
 
-def test_the_page_is_current(criteria: ModuleType) -> None:
+def test_the_page_is_current() -> None:
     """docs/criteria.md is what `python benchmarks/criteria.py --page` prints."""
     assert (ROOT / "docs/criteria.md").read_text(encoding="utf-8") == criteria.write_page() + "\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 from collections import Counter
@@ -10,9 +9,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import hidden_effects
 import numpy as np
 import pytest
 
@@ -28,19 +27,9 @@ from proving.drone import (
     measure_strength,
     true_size,
 )
+from proving.runner import campaign, case, commits, costs, draw, pictures, rates, scores
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The benchmark's modules can be imported."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-
-
-def load(name: str) -> ModuleType:
-    """A module of the benchmark."""
-    return importlib.import_module(f"proving.runner.{name}")
 
 
 def strength(effect: str) -> str:
@@ -55,7 +44,6 @@ def fitted(value: float, std: float) -> dict[str, float]:
 
 def finding(*causes: Any, left: bool = False, chi2: tuple[float, float] = (9.0, 1.0)) -> Any:  # noqa: ANN401
     """A made-up verdict: causes as (effect, confidence, rivals, value, std)."""
-    case = load("case")
     named = [
         case.Named(effect, confidence, 0.9, {strength(effect): fitted(value, std)}, dict(rivals))
         for effect, confidence, rivals, value, std in causes
@@ -70,17 +58,16 @@ def cause(effect: str, confidence: float = 0.99, rivals: Any = (), value: float 
 
 def session(number: int, kind: str, hidden: dict, found: Any, oracle: Any = None, rig: int = 3, **plan: Any) -> Any:  # noqa: ANN401
     """A made-up session."""
-    return load("case").Case(load("draw").Plan(number, kind, hidden, rig, **plan), found, oracle)
+    return case.Case(draw.Plan(number, kind, hidden, rig, **plan), found, oracle)
 
 
 def table(cases: list) -> dict[str, str]:
     """Measure → result."""
-    return {row.name: row.text for row in load("rates").summarise(cases)}
+    return {row.name: row.text for row in rates.summarise(cases)}
 
 
 def test_of_twenty_sessions_the_kinds_are_as_stated() -> None:
     """Eight hide one effect, two one of another form, three two, one three, three an alien, three none, at any seed."""
-    draw = load("draw")
     for seed in range(5):
         kinds = Counter(draw.draw_plan(seed, n).kind for n in range(20, 40))
         assert kinds == {"single": 8, "form": 2, "two": 3, "three": 1, "alien": 3, "none": 3}
@@ -91,14 +78,14 @@ def test_of_twenty_sessions_the_kinds_are_as_stated() -> None:
 )
 def test_single_effects_take_turns(kind: str, pool: Iterable[str]) -> None:
     """The first 44 sessions with one effect hide each of the catalogue once; aliens and other forms take turns too."""
-    plans = load("draw").draw_plans(7, kinds=(kind,))
+    plans = draw.draw_plans(7, kinds=(kind,))
     effects = [list(next(plans).hidden)[-1] for _ in pool]
     assert sorted(effects) == sorted(pool)
 
 
 def test_small_deviations_leave_no_gap_and_are_no_look_alikes() -> None:
     """Strengths from a tolerance's to 1, in three of five sessions, beside effects of which none looks like them."""
-    plans = list(islice(load("draw").draw_plans(5), 300))
+    plans = list(islice(draw.draw_plans(5), 300))
     strengths = [measure_strength(e, v) for plan in plans for e, v in plan.small.items()]
     assert 0.1 - 1e-3 <= min(strengths) < 0.12
     assert 0.9 < max(strengths) <= 1 + 1e-3
@@ -113,13 +100,12 @@ def test_small_deviations_leave_no_gap_and_are_no_look_alikes() -> None:
 def test_kinds_that_are_not_asked_for_are_not_drawn() -> None:
     """Two look-alikes suffice for sessions of one effect."""
     few = ("rail_x.coulomb", "rail_x.stiction")
-    plans = load("draw").draw_plans(7, few, kinds=("single",))
+    plans = draw.draw_plans(7, few, kinds=("single",))
     assert {next(iter(plan.hidden)) for plan in islice(plans, 4)} == set(few)
 
 
 def test_a_session_depends_on_seed_and_number_only() -> None:
     """Session 12 is the same alone, in a long run and in a run of its kind only; another seed has another."""
-    draw = load("draw")
     alone = draw.draw_plan(5, 12)
     among: Iterator = draw.draw_plans(5)
     assert [next(among) for _ in range(13)][12] == alone
@@ -217,13 +203,12 @@ def test_a_flight_separates_what_the_true_fit_shows_and_tells_apart() -> None:
 def test_strengths_are_held_against_what_the_rig_has() -> None:
     """The rig's own friction counts as part of the truth; the interval is 1.645 std."""
     truth = true_size("rail_x.coulomb", "force", 0.3, 3)
-    case = load("case")
     cases = []
     for number, (off, std) in enumerate([(0.02, 0.02), (-0.02, 0.01), (0.04, 0.03)]):
         named = case.Named("rail_x.coulomb", 0.99, 1.0, {"force": fitted(truth + off, std)}, {})
         found = case.Finding([named], False, "", (9.0, 1.0), [], "", 30.0)
         cases.append(session(number, "single", {"rail_x.coulomb": {"force": 0.3}}, found))
-    error, inside = load("rates").measure_parameters(cases)
+    error, inside = rates.measure_parameters(cases)
     # Errors are 0.02, 0.02 and 0.04 N: the median over the truth. 0.02 > 1.645 * 0.01, the others lie inside.
     assert error.text.startswith(f"{100 * 0.02 / truth:.1f} %")
     assert (inside.hits, inside.of) == (2, 3)
@@ -241,7 +226,6 @@ def test_gain_is_held_against_the_true_structure() -> None:
 
 def test_wilsons_interval() -> None:
     """8 of 10: 49 to 94 % (Brown, Cai and DasGupta 2001); none of 20: below 16.1 %."""
-    rates = load("rates")
     assert rates.Rate("", 8, 10).interval == pytest.approx((0.490, 0.943), abs=1e-3)
     assert rates.Rate("", 0, 20).interval == pytest.approx((0.0, 0.161), abs=1e-3)
 
@@ -254,7 +238,7 @@ def test_failures_are_listed_and_successes_are_not() -> None:
         session(1, "single", truth, finding(cause("air.drag"))),
         session(2, "none", {}, finding()),
     ]
-    (line,) = load("rates").list_failures(cases)
+    (line,) = rates.list_failures(cases)
     assert "rail_x.coulomb" in line
     assert "air.drag 0.99" in line
     assert line.endswith("CONFIDENTLY WRONG")
@@ -262,7 +246,6 @@ def test_failures_are_listed_and_successes_are_not() -> None:
 
 def test_results_are_read_back_as_they_were(tmp_path: Path) -> None:
     """Cases survive the file, which is valid JSON even where numbers are missing."""
-    case, campaign = load("case"), load("campaign")
     cases = [
         session(1, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")), finding()),
         session(0, "none", {}, None),
@@ -277,39 +260,37 @@ def test_results_are_read_back_as_they_were(tmp_path: Path) -> None:
 
 def test_a_rerun_goes_on_from_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Sessions in the file are not run again, failed ones are; a file of another seed is refused."""
-    main, draw = importlib.import_module("hidden_effects"), load("draw")
     ran: list[int] = []
 
     def run_campaign(plans: list, *_: object) -> Iterator:
         for plan in plans:
             ran.append(plan.number)
             error = "broken" if plan.number == 2 and ran.count(2) == 1 else ""
-            yield load("case").Case(plan, None if error else finding(), error=error)
+            yield case.Case(plan, None if error else finding(), error=error)
 
-    monkeypatch.setattr(main, "run_campaign", run_campaign)
-    monkeypatch.setattr(main, "read_commit", lambda: "a" * 40)
+    monkeypatch.setattr(hidden_effects, "run_campaign", run_campaign)
+    monkeypatch.setattr(hidden_effects, "read_commit", lambda: "a" * 40)
     out = ["--json", str(tmp_path / "out.json")]
-    main.main(["--cases", "4", "--seed", "3", *out])
-    main.main(["--cases", "5", "--seed", "3", *out])
+    hidden_effects.main(["--cases", "4", "--seed", "3", *out])
+    hidden_effects.main(["--cases", "5", "--seed", "3", *out])
     assert ran == [0, 1, 2, 3, 2, 4]
     assert [c["plan"]["number"] for c in json.loads((tmp_path / "out.json").read_text())["cases"]] == [0, 1, 2, 3, 4]
     with pytest.raises(SystemExit, match="seed 3"):
-        main.main(["--cases", "5", "--seed", "4", *out])
-    monkeypatch.setattr(main, "read_commit", lambda: "b" * 40)
+        hidden_effects.main(["--cases", "5", "--seed", "4", *out])
+    monkeypatch.setattr(hidden_effects, "read_commit", lambda: "b" * 40)
     with pytest.raises(SystemExit, match="5 at aaaaaaaaa, 1 at bbbbbbbbb"):
-        main.main(["--cases", "6", "--seed", "3", *out])
-    main.main(["--cases", "6", "--seed", "3", "--mixed", *out])
+        hidden_effects.main(["--cases", "6", "--seed", "3", *out])
+    hidden_effects.main(["--cases", "6", "--seed", "3", "--mixed", *out])
     with pytest.raises(SystemExit, match="several versions"):
-        main.main(["--report", str(tmp_path / "out.json")])
-    main.main(["--report", str(tmp_path / "out.json"), "--mixed"])
-    assert main.choose_plans(main.parse(["--cases", "5", "--seed", "3", "--shard", "2/2"])) == [
+        hidden_effects.main(["--report", str(tmp_path / "out.json")])
+    hidden_effects.main(["--report", str(tmp_path / "out.json"), "--mixed"])
+    assert hidden_effects.choose_plans(hidden_effects.parse(["--cases", "5", "--seed", "3", "--shard", "2/2"])) == [
         draw.draw_plan(3, number) for number in (1, 3)
     ]
 
 
 def test_a_commit_says_whether_the_code_was_changed(tmp_path: Path) -> None:
     """The checkout's commit; marked where code differs from it, not where only results do; nothing outside git."""
-    commits, case = load("commits"), load("case")
     assert commits.read_commit(tmp_path) == ""
 
     def git(*words: str) -> None:
@@ -325,7 +306,7 @@ def test_a_commit_says_whether_the_code_was_changed(tmp_path: Path) -> None:
     assert len(clean) == 40
     (tmp_path / "benchmarks/run.py").write_text("2")
     assert commits.read_commit(tmp_path) == clean + "+changes"
-    plan = load("draw").Plan(0, "none")
+    plan = draw.Plan(0, "none")
     assert commits.find_mixture([case.Case(plan, None, commit=clean)] * 2) == ""
     assert "changes" in commits.find_mixture([case.Case(plan, None, commit=clean + "+changes")])
     assert "not recorded" in commits.find_mixture([case.Case(plan, None)])
@@ -333,7 +314,6 @@ def test_a_commit_says_whether_the_code_was_changed(tmp_path: Path) -> None:
 
 def test_confusion_counts_families() -> None:
     """A delay blamed for friction is one count at (horizontal rail, servo and timing)."""
-    pictures = load("pictures")
     cases = [
         session(0, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("command.delay"))),
         session(1, "alien", {"alien.crosswind": {"gain": 0.2}}, finding(left=True)),
@@ -344,21 +324,11 @@ def test_confusion_counts_families() -> None:
     assert counts[labels.index("unexplained"), labels.index("unexplained")] == 1
     assert counts[labels.index("nothing"), labels.index("nothing")] == 1
     assert counts.sum() == 3
-    assert {pictures.family(effect) for effect in load("draw").FLYING} == set(pictures.FAMILIES)
-
-
-def test_pictures_are_drawn(tmp_path: Path) -> None:
-    """Two files, not empty, the same for the same data."""
-    pictures = load("pictures")
-    cases = [session(0, "single", {"rail_x.coulomb": {"force": 0.3}}, finding(cause("rail_x.coulomb")))]
-    first = [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)]
-    assert [path.read_bytes() for path in pictures.draw_pictures(cases, tmp_path)] == first
-    assert all(b"<svg" in content for content in first)
+    assert {pictures.family(effect) for effect in draw.FLYING} == set(pictures.FAMILIES)
 
 
 def test_costs_go_to_whoever_called() -> None:
     """The 2 s of numpy count where it was called from: 1.5 s in the likelihood, 0.5 s in the reader of logs."""
-    costs = load("costs")
     algebra = (str(costs.PACKAGE / "diagnosis/search/likelihood.py"), 1, "whiten")
     reading = (str(costs.PACKAGE / "logs/read.py"), 1, "read")
     numpy = ("~", 0, "<built-in method numpy>")
@@ -372,7 +342,7 @@ def test_costs_go_to_whoever_called() -> None:
 
 def rate(name: str, hits: int, of: int) -> Any:  # noqa: ANN401
     """A made-up rate."""
-    return load("rates").Rate(name, hits, of)
+    return rates.Rate(name, hits, of)
 
 
 @pytest.mark.parametrize(
@@ -391,23 +361,22 @@ def rate(name: str, hits: int, of: int) -> Any:  # noqa: ANN401
 )
 def test_bounds_are_broken_beyond_chance(name: str, hits: int, of: int, broken: bool) -> None:
     """A rate that chance gives a diagnosis at the bound in less than 2.5 % of nights; nothing may fail at all."""
-    found = load("rates").find_broken([rate(name, hits, of), load("rates").Figure(name, "1 s")])
+    found = rates.find_broken([rate(name, hits, of), rates.Figure(name, "1 s")])
     assert bool(found) is broken
     assert all(name in line for line in found)
 
 
 def test_every_bound_is_of_a_measure_and_kept_on_record() -> None:
     """Bounds are names of measures, and the sessions of the seed that is published keep them all."""
-    rates = load("rates")
     record = json.loads((BENCHMARKS / "results/hidden_51959.json").read_text())
-    rows = rates.summarise([load("case").Case.from_dict(content) for content in record["cases"]])
+    rows = rates.summarise([case.Case.from_dict(content) for content in record["cases"]])
     assert set(rates.BOUNDS) <= {row.name for row in rows}
     assert rates.find_broken(rows) == []
 
 
 def test_the_night_tells_by_its_exit_status(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     """0 where bounds hold, 1 where not; sessions are not told one by one, the seed is its own, no oracle is asked."""
-    main, asked = importlib.import_module("hidden_effects"), []
+    asked = []
     for failed, status in ((False, 0), (True, 1)):
 
         def run(options: Any, plans: list, failed: bool = failed) -> list:  # noqa: ANN401
@@ -416,17 +385,16 @@ def test_the_night_tells_by_its_exit_status(monkeypatch: pytest.MonkeyPatch, cap
                 session(p.number, p.kind, p.hidden, None if failed else finding(*map(cause, p.known))) for p in plans
             ]
 
-        monkeypatch.setattr(main, "run", run)
-        assert main.main(["--nightly", "--cases", "3", "--seed", "1"]) == status
+        monkeypatch.setattr(hidden_effects, "run", run)
+        assert hidden_effects.main(["--nightly", "--cases", "3", "--seed", "1"]) == status
         told = capsys.readouterr().out
         assert "not named as hidden" not in told
         assert ("diagnosis failed: 100.0 % (3 of 3)" in told) is failed
-    assert asked == [(main.NIGHTLY, False, 3)] * 2
+    assert asked == [(hidden_effects.NIGHTLY, False, 3)] * 2
 
 
 def test_competition_figures() -> None:
     """Detection, false alarms, isolation and Brier score of six sessions, by hand."""
-    scores = load("scores")
     tilt = {"rail.tilt": {"angle": 0.03}}
     cases = [
         session(0, "single", tilt, finding(cause("rail.tilt", 0.9)), wind=Wind("steps")),
@@ -452,7 +420,6 @@ def test_competition_figures() -> None:
 
 def test_rates_are_broken_down_by_any_attribute() -> None:
     """By kind of gusts, and by what only some sessions have; an attribute that none has gives no table."""
-    scores = load("scores")
     tilt = {"rail.tilt": {"angle": 0.03}}
     cases = [
         session(0, "single", tilt, finding(cause("rail.tilt")), wind=Wind("steps", 2.0)),
@@ -472,5 +439,6 @@ def test_rates_are_broken_down_by_any_attribute() -> None:
 @pytest.mark.slow
 def test_a_small_night_breaks_nothing(tmp_path: Path) -> None:
     """Three of its sessions, flown and diagnosed."""
-    main = importlib.import_module("hidden_effects")
-    assert main.main(["--nightly", "--cases", "3", "--jobs", "1", "--json", str(tmp_path / "night.json")]) == 0
+    assert (
+        hidden_effects.main(["--nightly", "--cases", "3", "--jobs", "1", "--json", str(tmp_path / "night.json")]) == 0
+    )

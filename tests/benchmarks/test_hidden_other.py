@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import time
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from proving.mechanisms import draw_session
+from proving.runner import mechanisms, other, scores
+from proving.runner.case import Case, Finding, Named
 from vpptwin.logs.flight import Flight
 from vpptwin.twin import TwinSpec
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-@pytest.fixture(autouse=True)
-def hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The benchmark's modules can be imported."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-
-
-def load(name: str) -> ModuleType:
-    """A module of the benchmark."""
-    return importlib.import_module(f"proving.runner.{name}")
 
 
 def plan(number: int, kind: str, *effects: str, separable: bool = True, **more: Any) -> Any:  # noqa: ANN401
@@ -37,27 +24,23 @@ def plan(number: int, kind: str, *effects: str, separable: bool = True, **more: 
     values = {effect: {"size": 1.0} for effect in effects}
     true = {effect: {"size": 1.1} for effect in effects}
     seen = dict.fromkeys(effects, 16.0)
-    return load("mechanisms").MechanismPlan(
-        number, kind, "carriage", values, true=true, seen=seen, separable=separable, **more
-    )
+    return mechanisms.MechanismPlan(number, kind, "carriage", values, true=true, seen=seen, separable=separable, **more)
 
 
 def found(*causes: tuple, left: bool = False, gap: bool | None = None) -> Any:  # noqa: ANN401
     """A made-up verdict: causes as (effect, confidence, rivals)."""
-    case = load("case")
     size = {"size": {"value": 1.0, "std": 0.07, "nominal": 0.0}}
-    named = [case.Named(effect, confidence, 0.9, size, dict(rivals)) for effect, confidence, rivals in causes]
-    return case.Finding(named, left, "", (9.0, 1.0), [], "", 5.0, bool(causes) or left if gap is None else gap, 800.0)
+    named = [Named(effect, confidence, 0.9, size, dict(rivals)) for effect, confidence, rivals in causes]
+    return Finding(named, left, "", (9.0, 1.0), [], "", 5.0, bool(causes) or left if gap is None else gap, 800.0)
 
 
 def table(cases: list) -> dict[str, str]:
     """Measure → result."""
-    return {row.name: row.text for row in load("other").summarise(cases)}
+    return {row.name: row.text for row in other.summarise(cases)}
 
 
 def make_cases() -> list:
     """Ten sessions, one of each fate."""
-    Case = load("case").Case
     return [
         Case(plan(0, "single", "s.coulomb"), found(("s.coulomb", 0.99, {}))),
         Case(plan(1, "single", "s.coulomb"), found(("s.viscous", 0.95, {"s.coulomb": 2.0}))),
@@ -91,8 +74,7 @@ def test_rates_are_as_counted_by_hand() -> None:
 
 def test_a_session_that_cannot_be_recorded_is_no_diagnosis_that_failed() -> None:
     """It counts nowhere."""
-    Case = load("case").Case
-    lost = Case(load("mechanisms").MechanismPlan(10, "unrecorded"), None, error="not recorded")
+    lost = Case(mechanisms.MechanismPlan(10, "unrecorded"), None, error="not recorded")
     rows = table([*make_cases(), lost])
     assert rows["diagnosis failed"] == "10.0 % (1 of 10)"
     assert rows["confidently wrong"] == "11.1 % (1 of 9)"
@@ -100,7 +82,6 @@ def test_a_session_that_cannot_be_recorded_is_no_diagnosis_that_failed() -> None
 
 def test_the_competitions_figures_take_both_proving_grounds() -> None:
     """Scores and groups of the drone's sessions are those of these: detection of 5 of 8 with something hidden."""
-    scores = load("scores")
     rows = {row.name: row.text for row in scores.score(make_cases())}
     assert rows["detection rate: something hidden, something named or unexplained"] == "75.0 % (6 of 8)"
     assert "| carriage | 10 |" in scores.format_groups(make_cases(), "family", "rig")
@@ -110,12 +91,11 @@ def test_cases_survive_json() -> None:
     """A results file gives the same cases back, plans of other rigs among them."""
     cases = make_cases()
     written = json.loads(json.dumps([case.as_dict() for case in cases]))
-    assert [load("case").Case.from_dict(content) for content in written] == cases
+    assert [Case.from_dict(content) for content in written] == cases
 
 
 def test_a_crash_is_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A diagnosis that raises gives a case with what was hidden, the exception and where it came from."""
-    other = load("other")
 
     def fail(*_: object) -> None:
         raise ValueError("no such thing")
@@ -132,18 +112,17 @@ def test_a_crash_is_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_a_diagnosis_that_takes_too_much_is_stopped() -> None:
     """Time and memory without end become exceptions, and the next one starts afresh."""
-    limited = load("other").limited
-    with pytest.raises(TimeoutError, match="more than 1 s"), limited(seconds=1):
+    with pytest.raises(TimeoutError, match="more than 1 s"), other.limited(seconds=1):
         time.sleep(5.0)
-    with pytest.raises(MemoryError), limited():
+    with pytest.raises(MemoryError), other.limited():
         np.empty(2**34)
-    with limited():
+    with other.limited():
         assert len(np.ones(2**20)) == 2**20
 
 
 def test_sessions_are_chosen_by_kind_number_and_shard() -> None:
     """The same sessions whichever way they are asked for."""
-    choose = partial(load("other").choose_sessions, "other")
+    choose = partial(other.choose_sessions, "other")
     first = choose(5, 10, [], None, "1/1")
     assert [s.number for s in first] == list(range(10))
     assert choose(5, 10, [], "3,7", "1/1") == [first[3], first[7]]
@@ -158,7 +137,6 @@ def test_quadrotors_servos_and_legs_are_sessions_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rigs: str
 ) -> None:
     """Drawn from a seed, always the same, most of them with an effect that the twin can have; counted as any other."""
-    other = load("other")
     drawn = other.choose_sessions(rigs, 5, 60, [], None, "1/1")
     hidden = [effect for session in drawn for effect in session.hidden]
     assert 40 <= len(hidden) <= 58

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 
+import paper_table as table
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
+from training import campaign
 
 
 def test_a_campaign_goes_on_from_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the file has is not trained again, what it lacks is added after every run; other options are refused."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    campaign, table = importlib.import_module("training.campaign"), importlib.import_module("paper_table")
     trained = []
 
     def finish(run: object, tracks: int) -> dict:

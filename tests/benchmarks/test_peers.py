@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+import peers
 import pytest
+from same_rig.rig import draw_actions, write_rig
+from same_rig.torchrl_env import SerialRigs
+from same_rig.vpptwin_env import fly_twin
 
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
@@ -28,13 +30,6 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict:
     assert done.returncode == 0, done.stdout + done.stderr
     assert "| implementation |" in done.stdout
     return json.loads(out.read_text())
-
-
-@pytest.fixture
-def peers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark as a module."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    return importlib.import_module("peers")
 
 
 @pytest.mark.slow
@@ -76,45 +71,32 @@ def test_what_is_timed_flies_like_the_twin(result: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "agrees"),
-    [({}, True), ({"mass_factor": 1.1}, False), ({"friction": 0.27}, False), ({"friction": 0.0}, False)],
-    ids=["same", "heavier", "slippery", "frictionless"],
-)
+    ("change", "servo", "agrees"),
+    [({}, 1.0, True), ({"mass_factor": 1.1}, 1.0, False), ({"friction": 0.27}, 1.0, False),
+     ({"friction": 0.0}, 1.0, False), ({}, 1.1, False)],
+    ids=["same", "heavier", "slippery", "frictionless", "slow"],
+)  # fmt: skip
 def test_a_simulator_of_another_rig_is_refused(
-    peers: ModuleType, tmp_path: Path, change: dict[str, float], agrees: bool
+    tmp_path: Path, change: dict[str, float], servo: float, agrees: bool
 ) -> None:
-    """A craft 10 % heavier, or rails with 10 % less friction, fly differently by more than the tolerance."""
-    from same_rig.rig import draw_actions, write_rig
-    from same_rig.torchrl_env import SerialRigs
-    from same_rig.vpptwin_env import fly_twin
-
+    """A craft 10 % heavier, rails with 10 % less friction, a servo 10 % slower fly otherwise beyond the tolerance."""
     vehicle = load_vehicle()
+    slow = vehicle.servo.model_copy(update={"time_constant": servo * vehicle.servo.time_constant})
     flight = draw_actions(vehicle, 0, peers.CHECK_STEPS)
-    simulator = SerialRigs(write_rig(tmp_path / "rig.xml", **change), vehicle, 2, 0)
-    errors = peers.compare_flight(simulator, flight, fly_twin(flight))
+    rig = write_rig(tmp_path / "rig.xml", **change)
+    errors = peers.compare_flight(
+        SerialRigs(rig, vehicle.model_copy(update={"servo": slow}), 2, 0), flight, fly_twin(flight)
+    )
     assert peers.agrees(*errors) is agrees
 
 
-def test_a_simulator_with_another_servo_is_refused(peers: ModuleType, tmp_path: Path) -> None:
-    """A servo 10 % slower flies differently by more than the tolerance."""
-    from same_rig.rig import draw_actions, write_rig
-    from same_rig.torchrl_env import SerialRigs
-    from same_rig.vpptwin_env import fly_twin
-
-    vehicle = load_vehicle()
-    slow = vehicle.model_copy(update={"servo": vehicle.servo.model_copy(update={"time_constant": 0.022})})
-    flight = draw_actions(vehicle, 0, peers.CHECK_STEPS)
-    simulator = SerialRigs(write_rig(tmp_path / "rig.xml"), slow, 2, 0)
-    assert not peers.agrees(*peers.compare_flight(simulator, flight, fly_twin(flight)))
-
-
-def test_a_flight_that_is_not_a_number_is_refused(peers: ModuleType) -> None:
+def test_a_flight_that_is_not_a_number_is_refused() -> None:
     """Differences that are NaN are no agreement."""
     assert not peers.agrees(np.nan, 0.0)
     assert not peers.agrees(0.0, np.nan)
 
 
-def test_what_is_refused_gets_no_numbers(peers: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_refused_gets_no_numbers(capsys: pytest.CaptureFixture[str]) -> None:
     """With a tolerance that nothing meets the benchmark prints no speed but that of raw, and fails."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(peers, "POSITION_TOLERANCE", -1.0)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+import policy_in_reality
 import pytest
 
 from vpptwin.train.learn.checkpoint import make_policy, write_checkpoint
@@ -52,15 +52,9 @@ def test_results_are_shown_and_written(checkpoint: Path, tmp_path: Path) -> None
     ],
 )
 def test_bad_input_ends_in_a_line(
-    arguments: list[str],
-    found: str,
-    checkpoint: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], found: str, checkpoint: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No such policy, rotors that cannot carry the craft, nowhere to write."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    main = importlib.import_module("policy_in_reality").main
     given = arguments if arguments[0].endswith(".pt") else [str(checkpoint), *arguments]
-    assert main([*given, "--flights", "1"]) == 2
+    assert policy_in_reality.main([*given, "--flights", "1"]) == 2
     assert found in capsys.readouterr().err.splitlines()[-1]

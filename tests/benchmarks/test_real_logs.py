@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+import real_logs
 
 from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture
-def real_logs(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    return importlib.import_module("real_logs")
-
-
-def test_every_log_and_twin_is_there(real_logs: ModuleType, shared_data: Path) -> None:
+def test_every_log_and_twin_is_there(shared_data: Path) -> None:
     """And a right answer ends as an effect of that twin does, so that no slip of the pen makes all answers wrong."""
     logs = real_logs.list_logs()
     assert len({(log.rig, log.log, log.twin) for log in logs}) == len(logs) == 20
@@ -40,14 +32,12 @@ def test_every_log_and_twin_is_there(real_logs: ModuleType, shared_data: Path) -
         ([("a.coulomb", 0.999), ("a.mass", 0.95)], "wrong"),
     ],
 )  # fmt: skip
-def test_what_is_claimed_and_not_so_is_wrong(
-    real_logs: ModuleType, causes: list[tuple[str, float]], expected: str
-) -> None:
+def test_what_is_claimed_and_not_so_is_wrong(causes: list[tuple[str, float]], expected: str) -> None:
     """What is suggested may differ from a fit by hand, what is claimed may not."""
     assert real_logs.weigh(causes, ("coulomb",)) == expected
 
 
-def test_the_table_counts_its_marks(real_logs: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_counts_its_marks(capsys: pytest.CaptureFixture[str]) -> None:
     """A line a log, and a refusal stands in its."""
     log = {"rig": "cart", "log": "run.csv", "twin": "cart.yaml", "by_hand": "friction"}
     found = log | {"causes": [("a.coulomb", 0.5)], "chi2": [30.0, 1.2], "left": False, "marks": "right"}

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+import throughput_rigs as rigs
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 NAMES = (
@@ -27,13 +26,6 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict:
     assert done.returncode == 0, done.stdout + done.stderr
     assert "| environments | what |" in done.stdout
     return json.loads(out.read_text())
-
-
-@pytest.fixture
-def rigs(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """What is timed, as a module."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    return importlib.import_module("throughput_rigs")
 
 
 @pytest.mark.slow
@@ -58,7 +50,7 @@ def test_results_say_where_they_come_from(result: dict) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_contenders_hover(rigs: ModuleType, name: str) -> None:
+def test_contenders_hover(name: str) -> None:
     """What is timed is a flight: within 5 s every rig began anew once, at its own time, and hardly one failed."""
     flown = rigs.CONTENDERS[name][1](16, 1, 3)
     spent = flown.fly(500)
@@ -73,7 +65,7 @@ def test_contenders_hover(rigs: ModuleType, name: str) -> None:
     assert np.abs(velocity).max() < 8.0
 
 
-def test_pilot_by_hand(rigs: ModuleType) -> None:
+def test_pilot_by_hand() -> None:
     """At rest on the target it carries craft and slider; to the left of it, it turns to the right, clockwise."""
     vehicle, target = rigs.load_vehicle(), np.array([[0.0, 1.2, 0.0]])
     ((thrust, rate),) = rigs.steer(vehicle, target, np.zeros((1, 3)), target)
