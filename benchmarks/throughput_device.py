@@ -104,11 +104,13 @@ class DeviceEnvRigs(DeviceRigs):
         super().__init__(count, threads, seed, device)
         import torch
 
+        from vpptwin.train.env.base_env import EnvConfig
         from vpptwin.train.env.device_env import DeviceEnv
 
         spec, place = load_twin(), torch.device(device)
         every = [e.id for e in spec.catalogue]
-        self.env = DeviceEnv(Twin(spec, BANK, every, threads), TASK, count, place, seed, 1.0, every, desynchronize=True)
+        config = EnvConfig(TASK, seed, 1.0, every, desynchronize=True)
+        self.env = DeviceEnv(Twin(spec, BANK, every, threads), config, count, place)
         self.now = self.env.reset()
         spread, middle = torch.tensor([0.03, 0.05], device=place), torch.tensor([0.49, 0.0], device=place)
         self.actions = [middle + spread * torch.randn(count, 2, device=place) for _ in range(10)]

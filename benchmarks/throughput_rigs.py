@@ -179,13 +179,14 @@ class EnvRigs(Rigs):
         super().__init__(count, threads, seed)
         import torch
 
+        from vpptwin.train.env.base_env import EnvConfig
         from vpptwin.train.env.vpp_env import VppEnv
 
         torch.set_num_threads(1)
         spec = load_twin()
         every = [e.id for e in spec.catalogue]
         twin = Twin(spec, count, every, threads)
-        self.env = VppEnv(twin, TASK, seed, 1.0, every, desynchronize=True, estimator=estimator)
+        self.env = VppEnv(twin, EnvConfig(TASK, seed, 1.0, every, desynchronize=True, estimator=estimator))
         self.now, self.tensor = self.env.reset(), torch.tensor
         self.scale = np.array([self.vehicle.control.thrust_max, self.vehicle.control.rate_max])
 

@@ -19,9 +19,9 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(explain_missing(error, __name__) or error, name=error.name) from error
 
+from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.environments import make_task_env
 from vpptwin.train.env.tasks import TASKS
-from vpptwin.train.env.vpp_env import VppEnv
 
 Told = dict[str, Any]
 METADATA: Told = {"render_modes": ["rgb_array"], "render_fps": 100}
@@ -120,13 +120,13 @@ class TwinVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return None if self.render_mode is None else (self._env.render(),)
 
 
-def make_spaces(env: VppEnv) -> tuple[Box, Box]:
+def make_spaces(env: BaseEnv) -> tuple[Box, Box]:
     """What one drone shows and takes."""
     inputs = env.observation_spec["observation"].shape[-1]
     return Box(-np.inf, np.inf, (inputs,), np.float32), Box(-1.0, 1.0, (2,), np.float32)
 
 
-def advance(env: VppEnv, actions: np.ndarray) -> TensorDictBase:
+def advance(env: BaseEnv, actions: np.ndarray) -> TensorDictBase:
     """What follows on actions (N, 2)."""
     given = torch.from_numpy(np.asarray(actions, np.float32))
     after: TensorDictBase = env.step(TensorDict({"action": given}, env.batch_size))["next"]

@@ -10,6 +10,7 @@ import torch
 
 from same_rig.rig import FRICTION, START_POSE, START_VELOCITY
 from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.train.env.base_env import EnvConfig
 from vpptwin.train.env.tasks import HOVER
 from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.twin import Twin, load_twin
@@ -51,7 +52,7 @@ class TwinRigs:
 
     def __init__(self, rig: Path, vehicle: Vehicle, envs: int, seed: int) -> None:
         self.envs, self._twin = envs, make_twin(envs)
-        self._env = VppEnv(self._twin, HOVER, seed, desynchronize=True)
+        self._env = VppEnv(self._twin, EnvConfig(HOVER, seed, desynchronize=True))
         self._step = self._env.reset()
 
     def start(self) -> None:

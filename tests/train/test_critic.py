@@ -8,8 +8,7 @@ import torch
 
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
 from vpptwin.train.config import MEMORY
-from vpptwin.train.env.observe import OBSERVATION
-from vpptwin.train.env.privileged import FORESIGHT, STATE
+from vpptwin.train.env.observe import FORESIGHT, OBSERVATION, PRIVILEGED
 from vpptwin.train.env.randomize import Priors
 from vpptwin.train.env.reward import ANGLE, POSITION
 from vpptwin.train.env.vpp_env import VppEnv
@@ -21,7 +20,7 @@ WORLD = "randomize=[airframe.mass,rail_x.coulomb,mocap.delay,gyro.bias]"
 
 def shown(env: VppEnv) -> dict[str, np.ndarray]:
     """What a critic is shown of the last step, by name, each (N,)."""
-    return dict(zip(STATE, env.episodes.seen[:, -1].T.astype(float)))
+    return dict(zip(PRIVILEGED, env.episodes.seen[:, -1].T.astype(float)))
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +67,7 @@ def test_a_critic_sees_actuators_criterion_and_triggers(flown: VppEnv) -> None:
         "turn": episodes.turn / (2.0 * np.pi),
         "trigger_soon": np.exp(-(episodes.switch - episodes.elapsed) / FORESIGHT),
     }  # fmt: skip
-    assert {*OBSERVATION, *expected} == set(STATE)
+    assert {*OBSERVATION, *expected} == set(PRIVILEGED)
     for name, value in expected.items():
         np.testing.assert_allclose(seen[name], value, rtol=1e-6, atol=1e-6, err_msg=name)
         assert np.ptp(seen[name]) > 0.0, name
@@ -78,7 +77,7 @@ def test_a_critic_sees_actuators_criterion_and_triggers(flown: VppEnv) -> None:
 def test_a_critic_sees_what_was_drawn(flown: VppEnv) -> None:
     """Behind the state come the parameters of the row, each from its mean in standard deviations of its prior."""
     keys = [(effect, p) for effect in flown.randomized for p in flown.twin.effects[effect].parameters]
-    assert flown.episodes.seen.shape[2] == len(STATE) + len(keys)
+    assert flown.episodes.seen.shape[2] == len(PRIVILEGED) + len(keys)
     kinds = set()
     for k, (effect, parameter) in enumerate(keys):
         prior, value = parameter.prior, flown.twin.parameter(effect, parameter.name)
@@ -89,7 +88,7 @@ def test_a_critic_sees_what_was_drawn(flown: VppEnv) -> None:
             "uniform": (0.5 * (prior.a + prior.b), (prior.b - prior.a) / 12.0**0.5),
         }[prior.kind]
         expected = np.clip((value - mean) / spread, -5.0, 5.0)
-        np.testing.assert_allclose(flown.episodes.seen[:, -1, len(STATE) + k], expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(flown.episodes.seen[:, -1, len(PRIVILEGED) + k], expected, rtol=1e-5, atol=1e-6)
         assert np.ptp(value) > 0.0
         kinds.add(prior.kind)
     assert len(kinds) >= 2

@@ -10,9 +10,10 @@ import pytest
 
 from tests.train.conftest import EXAMINED, plain_lesson, read_log, see, step, tiny_env, truth
 from vpptwin.train.config import Curriculum
+from vpptwin.train.env.base_env import NEAR
 from vpptwin.train.env.observe import wrap_angle
 from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, compute_reward
-from vpptwin.train.env.vpp_env import NEAR, VppEnv
+from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.train.main import run_train
 from vpptwin.twin.sensors import sensor_noise
 

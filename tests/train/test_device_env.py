@@ -17,7 +17,6 @@ from torchrl.envs.utils import check_env_specs
 from tests.train.conftest import plain_lesson, reset_rows, tiny_config
 from vpptwin import make_env as make_task_env
 from vpptwin.system.errors import InputError
-from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
 from vpptwin.train.env.vpp_env import VppEnv, make_env
 from vpptwin.train.evaluate.evaluate import Conditions, evaluate
 from vpptwin.train.learn.checkpoint import SaveCheckpoint, build_policy, read_checkpoint
@@ -169,14 +168,14 @@ def test_snapshot_goes_on_bit_equal(task: str) -> None:
     """What evolves is saved and put back whole; one of numba's is refused."""
     env, other = device_env(f"task={task}", "noise=1"), device_env(f"task={task}", "noise=1", "seed=7")
     fly(env)
-    restore_snapshot(other, take_snapshot(env))
+    other.restore_snapshot(env.take_snapshot())
     env.restored = True  # its next full reset too hands out the present
     assert torch.equal(fly(env), fly(other))
     plain = make_env(tiny_config(*FLOWN))
     with pytest.raises(InputError, match="engine=numba"):
-        restore_snapshot(env, take_snapshot(plain))
+        env.restore_snapshot(plain.take_snapshot())
     with pytest.raises(InputError, match="init_from"):
-        restore_snapshot(plain, take_snapshot(env))
+        plain.restore_snapshot(env.take_snapshot())
 
 
 def test_training_on_warp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ from torchrl.envs.utils import check_env_specs
 
 from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
 from vpptwin.system.errors import InputError
-from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
 from vpptwin.train.env.tasks import Limits
 
 
@@ -177,10 +176,10 @@ def test_clocks_are_desynchronized() -> None:
 def test_a_snapshot_of_a_version_that_kept_less_is_refused() -> None:
     """What the effects of a simulation had come to can't be made up."""
     env = tiny_env()
-    snapshot = take_snapshot(env)
+    snapshot = env.take_snapshot()
     del snapshot["state"]["effects"]
     with pytest.raises(InputError, match="simulations lack effects; expected one of this version"):
-        restore_snapshot(env, snapshot)
+        env.restore_snapshot(snapshot)
 
 
 def test_snapshot_continues_bit_equal() -> None:
@@ -195,7 +194,7 @@ def test_snapshot_continues_bit_equal() -> None:
     for _ in range(8):
         step(original, HOVER)
     assert original.episodes.turn.any()
-    restore_snapshot(copy, take_snapshot(original))
+    copy.restore_snapshot(original.take_snapshot())
     assert torch.equal(copy.reset()["observation"], torch.from_numpy(original.episodes.observation))
     for _ in range(5):
         here, there = step(copy, HOVER), step(original, HOVER)

@@ -83,9 +83,9 @@ def test_the_environment_shows_the_setup(setup: str, paper_inputs: bool) -> None
     assert first.shape == (4, len(SHOWN[setup]) if not paper_inputs else PAPERS[setup])
     assert env.observation_spec["observation"].shape == first.shape
     seen = step(env)["observation"]
-    expected = observe(env.state.qpos, env.state.qvel, env.episodes.target, env.episodes.integral, env.sight)
+    expected = observe(env.state.qpos, env.state.qvel, env.episodes.target, env.episodes.integral, env.config.sight)
     assert torch.equal(seen, torch.from_numpy(expected))
-    assert env.sight == Sight(setup, not paper_inputs)
+    assert env.config.sight == Sight(setup, not paper_inputs)
 
 
 def test_integral_recursion() -> None:

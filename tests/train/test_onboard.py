@@ -10,7 +10,6 @@ from tensordict import TensorDict
 from tests.train.conftest import tiny_config
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.observe import OBSERVATION
-from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
 from vpptwin.train.env.vpp_env import VppEnv, make_env
 
 SPEED = [OBSERVATION.index(name) for name in ("velocity_x", "velocity_z")]
@@ -62,7 +61,7 @@ def test_a_snapshot_holds_the_filter() -> None:
     config = tiny_config("estimator=kalman", "noise=1", "num_envs=8", "randomize=[gyro.bias]")
     env, other = make_env(config), make_env(config)
     fly(env, 10)
-    restore_snapshot(other, take_snapshot(env))
+    other.restore_snapshot(env.take_snapshot())
     action = TensorDict({"action": torch.full((8, 2), 0.3)}, [8])
     here, there = (e.step(action.clone())["next", "observation"] for e in (env, other))
     assert torch.equal(here, there)

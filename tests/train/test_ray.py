@@ -153,7 +153,7 @@ def test_workers_share_the_simulations_and_the_curriculum(tmp_path: Path) -> Non
         env = makers[3]()
     assert env.batch_size == torch.Size([8])
     assert env.difficulty == pytest.approx(config.lesson().difficulty_at(128))
-    assert env.fault_folder == tmp_path / "worker-1"
+    assert env.config.fault_folder == tmp_path / "worker-1"
 
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.train.conftest import HOVER, reset_rows, see, step, tiny_env, truth
+from vpptwin.train.env.base_env import EnvConfig
 from vpptwin.train.env.observe import observe
 from vpptwin.train.env.reward import compute_reward
 from vpptwin.train.env.tasks import HOVER as HOVERING
@@ -17,7 +18,8 @@ from vpptwin.twin.sensors import sensor_noise
 
 def test_perfect_sensors_show_the_truth() -> None:
     """Without noise and effects, or with every effect at its off value, what is observed is the state to the bit."""
-    for env in (tiny_env(), VppEnv(Twin(load_twin(), 4, active=[e.id for e in load_twin().catalogue]), HOVERING)):
+    twin = Twin(load_twin(), 4, active=[e.id for e in load_twin().catalogue])
+    for env in (tiny_env(), VppEnv(twin, EnvConfig(HOVERING))):
         env.reset()
         for _ in range(7):
             step(env, torch.tensor([0.6, 0.3]))

@@ -7,24 +7,24 @@ import torch
 
 from tests.train.conftest import plain_lesson, reset_rows, step, tiny_env
 from vpptwin.train.config import Curriculum, Lesson
-from vpptwin.train.env.snapshot import restore_snapshot, take_snapshot
-from vpptwin.train.env.starts import KEPT, SOON, FailedStarts
+from vpptwin.train.env.base_env import SOON
+from vpptwin.train.env.episodes import KEPT, FailedStarts
 
 FALL = torch.tensor([-1.0, 0.0])
 """Full thrust downwards: on the floor within half a second."""
 
 
-def some_starts(first: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Targets, poses and velocities that tell which start they belong to."""
+def fail(starts: FailedStarts, first: int, count: int) -> None:
+    """Keep starts whose targets, poses and velocities tell which they belong to."""
     number = np.arange(first, first + count, dtype=float)[:, None]
-    return number + np.zeros(3), 1000.0 + number + np.zeros(3), 2000.0 + number + np.zeros(3)
+    starts.add(np.ones(count, bool), number + np.repeat([0.0, 1000.0, 2000.0], 3))
 
 
 def test_the_latest_are_kept() -> None:
     """A full ring forgets its oldest; target, pose and velocity stay together."""
     starts = FailedStarts.empty()
-    starts.add(*some_starts(0, 10))
-    starts.add(*some_starts(10, KEPT))
+    fail(starts, 0, 10)
+    fail(starts, 10, KEPT)
     kept = np.sort(starts.target[:, 0])
     np.testing.assert_array_equal(kept, np.arange(10, KEPT + 10))
     np.testing.assert_array_equal(starts.pose, starts.target + 1000.0)
@@ -37,7 +37,7 @@ def test_a_share_of_new_starts_is_replaced() -> None:
     new = tuple(np.full((4000, 3), -1.0) for _ in range(3))
     starts.replace(1.0, rng, *new)
     assert all((part == -1.0).all() for part in new)
-    starts.add(*some_starts(0, 5))
+    fail(starts, 0, 5)
     starts.replace(0.0, rng, *new)
     assert all((part == -1.0).all() for part in new)
     starts.replace(0.25, rng, *new)
@@ -79,13 +79,13 @@ def test_episodes_begin_where_others_failed() -> None:
         env = tiny_env("task=flip", lesson=lesson)
         env.flown = flown
         failed = np.array([[0.3, 1.2, 0.0]]), np.array([[-0.2, 1.0, 2.0]]), np.array([[0.5, -0.5, 3.0]])
-        env.failed_starts.add(*failed)
+        env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
         env.reset()
         same = np.allclose(env.state.qpos, failed[1]) and np.allclose(env.state.qvel, failed[2])
         assert same == again
         assert np.allclose(env.episodes.target, failed[0]) == again
     env = tiny_env("task=flip")
-    env.failed_starts.add(*failed)
+    env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
     env.reset()
     assert not np.allclose(env.state.qpos[:, 2], 2.0)
 
@@ -95,7 +95,7 @@ def test_a_snapshot_holds_them() -> None:
     lesson = Lesson(Curriculum(again=0.5), 1000, repeats=0.1)
     env, other = tiny_env(lesson=lesson), tiny_env(lesson=lesson)
     env.reset()
-    env.failed_starts.add(*some_starts(0, 3))
-    restore_snapshot(other, take_snapshot(env))
+    fail(env.failed_starts, 0, 3)
+    other.restore_snapshot(env.take_snapshot())
     for name, value in vars(env.failed_starts).items():
         np.testing.assert_array_equal(getattr(other.failed_starts, name), value)

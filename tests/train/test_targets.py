@@ -10,8 +10,7 @@ import pytest
 
 from tests.train.conftest import step, tiny_env
 from vpptwin.train.config import Curriculum, Lesson
-from vpptwin.train.env.observe import wrap_angle
-from vpptwin.train.env.privileged import FORESIGHT, STATE
+from vpptwin.train.env.observe import FORESIGHT, PRIVILEGED, wrap_angle
 from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK, Target
 from vpptwin.train.env.vpp_env import VppEnv
 
@@ -239,7 +238,7 @@ def test_training_ends_where_an_angle_is_late() -> None:
             assert not terminated[0]
             ended += [k] * terminated[1]
             if k == 15:
-                soon = env.episodes.seen[:2, -1, STATE.index("trigger_soon")]
+                soon = env.episodes.seen[:2, -1, PRIVILEGED.index("trigger_soon")]
                 left = [0.3, env.episodes.due[1]] - env.episodes.elapsed[:2]
                 assert 0.04 < left[1] < 0.07
                 assert soon == pytest.approx(np.exp(-left / FORESIGHT), abs=1e-6)

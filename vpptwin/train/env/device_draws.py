@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from vpptwin.engine.arrays import beside
+from vpptwin.train.env.episodes import KEPT
 from vpptwin.train.env.randomize import Priors, randomize
-from vpptwin.train.env.starts import KEPT
 from vpptwin.twin.warp.step import WarpStep
 
 BANK = 1024
@@ -110,7 +110,7 @@ class ParameterBank:
 
 
 class StartRing:
-    """The latest starts that led to a failure, on a device, as `vpptwin.train.env.starts.FailedStarts` keeps them.
+    """The latest starts that led to a failure, on a device, as `vpptwin.train.env.episodes.FailedStarts` keeps them.
 
     Attributes:
         starts: target, pose and velocity, (KEPT + 1, 9); the last row takes what is not to be kept.

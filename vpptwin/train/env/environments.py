@@ -9,15 +9,16 @@ from pathlib import Path
 import torch
 
 from vpptwin.train.config import Lesson, TrainConfig, check_values
+from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.device_env import make_device_env
 from vpptwin.train.env.tasks import TASKS, check_task_name
-from vpptwin.train.env.vpp_env import VppEnv, make_env
+from vpptwin.train.env.vpp_env import make_env
 from vpptwin.train.learn.devices import find_device
 
 
 def open_env(
     config: TrainConfig, device: torch.device, fault_folder: Path | None = None, lesson: Lesson | None = None
-) -> VppEnv:
+) -> BaseEnv:
     """The environment of a run: on the device, by Warp, or on the processor's cores, by numba.
 
     Args:
@@ -37,7 +38,7 @@ def open_env(
 def make_task_env(
     task: str = "flip", twin: str = "nominal", num_envs: int = 1, seed: int = 0, noise: float = 1.0,
     randomize: Sequence[str] = (), device: str = "cpu", engine: str | None = None,
-) -> VppEnv:  # fmt: skip
+) -> BaseEnv:  # fmt: skip
     """The TorchRL environment of a task, at full difficulty; `make_env` takes all that a run can be told.
 
     Args:

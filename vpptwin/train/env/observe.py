@@ -1,13 +1,21 @@
-"""The observation of SPEC 6, as pure functions of pose, velocity, target and integral. World frame, SI, unscaled."""
+"""What a policy is shown, and what its critic, as pure functions. World frame, SI, unscaled."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vpptwin.engine.arrays import Array, library
+from vpptwin.train.env.reward import ANGLE, POSITION
+
+if TYPE_CHECKING:
+    from vpptwin.robots.planar_drone.vehicle import Vehicle
+    from vpptwin.train.env.episodes import Episodes
+    from vpptwin.twin import TwinState
 
 OBSERVATION = (
     "delta_x", "delta_z", "velocity_x", "velocity_z", "sin_delta_theta", "cos_delta_theta", "rate",
@@ -60,6 +68,24 @@ def wrap_angle(angle: Array) -> Array:
     return wrapped
 
 
+TERMS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
+    "delta_x": lambda delta, velocity, target, integral: delta[:, 0],
+    "delta_z": lambda delta, velocity, target, integral: delta[:, 1],
+    "velocity_x": lambda delta, velocity, target, integral: velocity[:, 0],
+    "velocity_z": lambda delta, velocity, target, integral: velocity[:, 1],
+    "sin_delta_theta": lambda delta, velocity, target, integral: library(delta).sin(delta[:, 2]),
+    "cos_delta_theta": lambda delta, velocity, target, integral: library(delta).cos(delta[:, 2]),
+    "delta_theta": lambda delta, velocity, target, integral: wrap_angle(delta[:, 2]),
+    "rate": lambda delta, velocity, target, integral: velocity[:, 2],
+    "integral_x": lambda delta, velocity, target, integral: integral[:, 0],
+    "integral_z": lambda delta, velocity, target, integral: integral[:, 1],
+    "sin_target_theta": lambda delta, velocity, target, integral: library(target).sin(target[:, 2]),
+    "cos_target_theta": lambda delta, velocity, target, integral: library(target).cos(target[:, 2]),
+    "target_theta": lambda delta, velocity, target, integral: wrap_angle(target[:, 2]),
+}
+"""Every observation term by name: of Δ = target - pose, velocity and target, (N, 3) each, and Γ, (N, 2)."""
+
+
 def observe(pose: Array, velocity: Array, target: Array, integral: Array, sight: Sight | None = None) -> Array:
     """What the policy sees, in the order of `sight.names`.
 
@@ -73,18 +99,49 @@ def observe(pose: Array, velocity: Array, target: Array, integral: Array, sight:
     Returns:
         (N, len(sight.names)) float32; of tensors, their own type.
     """
-    xp = library(pose)
-    delta = target - pose
-    angle, target_angle = delta[:, 2], target[:, 2]
-    ways = {
-        "delta_x": lambda: delta[:, 0], "delta_z": lambda: delta[:, 1],
-        "velocity_x": lambda: velocity[:, 0], "velocity_z": lambda: velocity[:, 1],
-        "sin_delta_theta": lambda: xp.sin(angle), "cos_delta_theta": lambda: xp.cos(angle),
-        "delta_theta": lambda: wrap_angle(angle), "rate": lambda: velocity[:, 2],
-        "integral_x": lambda: integral[:, 0], "integral_z": lambda: integral[:, 1],
-        "sin_target_theta": lambda: xp.sin(target_angle), "cos_target_theta": lambda: xp.cos(target_angle),
-        "target_theta": lambda: wrap_angle(target_angle),
-    }  # fmt: skip
+    xp, delta = library(pose), target - pose
     names = OBSERVATION if sight is None else sight.names
-    seen: Array = xp.stack([ways[name]() for name in names], -1)
+    seen: Array = xp.stack([TERMS[name](delta, velocity, target, integral) for name in names], -1)
     return seen.astype(np.float32) if xp is np else seen
+
+
+PRIVILEGED = (
+    *OBSERVATION, "action_thrust", "action_rate", "blade_pitch_1", "blade_pitch_2", "rotor_speed_1", "rotor_speed_2",
+    "position_only", "angle_only", "turn", "trigger_soon",
+)  # fmt: skip
+"""What an asymmetric critic may see and a policy may not: the true observation, in SI units, actuators and schedule, of
+order 1; after them come the randomized parameters."""
+SPEED_SPAN = 50.0
+"""Typical deviation of the rotor speed from nominal, rad/s."""
+FORESIGHT = 0.5
+"""How far ahead a trigger is shown, as exp(-time / FORESIGHT), s: a value that did not know would jump at every one.
+
+Where an angle is still to be met, that is when it has to be: a value that did not know drowned what a tilt is worth in
+the noise of when the flight ends, and a policy never tilted at all."""
+
+
+def privileged_size(parameters: int) -> int:
+    """Length of what is shown of one step when so many parameters are randomized."""
+    return len(PRIVILEGED) + parameters
+
+
+def observe_critic(
+    state: TwinState, episodes: Episodes, vehicle: Vehicle, rows: np.ndarray | slice, unmet: np.ndarray
+) -> np.ndarray:
+    """The privileged state of the simulations `rows` (n), as `PRIVILEGED`, then the parameters, (n, width).
+
+    `unmet`, (N,) bool, says whose angle is still to be met.
+    """
+    xp = library(unmet)
+    criterion, soon = episodes.criterion[rows], xp.where(unmet, episodes.due, episodes.switch)[rows]
+    return xp.column_stack([
+        observe(state.qpos[rows], state.qvel[rows], episodes.target[rows], episodes.integral[rows]),
+        episodes.action[rows],
+        state.blade_pitch[rows] / vehicle.rotor.pitch_max,
+        (state.rotor_speed[rows] - vehicle.rotor.speed) / SPEED_SPAN,
+        criterion == POSITION,
+        criterion == ANGLE,
+        episodes.turn[rows] / (2.0 * np.pi),
+        xp.exp((episodes.elapsed[rows] - soon) / FORESIGHT),
+        episodes.drawn[rows],
+    ])  # fmt: skip

@@ -1,8 +1,13 @@
-"""The paper's reward (Eq. reward_design), as a pure function."""
+"""The paper's reward (Eq. reward_design), a table of terms: each is one function, and weighted by the task.
+
+R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i, and w_n r_n, which is ours.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +16,7 @@ from vpptwin.engine.arrays import Array, library
 
 @dataclass
 class RewardWeights:
-    """Weights of the terms; the first five default to those of the paper's flip.
+    """Weights of the terms in `TERMS`, by their names; the first five default to those of the paper's flip.
 
     Attributes:
         position: w_p.
@@ -34,23 +39,81 @@ class RewardWeights:
     @property
     def best(self) -> float:
         """Reward of a step at rest on the target, the most there is."""
-        return self.position + self.orientation + self.velocity + self.rate + self.integral + self.near
+        return sum(weight for name, weight in vars(self).items() if name in TERMS)
 
 
 BOTH, POSITION, ANGLE = 0, 1, 2
 """What an episode is judged by: everything, its position only, or its angle only."""
 
 
-def compute_reward(
-    weights: RewardWeights, delta: Array, velocity: Array, integral: Array,
-    criterion: Array | None = None,
-) -> Array:  # fmt: skip
-    """R = w_p r_p + r_p (w_o r_o + w_v r_v + w_ω r_ω) + w_i r_i + w_n r_n, r_n = r_o / (1 + d² / width²).
+@dataclass
+class Motion:
+    """What terms are made of."""
 
-    The last term is ours. As the paper writes them, r_v and r_ω carry a factor r_p of their own besides the one in R.
-    An episode judged by its position lacks the term of w_o and the r_o in r_n, one judged by its angle gets
-    w_o r_o + w_ω / (1 + ω²); both are scaled to the same best value (our reading of the paper's "only one reward
-    criterion per episode").
+    distance2: Array  # d² = Δx² + Δz², (N,) m²
+    velocity: Array  # v_x, v_z, ω, (N, 3) m/s, m/s, rad/s
+    integral: Array  # Γ, (N, 2) m
+    r_p: Any  # 1 / (1 + 10 d²), (N,); 1 in an episode judged by its angle
+    r_o: Any  # (1 + cos Δθ) / 2, (N,); 1 in an episode judged by its position
+
+
+def position(motion: Motion, weights: RewardWeights) -> Array:
+    """w_p r_p."""
+    return weights.position * motion.r_p
+
+
+def integral(motion: Motion, weights: RewardWeights) -> Array:
+    """w_i r_i, r_i = 1 / (1 + |Γ|²)."""
+    return weights.integral * (1.0 / (1.0 + motion.integral[:, 0] ** 2 + motion.integral[:, 1] ** 2))
+
+
+def velocity(motion: Motion, weights: RewardWeights) -> Array:
+    """w_v r_v, r_v = r_p / (1 + v²): as printed, it carries a factor r_p of its own besides the one in R."""
+    return weights.velocity * (motion.r_p / (1.0 + motion.velocity[:, 0] ** 2 + motion.velocity[:, 1] ** 2))
+
+
+def rate(motion: Motion, weights: RewardWeights) -> Array:
+    """w_ω r_ω, r_ω = r_p / (1 + ω²), likewise."""
+    return weights.rate * (motion.r_p * (1.0 / (1.0 + motion.velocity[:, 2] ** 2)))
+
+
+def orientation(motion: Motion, weights: RewardWeights) -> Array:
+    """w_o r_p, times r_o."""
+    return motion.r_p * weights.orientation
+
+
+def near(motion: Motion, weights: RewardWeights) -> Array:
+    """w_n / (1 + d² / width²), times r_o: r_p hardly tells 2 cm from none."""
+    return weights.near / (1.0 + motion.distance2 / weights.width**2)
+
+
+@dataclass(frozen=True)
+class Term:
+    """One summand of the reward."""
+
+    compute: Callable[[Motion, RewardWeights], Array]
+    factor: str = ""  # what it is multiplied by besides: `r_p`, `r_o` or nothing
+    judged: tuple[int, ...] = (BOTH, POSITION, ANGLE)  # in episodes judged by which it counts
+
+
+TERMS = {
+    "position": Term(position, judged=(BOTH, POSITION)),
+    "integral": Term(integral, judged=(BOTH, POSITION)),
+    "velocity": Term(velocity, "r_p", (BOTH, POSITION)),
+    "rate": Term(rate, "r_p"),
+    "orientation": Term(orientation, "r_o", (BOTH, ANGLE)),
+    "near": Term(near, "r_o", (BOTH, POSITION)),
+}
+"""Every term by the name of its weight."""
+
+
+def compute_reward(
+    weights: RewardWeights, delta: Array, velocity: Array, integral: Array, criterion: Array | None = None
+) -> Array:
+    """R = Σ terms + r_p Σ terms with that factor + r_o Σ terms with that one, of `TERMS`.
+
+    An episode judged by its position gets the terms of that with r_o = 1, one judged by its angle those of that with
+    r_p = 1; both are scaled to the same best value: so we read the paper's "only one reward criterion per episode".
 
     Args:
         weights: of the task.
@@ -64,18 +127,28 @@ def compute_reward(
     """
     xp = library(delta)
     distance2 = delta[:, 0] ** 2 + delta[:, 1] ** 2
-    r_p = 1.0 / (1.0 + 10.0 * distance2)
-    r_o = 0.5 * (1.0 + xp.cos(delta[:, 2]))
-    calm = 1.0 / (1.0 + velocity[:, 2] ** 2)
-    r_v = r_p / (1.0 + velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
-    r_w = r_p * calm
-    r_i = 1.0 / (1.0 + integral[:, 0] ** 2 + integral[:, 1] ** 2)
-    place = weights.position * r_p + weights.integral * r_i + r_p * (weights.velocity * r_v + weights.rate * r_w)
-    near = weights.near / (1.0 + distance2 / weights.width**2)
-    reward: Array = place + (r_p * weights.orientation + near) * r_o
+    motion = Motion(
+        distance2, velocity, integral, r_p=1.0 / (1.0 + 10.0 * distance2), r_o=0.5 * (1.0 + xp.cos(delta[:, 2]))
+    )
+    reward = add_terms(motion, weights, BOTH)
     if criterion is not None and (xp is not np or criterion.any()):  # a card is not asked
-        best, angle = weights.best, weights.orientation * r_o + weights.rate * calm
-        place_best, angle_best = best - weights.orientation, weights.orientation + weights.rate
-        reward = xp.where(criterion == POSITION, (place + near) * (best / max(place_best, 1e-9)), reward)
-        reward = xp.where(criterion == ANGLE, angle * (best / max(angle_best, 1e-9)), reward)
+        worth = {name: getattr(weights, name) for name in TERMS}
+        for judged, judged_motion, best in (
+            (POSITION, replace(motion, r_o=1.0),
+             weights.best - sum(worth[name] for name, term in TERMS.items() if POSITION not in term.judged)),
+            (ANGLE, replace(motion, r_p=1.0),
+             sum(worth[name] for name, term in TERMS.items() if ANGLE in term.judged)),
+        ):  # fmt: skip
+            scaled = add_terms(judged_motion, weights, judged) * (weights.best / max(best, 1e-9))
+            reward = xp.where(criterion == judged, scaled, reward)
     return reward
+
+
+def add_terms(motion: Motion, weights: RewardWeights, judged: int) -> Array:
+    """The terms of episodes judged so, those without a factor first, then those times r_p, then those times r_o."""
+    sums: dict[str, Any] = {}
+    for term in TERMS.values():
+        if judged in term.judged:
+            value = term.compute(motion, weights)
+            sums[term.factor] = sums[term.factor] + value if term.factor in sums else value
+    return sums.get("", 0.0) + motion.r_p * sums.get("r_p", 0.0) + sums.get("r_o", 0.0) * motion.r_o

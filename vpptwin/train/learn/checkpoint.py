@@ -11,8 +11,7 @@ import torch
 
 from vpptwin.system.files import write_whole
 from vpptwin.train.config import TrainConfig, to_plain
-from vpptwin.train.env.snapshot import take_snapshot
-from vpptwin.train.env.vpp_env import VppEnv
+from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.learn.actor import build_actor
 from vpptwin.train.learn.hook import Hook
 from vpptwin.train.learn.networks import Policy
@@ -67,7 +66,7 @@ class SaveCheckpoint(Hook):
 
     place, name = "post_steps_log", "save_checkpoint"  # the last of them that is registered
 
-    def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: VppEnv | None) -> None:
+    def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: BaseEnv | None) -> None:
         self.path, self.config, self.policy, self.env = path, config, policy, env
         self.saved = 0
 
@@ -77,7 +76,7 @@ class SaveCheckpoint(Hook):
         if steps - self.saved < self.config.checkpoint_every and steps < self.trainer.total_frames:
             return
         self.saved = steps
-        env = None if self.env is None else take_snapshot(self.env)
+        env = None if self.env is None else self.env.take_snapshot()
         training = {"trainer": self.trainer.state_dict(), "env": env, "torch_random": torch.get_rng_state()}
         write_checkpoint(self.path, self.config, self.policy, steps, training)
 

@@ -11,9 +11,9 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import BaseCollector, Collector
 
 from vpptwin.train.config import TrainConfig
+from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.environments import open_env
-from vpptwin.train.env.snapshot import restore_snapshot
-from vpptwin.train.env.vpp_env import VppEnv, make_env
+from vpptwin.train.env.vpp_env import make_env
 from vpptwin.train.learn.progress import Simulations
 from vpptwin.train.learn.workers import OPTIONS, start_workers
 
@@ -24,10 +24,10 @@ class Collection:
 
     collector: BaseCollector  # gives batches (num_envs, rollout)
     simulations: Simulations  # what the hooks report of them
-    env: VppEnv | None  # the environment, if its simulations are in this process, where a checkpoint can take them in
+    env: BaseEnv | None  # the environment, if its simulations are in this process, where a checkpoint can take them in
 
 
-def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> VppEnv:
+def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | None, device: torch.device) -> BaseEnv:
     """The environment of this process: all simulations, as they were saved, or a single one to look at with Ray.
 
     Args:
@@ -46,12 +46,12 @@ def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | N
     env = open_env(config, device, fault_folder, config.lesson())
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
-        restore_snapshot(env, saved["training"]["env"])
+        env.restore_snapshot(saved["training"]["env"])
     return env
 
 
 def make_collector(
-    config: TrainConfig, actor: TensorDictModuleBase, env: VppEnv, fault_folder: Path, begun: int = 0
+    config: TrainConfig, actor: TensorDictModuleBase, env: BaseEnv, fault_folder: Path, begun: int = 0
 ) -> Collection:
     """The collector of a run.
 

@@ -12,7 +12,7 @@ import psutil
 from vpptwin.system.errors import InputError
 from vpptwin.system.trust import check_trusted
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env.privileged import privileged_size
+from vpptwin.train.env.observe import privileged_size
 from vpptwin.train.env.randomize import Priors, name_effects
 from vpptwin.twin import load_twin
 
