@@ -9,7 +9,7 @@ import pytest
 
 import vpptwin
 from examples.nanobench.by_hand import look
-from vpptwin.diagnosis.evidence.logged_inputs import turn_as_logged
+from vpptwin.diagnosis.evidence.logged_inputs import read_session
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.system.errors import InputError
@@ -56,7 +56,7 @@ def test_inputs_do_not_tell_what_turned_it(flights: list[Path]) -> None:
     """Every flight turns as logged: PWM explains a tenth to a third of what turned it."""
     spec = load_twin(EXAMPLE / "crazyflie.yaml")
     for path in flights:
-        assert turn_as_logged(spec, [read_flight(path, signals=spec.robot.signals.entries)]).robot.signals.turned
+        assert read_session(spec, [read_flight(path, signals=spec.robot.signals.entries)])[0].robot.signals.turned
 
 
 def test_a_gyro_in_another_unit_is_refused(flights: list[Path], tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def make_diagnosis() -> Diagnosis:
     ranking = [(effect.id, 2000.0 * 0.6**i) for i, effect in enumerate(suspects)]
     friction = find_effect(spec.catalogue, "rail_x.coulomb")
     plot = plot_wrench(held_out, VALUES, friction)
-    return Diagnosis(verdict, VALUES, ranking, held_out, plot)
+    return Diagnosis(verdict, VALUES, ranking, held_out, plot, measurements=measurements)
 
 
 MEMORY: dict[str, object] = {}
@@ -113,7 +113,8 @@ def find_nothing(spec: TwinSpec, flights: Sequence[Flight], *given: object, **na
     score, rest = held_out.score({}), Unexplained(False, 0.0, None, [])
     logs, warnings = [str(flight.path) for flight in flights], list_warnings(flights, measurements)
     verdict = Verdict(logs, spec.name, 1, len(flights), score, score, False, [], rest, [], [], {}, warnings=warnings)
-    return Diagnosis(verdict, {}, [], held_out, None, [inspect_flight(spec, each) for each in measurements])
+    preflight = [inspect_flight(spec, each) for each in measurements]
+    return Diagnosis(verdict, {}, [], held_out, None, preflight, measurements)
 
 
 def fit_nothing(spec: TwinSpec, flights: Sequence[Flight], effects: Sequence[str], *told: object) -> FlightFit:

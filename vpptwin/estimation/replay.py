@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vpptwin.estimation.correct import correct_measurements
-from vpptwin.estimation.measurements import list_warnings, read_measurements
+from vpptwin.estimation.measurements import Measurements, list_warnings, read_measurements
 from vpptwin.estimation.windows import cut_windows, fly_windows, trace_past
 from vpptwin.logs.flight import Flight
 from vpptwin.system.errors import InputError
@@ -31,7 +31,10 @@ class Prediction:
     warnings: list[str] = field(default_factory=list)  # about the log
 
 
-def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: float = RATE) -> Prediction:
+def replay(
+    spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: float = RATE,
+    measurements: Measurements | None = None,
+) -> Prediction:  # fmt: skip
     """Drive the twin with a flight's logged commands.
 
     Args:
@@ -39,12 +42,13 @@ def replay(spec: TwinSpec, flight: Flight, restart: float | None = 0.5, rate: fl
         flight: the log.
         restart: seconds between restarts from a state estimated without looking ahead; None runs freely from the start.
         rate: samples per second of the prediction, at most one per step of the twin [Hz].
+        measurements: what the log says, if it was read already.
 
     Raises:
         InputError: if the flight is shorter than one restart interval.
     """
     # Where the twin's sensors err, its state is not what they showed.
-    measurements = correct_measurements(read_measurements(spec, flight), Twin(spec, 1).constants)
+    measurements = correct_measurements(measurements or read_measurements(spec, flight), Twin(spec, 1).constants)
     begin = measurements.start + 0.2
     available = measurements.end - begin
     length = available if restart is None else restart

@@ -10,13 +10,13 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from vpptwin.diagnosis.evidence.flights import HORIZONS_S, choose_window, list_starts
-from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, turn_as_logged
+from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, read_session
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
 from vpptwin.estimation.checks.efforts import refuse_efforts
 from vpptwin.estimation.checks.held import refuse_held
-from vpptwin.estimation.measurements import list_warnings, read_measurements
+from vpptwin.estimation.measurements import list_warnings
 from vpptwin.logs.flight import Flight
 from vpptwin.report.error_table import ErrorTable, tabulate_errors
 from vpptwin.report.output import give_json
@@ -122,8 +122,7 @@ def compare(
 
 def score_twin(spec: TwinSpec, flights: Sequence[Flight], progress: bool) -> Scored:
     """One twin's errors."""
-    spec = turn_as_logged(spec, flights)
-    measurements = [read_measurements(spec, flight) for flight in flights]
+    spec, measurements = read_session(spec, flights)
     check_moving(measurements)
     refuse_held(spec, measurements)
     refuse_efforts(spec, measurements)

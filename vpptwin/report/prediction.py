@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vpptwin.estimation.measurements import Series, read_measurements
+from vpptwin.estimation.measurements import Measurements, Series, read_measurements
 from vpptwin.estimation.replay import Prediction, replay
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.robot.manifold import difference_attitudes, find_place, rotate
@@ -63,15 +63,22 @@ class FlightPrediction:
     restarts: np.ndarray  # when the twins were put back to the log [s]
 
 
-def predict_flight(twins: Sequence[TwinSpec], flight: Flight) -> FlightPrediction:
+def predict_flight(
+    twins: Sequence[TwinSpec], flight: Flight, measurements: Measurements | None = None
+) -> FlightPrediction:
     """Drive twins with a flight's commands, restarted every half second, and read their sensors at the log's stamps.
+
+    Args:
+        twins: of one robot, so that all read the log alike.
+        flight: the log.
+        measurements: what it says; None to read it.
 
     Raises:
         InputError: if the flight is shorter than that, or lacks what the twins need.
     """
-    measurements = read_measurements(twins[0], flight)
+    measurements = measurements or read_measurements(twins[0], flight)
     rate = 1.0 / float(twins[0].model.opt.timestep)
-    replays = [replay(twin, flight, RESTART, rate) for twin in twins]
+    replays = [replay(twin, flight, RESTART, rate, measurements) for twin in twins]
     constants = [Twin(twin, 1).constants for twin in twins]
     tracks = []
     for kind, quantities in (("position", measurements.positions), ("velocity", measurements.velocities)):

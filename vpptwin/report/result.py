@@ -19,7 +19,6 @@ from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import Diagnosis
 from vpptwin.diagnosis.judgement.diagnose import diagnose as judge
 from vpptwin.diagnosis.judgement.verdict import Verdict
-from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.report.export import name_files, write_prediction
 from vpptwin.report.html.advice import SHORTER, Session, list_steps
@@ -291,7 +290,7 @@ def collect_result(
     verdict, meanings = diagnosis.verdict, name_meanings(spec)
     extended = spec.with_effects(extend_effects(spec, diagnosis.values))
     twins = [spec, extended] if verdict.causes else [spec]
-    noise = find_noise_floor([read_measurements(spec, flight) for flight in flights])
+    noise = find_noise_floor(diagnosis.measurements)
     return Result(
         verdict, extended, summarise(verdict, noise, meanings), [], spec, [flight.path for flight in flights],
         rank_suspects(diagnosis.ranking, verdict, meanings), [flight.describe() for flight in diagnosis.preflight],
@@ -303,9 +302,9 @@ def collect_result(
 def draw_result(twins: Sequence[TwinSpec], flights: Sequence[Flight], diagnosis: Diagnosis, noise: NoiseFloor) -> Drawn:
     """Pictures of a diagnosis, and what twins predict for its flights."""
     pieces, predictions = Pieces(), list[FlightPrediction | None]()
-    for flight in flights:
+    for flight, measured in zip(flights, diagnosis.measurements, strict=True):
         what = f"the prediction of {flight.name}"
-        predictions.append(pieces.attempt(what, partial(predict_flight, twins, flight), None))
+        predictions.append(pieces.attempt(what, partial(predict_flight, twins, flight, measured), None))
     draw = partial(draw_pictures, diagnosis, predictions, noise, pieces)
     return Drawn(pieces.attempt("the pictures", draw, Pictures()), predictions, pieces.lost)
 

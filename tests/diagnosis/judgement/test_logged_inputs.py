@@ -17,7 +17,7 @@ from vpptwin.diagnosis.evidence.logged_inputs import (
     describe_turned,
     describe_weak_inputs,
     list_inputs,
-    turn_as_logged,
+    read_session,
 )
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.diagnosis.search.suspects import list_unknowns
@@ -95,10 +95,10 @@ def test_a_body_turns_as_logged_where_inputs_do_not_tell_what_turned_it(tmp_path
     """
     spec = load_twin(write_twin(tmp_path))
     for hidden in ({}, {"quad.com": {"y": 0.002}}, {"m4.gain": {"gain": 0.85}}):
-        assert turn_as_logged(spec, [fly(hidden, 8.0, 3)]) is spec
-    turned = turn_as_logged(spec, [alias(fly({}, 8.0, 3), 1)])
+        assert read_session(spec, [fly(hidden, 8.0, 3)])[0] is spec
+    turned, _ = read_session(spec, [alias(fly({}, 8.0, 3), 1)])
     assert turned.robot.signals.turned == ("quad",)
-    assert turn_as_logged(turned, [alias(fly({}, 8.0, 3), 1)]) is turned
+    assert read_session(turned, [alias(fly({}, 8.0, 3), 1)])[0] is turned
     assert describe_turned(turned)[0].startswith("quad turns as logged")
     left, gone = ({u.effect.id for u in list_unknowns(s)} for s in (turned, spec))
     assert left < gone
@@ -128,7 +128,7 @@ def test_a_twin_that_turns_as_logged_is_written_with_what_it_had(tmp_path: Path)
     """Effects that such logs cannot show too, and is read back."""
     known = {"quad.inertia": {"x": 1.1}, "m1.gain": {"gain": 0.95}, "imu.bias": {"x": 0.01}}
     spec = load_twin(write_twin(tmp_path))
-    spec = turn_as_logged(spec.with_effects({**spec.effects, **known}), [alias(fly({}, 8.0, 3), 1)])
+    spec, _ = read_session(spec.with_effects({**spec.effects, **known}), [alias(fly({}, 8.0, 3), 1)])
     (tmp_path / "again.yaml").write_text(yaml.safe_dump(name_twin(spec, tmp_path)))
     again = load_twin(tmp_path / "again.yaml")
     assert again.robot.signals.turned == ("quad",)

@@ -93,25 +93,30 @@ def measure_obedience(spec: TwinSpec, measurements: Sequence[Measurements]) -> n
     return best
 
 
-def turn_as_logged(spec: TwinSpec, flights: Sequence[Flight], criteria: Criteria = CRITERIA) -> TwinSpec:
-    """The twin whose free bodies have their attitude from the log where inputs there do not tell what turned them.
+def read_session(
+    spec: TwinSpec, flights: Sequence[Flight], criteria: Criteria = CRITERIA
+) -> tuple[TwinSpec, list[Measurements]]:
+    """What was measured on all flights, which is read here once, and the twin of which it is.
 
-    Where thrust points is then known, and what of it acts on where the body goes can be told; else nothing can.
+    Free bodies of that twin have their attitude from the log where inputs there do not tell what turned them. Where
+    thrust points is then known, and what of it acts on where the body goes can be told; else nothing can.
 
     Raises:
         InputError: if a log lacks what the twin needs.
     """
     model, signals = spec.model, spec.robot.signals
+    measurements = [read_measurements(spec, flight) for flight in flights]
     joints = {each.name: each.joint for each in spec.robot.tracked if each.name in signals.bodies}
     flying = [b for b, joint in joints.items() if model.jnt_type[joint] == FREE and b not in signals.turned]
     if not flying:
-        return spec
-    told = measure_obedience(spec, [read_measurements(spec, flight) for flight in flights])
+        return spec, measurements
+    told = measure_obedience(spec, measurements)
     shares = {body: told[int(model.jnt_dofadr[joints[body]]) + TURN] for body in flying}
     turned = [b for b in flying if np.isfinite(shares[b]).any() and np.nanmedian(shares[b]) < criteria.led]
     if not turned:
-        return spec
-    return spec.with_robot(signals=signals.model_copy(update={"turned": (*signals.turned, *turned)}))
+        return spec, measurements
+    spec = spec.with_robot(signals=signals.model_copy(update={"turned": (*signals.turned, *turned)}))
+    return spec, [read_measurements(spec, flight) for flight in flights]  # attitudes are inputs now
 
 
 def describe_turned(spec: TwinSpec) -> list[str]:

@@ -21,7 +21,7 @@ from vpptwin.diagnosis.evidence.flights import (
     thin_out,
 )
 from vpptwin.diagnosis.evidence.forces import scale_twin
-from vpptwin.diagnosis.evidence.logged_inputs import turn_as_logged
+from vpptwin.diagnosis.evidence.logged_inputs import read_session
 from vpptwin.diagnosis.evidence.preflight import Preflight, inspect_flight
 from vpptwin.diagnosis.evidence.runs import Key, MakeTwin
 from vpptwin.diagnosis.judgement.blows import Findings, judge_blows, strikes_on
@@ -39,7 +39,7 @@ from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
 from vpptwin.estimation.checks.efforts import refuse_efforts
 from vpptwin.estimation.checks.held import refuse_held
-from vpptwin.estimation.measurements import Measurements, read_measurements
+from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.system.deadline import Deadline
 from vpptwin.system.errors import InputError
@@ -64,6 +64,7 @@ class Diagnosis:
         held_out: the judging windows, with the twin as it was judged: what of it follows its log too.
         leftover_plot: the missing force that remains, against what it follows; None if nothing remains.
         preflight: what each log could show, in the order of the logs.
+        measurements: what each log says, likewise, for whatever else is told of it.
     """
 
     verdict: Verdict
@@ -72,6 +73,7 @@ class Diagnosis:
     held_out: HeldOut
     leftover_plot: WrenchPlot | None = None
     preflight: list[Preflight] = field(default_factory=list)
+    measurements: list[Measurements] = field(default_factory=list)
 
 
 def diagnose(
@@ -170,7 +172,8 @@ def keep_better(material: Material, selection: Selection) -> Selection:
 class Material:
     """What a diagnosis works on: the flights' measurements, windows that are fitted, windows that judge, and blows."""
 
-    measurements: list[Measurements]
+    read: list[Measurements]  # as the logs have them
+    measurements: list[Measurements]  # with blows marked
     search: Search
     held_out: HeldOut
     blows: Findings | None  # what they told, where they come first
@@ -184,12 +187,11 @@ def prepare(
 
     Where blows are not left out and `contacts` are looked for, the twin has what blows told of them.
     """
-    spec = turn_as_logged(spec, flights, criteria)
-    measurements = [read_measurements(spec, flight) for flight in flights]
-    check_moving(measurements)
-    refuse_held(spec, measurements)
-    refuse_efforts(spec, measurements)
-    spec, measurements = choose_window(spec, measurements)
+    spec, read = read_session(spec, flights, criteria)
+    check_moving(read)
+    refuse_held(spec, read)
+    refuse_efforts(spec, read)
+    spec, measurements = choose_window(spec, read)
     spec = scale_twin(spec, measurements)
     blows = None
     if contacts and strikes_on(spec, measurements):
@@ -211,7 +213,7 @@ def prepare(
         bench.track = follow_motion(bench, {}).of(*bench.followed)
     search = Search(bench, unknowns)
     held_out = open_held_out(spec, measurements, split.held_out, progress, criteria, make_twin)
-    return Material(measurements, search, held_out, blows)
+    return Material(read, measurements, search, held_out, blows)
 
 
 def is_followed(spec: TwinSpec) -> bool:
@@ -235,7 +237,7 @@ def judge(
         experiment = deadline.attempt(["looking for the manoeuvre that tells rivals apart"], work, None)
         verdict = replace(verdict, experiment=experiment)
     preflight = [inspect_flight(spec, measured) for measured in material.measurements]
-    return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight)
+    return Diagnosis(verdict, fit.values, selection.first, held_out, leftover.plot, preflight, material.read)
 
 
 @by_robot
