@@ -1,0 +1,1 @@
+"""Inputs, runs and items of benchmarks/golden.py."""
