@@ -19,13 +19,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 PLACES = {
-    "crafts": "tests.crafts", "draw_session": "tests.mechanisms:draw_session", "draw_wind": "tests.reality:draw_wind",
-    "fly_many": "tests.reality:fly_many", "leg": "tests.leg", "quadrotor": "tests.quadrotor",
-    "servo": "tests.servo_arm", "write_mcap": "tests.reality:write_mcap",
+    "crafts": "proving.hidden", "draw_session": "proving.mechanisms:draw_session", "draw_wind": "proving.drone:draw_wind",
+    "fly_many": "proving.drone:fly_many", "leg": "proving.leg", "quadrotor": "proving.quadrotor",
+    "servo": "proving.servo_arm", "write_mcap": "proving.drone:write_mcap",
     "weigh_hovers": "examples.crazypad.by_hand:compare",
     "vpptwin": "vpptwin", "collect_content": "vpptwin.deploy.content:collect_content",
-    "Given": "vpptwin.twin.warp_replay:Given", "WarpReplay": "vpptwin.twin.warp_replay:WarpReplay",
-    "WarpStep": "vpptwin.twin.warp_step:WarpStep",
+    "Given": "vpptwin.twin.warp.replay:Given", "WarpReplay": "vpptwin.twin.warp.replay:WarpReplay",
+    "WarpStep": "vpptwin.twin.warp.step:WarpStep",
 }  # fmt: skip
 """Where things are that are no command: all that has to follow when modules move."""
 SEED = 94065
