@@ -19,7 +19,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 PLACES = {
-    "crafts": "proving.hidden", "draw_session": "proving.mechanisms:draw_session", "draw_wind": "proving.drone:draw_wind",
+    "crafts": "proving.hidden", "draw_session": "proving.mechanisms:draw_session",
+    "draw_wind": "proving.drone:draw_wind",
     "fly_many": "proving.drone:fly_many", "leg": "proving.leg", "quadrotor": "proving.quadrotor",
     "servo": "proving.servo_arm", "write_mcap": "proving.drone:write_mcap",
     "weigh_hovers": "examples.crazypad.by_hand:compare",
