@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from vpptwin.engine.memory import array_at
+from vpptwin.engine.compile import array_at
 
 
 @njit

@@ -20,7 +20,7 @@ from vpptwin.report.result import diagnose
 from vpptwin.system.errors import InputError
 from vpptwin.system.resources import flights_dir
 from vpptwin.twin import Twin, load_twin
-from vpptwin.twin.stepping.replay import Driven, Trajectory
+from vpptwin.twin.state import Driven, Trajectory
 from vpptwin.twin.warp.device import find_device
 from vpptwin.twin.warp.replay import PROCESSOR, Given, WarpReplay, WarpTwins, choose_maker
 

@@ -186,7 +186,7 @@ def run_fly(options: argparse.Namespace) -> None:
         chosen = " ".join(f"{name}={value:g}" for name, value in manoeuvre.choose(given).items())
         about = {"manoeuvre": manoeuvre.name, "settings": chosen}
     elif options.policy is not None:
-        from vpptwin.deploy.pilot import load_exported_pilot
+        from vpptwin.deploy.load import load_exported_pilot
 
         pilot, spec = load_exported_pilot(options.policy, options.task, spec, options.duration, options.seed)
         about = {"policy": str(options.policy), "task": pilot.task}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -69,7 +70,10 @@ def hold(spec: TwinSpec) -> Held:
     nominal = nominal_constants(spec.robot.servo_lag, records)
     constants = {name: np.repeat(values[None], 1, axis=0) for name, values in nominal.items()}
     names = [model.actuator(i).name for i in range(model.nu)]
-    for effect in (one for each in spec.catalogue if is_on(spec, each) for one in take_apart(each)):
+    on = [effect for effect in spec.catalogue if is_on(spec, effect)]
+    # One on several alike is one on each.
+    apart = [[e] if e.target else [replace(e, target=place, members=()) for place in e.places] for e in on]
+    for effect in chain(*apart):
         values = {p.name: spec.value(effect, p.name) for p in effect.parameters}
         site = spec.robot.locate(effect)
         if effect.apply is apply_coulomb:
@@ -100,11 +104,6 @@ def hold(spec: TwinSpec) -> Held:
             hold_actuator(held, model, i, {key: float(constants[f"actuator.{key}"][0, i]) for key in
                                            ("gain", "limit", "delay", "time_constant")})  # fmt: skip
     return held
-
-
-def take_apart(effect: Effect) -> list[Effect]:
-    """An effect on several alike as one on each; any other as it is."""
-    return [effect] if effect.target else [replace(effect, target=place, members=()) for place in effect.places]
 
 
 def is_on(spec: TwinSpec, effect: Effect) -> bool:

@@ -57,13 +57,16 @@ def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
         given.compiler.saveinertial = True  # of all bodies, as those of geoms would win
     given.compile()
     root = ET.fromstring(given.to_xml())
-    locate_assets(root, given, spec.model_file.parent, folder)
+    compiler = root.find("compiler")
+    if compiler is not None and root.find(".//asset") is not None:  # where they lie as seen from the folder
+        for attribute, own in (("meshdir", given.compiler.meshdir), ("texturedir", given.compiler.texturedir)):
+            compiler.set(attribute, os.path.relpath((spec.model_file.parent / own).resolve(), folder.resolve()))
     for (element, name), effects in held.list_elements().items():
         found = find_element(root, element, name, spec.model)
         if found is None:
             raise InputError(f"{spec.model_file}: no {element} {name} once flattened", "one", "name it in the MJCF")
-        own = {a: values for (kind, who, a), values in held.values.items() if (kind, who) == (element, name)}
-        set_attributes(found, element, own)
+        wanted = {a: values for (kind, who, a), values in held.values.items() if (kind, who) == (element, name)}
+        set_attributes(found, wanted)
         parent = next(around for around in root.iter() if found in list(around))
         for effect in effects:
             parent.insert(list(parent).index(found), ET.Comment(f" {without_dashes(describe(effect, spec))} "))
@@ -78,15 +81,6 @@ def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
 def without_dashes(text: str) -> str:
     """Text for a comment of XML, which no two dashes may be in."""
     return text.replace("--", "- -").rstrip("-")
-
-
-def locate_assets(root: ET.Element, given: mujoco.MjSpec, home: Path, folder: Path) -> None:
-    """Say where meshes and textures lie as seen from another folder."""
-    compiler = root.find("compiler")
-    if compiler is None or root.find(".//asset") is None:
-        return
-    for attribute, own in (("meshdir", given.compiler.meshdir), ("texturedir", given.compiler.texturedir)):
-        compiler.set(attribute, os.path.relpath((home / own).resolve(), folder.resolve()))
 
 
 def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjModel) -> ET.Element | None:
@@ -115,7 +109,7 @@ def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjMode
     return inertial
 
 
-def set_attributes(found: ET.Element, element: str, values: Mapping[str, tuple[float, ...]]) -> None:
+def set_attributes(found: ET.Element, values: Mapping[str, tuple[float, ...]]) -> None:
     """Write numbers into an element, with what has to go with them."""
     for attribute, numbers in values.items():
         if attribute == "biastype":
@@ -167,7 +161,8 @@ def compare_rollouts(spec: TwinSpec, held: Held, path: Path) -> list[tuple[str, 
     kept = {effect.id for effect in held.effects}
     partly = replace(spec, effects={name: values for name, values in spec.effects.items() if name in kept})
     commands, velocity = excite(spec)
-    whole, part = (simulate_twin(twin, commands, velocity) for twin in (spec, partly))
+    twins = [Twin(each, 1) for each in (spec, partly)]
+    whole, part = (t.replay_commands(t.initial_state(qvel=velocity), commands[None]).qpos[0] for t in twins)
     new, old = (simulate_plain(spec, model, commands, velocity) for model in (written, spec.model))
     pairs = ((whole[:1], whole), (part, new), (whole, new), (whole, old))
     way, *missed = (np.abs(difference_poses(spec.model, *pair)).max(axis=0) for pair in pairs)
@@ -187,33 +182,20 @@ def excite(spec: TwinSpec) -> tuple[np.ndarray, np.ndarray]:
     drawn = rng.uniform(-1.0, 1.0, (steps // each + 1, model.nu))
     velocity = SPEED * rng.uniform(-1.0, 1.0, model.nv)
     velocity[spec.robot.driven] = 0.0
-    moved, typical = weigh_actuators(spec), typical_forces(model)
+    data, moved, typical = mujoco.MjData(model), np.zeros((model.nu, model.nv)), typical_forces(model)
+    data.qpos[:] = spec.robot.start_pose
+    with installed(None):
+        mujoco.mj_forward(model, data)
+    if model.nu:  # force on each degree of freedom for one of each actuator, where the rig starts
+        mujoco.mju_sparse2dense(moved, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     middle, half = np.zeros(model.nu), np.full(model.nu, SHARE)
     for i in range(model.nu):
         if model.actuator_ctrllimited[i]:
             middle[i], half[i] = model.actuator_ctrlrange[i].mean(), SHARE * np.ptp(model.actuator_ctrlrange[i]) / 2.0
         elif model.actuator_biastype[i] != AFFINE:
-            half[i] *= 1.0 / max(np.max(moved[i] * abs(model.actuator_gainprm[i, 0]) / typical), TINY)
+            half[i] *= 1.0 / max(np.max(np.abs(moved[i]) * abs(model.actuator_gainprm[i, 0]) / typical), TINY)
     half *= spec.robot.rotorcraft is None
     return np.repeat(middle + half * drawn, each, axis=0)[:steps], velocity
-
-
-def weigh_actuators(spec: TwinSpec) -> np.ndarray:
-    """Force on each degree of freedom for one of each actuator, where the rig starts, (nu, nv), positive."""
-    model, data = spec.model, mujoco.MjData(spec.model)
-    data.qpos[:] = spec.robot.start_pose
-    moved = np.zeros((model.nu, model.nv))
-    with installed(None):
-        mujoco.mj_forward(model, data)
-    if model.nu:
-        mujoco.mju_sparse2dense(moved, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    return np.abs(moved)
-
-
-def simulate_twin(spec: TwinSpec, commands: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Positions after every step, (steps, nq)."""
-    twin = Twin(spec, 1)
-    return np.asarray(twin.replay_commands(twin.initial_state(qvel=velocity), commands[None]).qpos[0])
 
 
 def simulate_plain(

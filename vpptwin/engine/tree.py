@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from vpptwin.engine.compile import compilable
-from vpptwin.engine.elimination import solve_inertia
 
 
 class Tree(NamedTuple):
@@ -304,6 +303,50 @@ def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> No
             a, g = at.arm[0, j], at.arm[1, j]
             moment[i, j] = a[0] * f_x + a[1] * f_y + a[2] * f_z + g[0] * n_x + g[1] * n_y + g[2] * n_z
             j = tree.before[j]
+
+
+@compilable(forceinline=True, keep=True)
+def eliminate(dense: np.ndarray) -> None:
+    """Factors of a symmetric positive definite matrix in the place of its upper half, D Lᵀ, on the diagonal 1/D."""
+    n = len(dense)
+    for k in range(n):
+        pivot = 1.0 / dense[k, k]
+        dense[k, k] = pivot
+        for i in range(k + 1, n):
+            share = dense[k, i] * pivot
+            for j in range(i, n):
+                dense[i, j] -= share * dense[k, j]
+
+
+@compilable(forceinline=True, keep=True)
+def substitute(dense: np.ndarray, result: np.ndarray) -> None:
+    """Multiply a vector, (n,), in its place, by the inverse of the matrix of which `eliminate` left factors."""
+    # What is known is taken from all that follow at once: they do not wait for each other.
+    n = len(result)
+    for k in range(n):
+        share = result[k] * dense[k, k]
+        for i in range(k + 1, n):
+            result[i] -= share * dense[k, i]
+    for k in range(n - 1, -1, -1):
+        found = result[k] * dense[k, k]
+        result[k] = found
+        for i in range(k):
+            result[i] -= found * dense[i, k]
+
+
+@compilable(forceinline=True, keep=True)
+def solve_inertia(
+    mass: np.ndarray, damping: np.ndarray, dt: float, dense: np.ndarray, force: np.ndarray, result: np.ndarray
+) -> None:
+    """Write (M + dt D)⁻¹ force, (nv,); `dense`, (nv, nv), is room."""
+    n = len(force)
+    for i in range(n):
+        for j in range(i, n):
+            dense[i, j] = mass[i, j]
+        dense[i, i] += dt * damping[i]
+        result[i] = force[i]
+    eliminate(dense)
+    substitute(dense, result)
 
 
 class Reach(NamedTuple):

@@ -14,118 +14,73 @@ BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 class View(NamedTuple):
-    """Arrays over one simulation, with MuJoCo's names and units; `qfrc_applied` and `ctrl` are written.
+    """Arrays over one simulation, with MuJoCo's names and units; `qfrc_applied` and `ctrl` are written."""
 
-    Attributes:
-        time: s.
-        timestep: s.
-        qpos: (nq,).
-        qvel: (nv,).
-        ctrl: (nu,).
-        qfrc_applied: (nv,).
-        qfrc_passive: (nv,).
-        qfrc_bias: (nv,).
-        qacc_warmstart: acceleration of the last step, (nv,).
-        qfrc_constraint: of the last step, (nv,).
-        constraints: how many are active, rows of contacts, end stops and equalities.
-        colliding: whether a contact is.
-        inertia, row_length, row_start, column: the sparse joint-space inertia.
-        dof_damping: (nv,).
-        dof_armature: (nv,).
-        body_mass: (nbody,).
-        gravity: (3,) m/s².
-        moment, moment_length, moment_start, moment_column: the sparse actuator moments.
-        length, velocity: of the actuators, (nu,).
-        gain, bias: parameters of the actuators, (nu, 3) each.
-        gain_type, bias_type: (nu,).
-        ctrl_limited, force_limited: (nu,).
-        ctrl_range, force_range: (nu, 2).
-        joint: of each degree of freedom, (nv,).
-        joint_limited, joint_range: limit of what all actuators together exert on a joint, (njnt,), (njnt, 2).
-        joint_lifted: whether the actuators of a joint compensate gravity, (njnt,).
-        qfrc_gravcomp: what that takes, (nv,).
-    """
-
-    time: float
-    timestep: float
-    qpos: np.ndarray
-    qvel: np.ndarray
-    ctrl: np.ndarray
-    qfrc_applied: np.ndarray
-    qfrc_passive: np.ndarray
-    qfrc_bias: np.ndarray
-    qfrc_constraint: np.ndarray
-    qacc_warmstart: np.ndarray
-    constraints: int
-    colliding: bool
-    inertia: np.ndarray
+    time: float  # s
+    timestep: float  # s
+    qpos: np.ndarray  # (nq,)
+    qvel: np.ndarray  # (nv,)
+    ctrl: np.ndarray  # (nu,)
+    qfrc_applied: np.ndarray  # (nv,)
+    qfrc_passive: np.ndarray  # (nv,)
+    qfrc_bias: np.ndarray  # (nv,)
+    qfrc_constraint: np.ndarray  # of the last step, (nv,)
+    qacc_warmstart: np.ndarray  # acceleration of the last step, (nv,)
+    constraints: int  # how many are active, rows of contacts, end stops and equalities
+    colliding: bool  # whether a contact is
+    inertia: np.ndarray  # sparse joint-space inertia, with the three that follow, (nC,)
     row_length: np.ndarray
     row_start: np.ndarray
     column: np.ndarray
-    dof_damping: np.ndarray
-    dof_armature: np.ndarray
-    body_mass: np.ndarray
-    gravity: np.ndarray
-    moment: np.ndarray
+    dof_damping: np.ndarray  # (nv,)
+    dof_armature: np.ndarray  # (nv,)
+    body_mass: np.ndarray  # (nbody,)
+    gravity: np.ndarray  # (3,) m/s²
+    moment: np.ndarray  # sparse moments of the actuators, with the three that follow
     moment_length: np.ndarray
     moment_start: np.ndarray
     moment_column: np.ndarray
-    length: np.ndarray
-    velocity: np.ndarray
-    gain: np.ndarray
-    bias: np.ndarray
-    gain_type: np.ndarray
-    bias_type: np.ndarray
-    ctrl_limited: np.ndarray
-    force_limited: np.ndarray
-    ctrl_range: np.ndarray
-    force_range: np.ndarray
-    joint: np.ndarray
-    joint_limited: np.ndarray
-    joint_range: np.ndarray
-    joint_lifted: np.ndarray
-    qfrc_gravcomp: np.ndarray
+    length: np.ndarray  # of the actuators, (nu,)
+    velocity: np.ndarray  # likewise
+    gain: np.ndarray  # parameters of the actuators, (nu, 10)
+    bias: np.ndarray  # likewise
+    gain_type: np.ndarray  # (nu,)
+    bias_type: np.ndarray  # (nu,)
+    ctrl_limited: np.ndarray  # (nu,)
+    force_limited: np.ndarray  # (nu,)
+    ctrl_range: np.ndarray  # (nu, 2)
+    force_range: np.ndarray  # (nu, 2)
+    joint: np.ndarray  # of each degree of freedom, (nv,)
+    joint_limited: np.ndarray  # whether what all actuators together exert on a joint is limited, (njnt,)
+    joint_range: np.ndarray  # to what, (njnt, 2)
+    joint_lifted: np.ndarray  # whether the actuators of a joint compensate gravity, (njnt,)
+    qfrc_gravcomp: np.ndarray  # what that takes, (nv,)
 
 
 MODEL_ARRAYS = {
-    "row_length": ("M_rownnz", np.int32, "nv"),
-    "row_start": ("M_rowadr", np.int32, "nv"),
+    "row_length": ("M_rownnz", np.int32, "nv"), "row_start": ("M_rowadr", np.int32, "nv"),
     "column": ("M_colind", np.int32, "nC"),
-    "dof_damping": ("dof_damping", np.float64, "nv"),
-    "dof_armature": ("dof_armature", np.float64, "nv"),
+    "dof_damping": ("dof_damping", np.float64, "nv"), "dof_armature": ("dof_armature", np.float64, "nv"),
     "body_mass": ("body_mass", np.float64, "nbody"),
-    "gain": ("actuator_gainprm", np.float64, "nu"),
-    "bias": ("actuator_biasprm", np.float64, "nu"),
-    "gain_type": ("actuator_gaintype", np.int32, "nu"),
-    "bias_type": ("actuator_biastype", np.int32, "nu"),
+    "gain": ("actuator_gainprm", np.float64, "nu"), "bias": ("actuator_biasprm", np.float64, "nu"),
+    "gain_type": ("actuator_gaintype", np.int32, "nu"), "bias_type": ("actuator_biastype", np.int32, "nu"),
     "ctrl_limited": ("actuator_ctrllimited", np.bool_, "nu"),
     "force_limited": ("actuator_forcelimited", np.bool_, "nu"),
-    "ctrl_range": ("actuator_ctrlrange", np.float64, "nu"),
-    "force_range": ("actuator_forcerange", np.float64, "nu"),
+    "ctrl_range": ("actuator_ctrlrange", np.float64, "nu"), "force_range": ("actuator_forcerange", np.float64, "nu"),
     "joint": ("dof_jntid", np.int32, "nv"),
-    "joint_limited": ("jnt_actfrclimited", np.bool_, "njnt"),
-    "joint_range": ("jnt_actfrcrange", np.float64, "njnt"),
+    "joint_limited": ("jnt_actfrclimited", np.bool_, "njnt"), "joint_range": ("jnt_actfrcrange", np.float64, "njnt"),
     "joint_lifted": ("jnt_actgravcomp", np.bool_, "njnt"),
-}
+}  # fmt: skip
 """View field → field of mjModel, its type and its leading size."""
 DATA_ARRAYS = {
-    "qpos": ("qpos", np.float64, "nq"),
-    "qvel": ("qvel", np.float64, "nv"),
-    "ctrl": ("ctrl", np.float64, "nu"),
-    "qfrc_applied": ("qfrc_applied", np.float64, "nv"),
-    "qfrc_passive": ("qfrc_passive", np.float64, "nv"),
-    "qfrc_bias": ("qfrc_bias", np.float64, "nv"),
-    "qfrc_constraint": ("qfrc_constraint", np.float64, "nv"),
-    "qacc_warmstart": ("qacc_warmstart", np.float64, "nv"),
-    "inertia": ("M", np.float64, "nC"),
-    "moment": ("actuator_moment", np.float64, "nJmom"),
-    "moment_length": ("moment_rownnz", np.int32, "nu"),
-    "moment_start": ("moment_rowadr", np.int32, "nu"),
-    "moment_column": ("moment_colind", np.int32, "nJmom"),
-    "length": ("actuator_length", np.float64, "nu"),
-    "velocity": ("actuator_velocity", np.float64, "nu"),
-    "qfrc_gravcomp": ("qfrc_gravcomp", np.float64, "nv"),
-}
+    "qpos": ("qpos", np.float64, "nq"), "ctrl": ("ctrl", np.float64, "nu"), "inertia": ("M", np.float64, "nC"),
+    **{name: (name, np.float64, "nv") for name in (
+        "qvel", "qfrc_applied", "qfrc_passive", "qfrc_bias", "qfrc_constraint", "qacc_warmstart", "qfrc_gravcomp",
+    )},
+    "moment": ("actuator_moment", np.float64, "nJmom"), "moment_column": ("moment_colind", np.int32, "nJmom"),
+    "moment_length": ("moment_rownnz", np.int32, "nu"), "moment_start": ("moment_rowadr", np.int32, "nu"),
+    "length": ("actuator_length", np.float64, "nu"), "velocity": ("actuator_velocity", np.float64, "nu"),
+}  # fmt: skip
 """View field → field of mjData, its type and its leading size."""
 COLUMNS = {
     "gain": int(mujoco.mjNGAIN),
@@ -141,14 +96,8 @@ def look_at(model: mujoco.MjModel, data: mujoco.MjData) -> View:
     """The view of an MjModel and MjData in Python: what compiled code gets from their addresses."""
     fields = {name: getattr(model, field) for name, (field, *_) in MODEL_ARRAYS.items()}
     fields |= {name: getattr(data, field) for name, (field, *_) in DATA_ARRAYS.items()}
-    return View(
-        time=data.time,
-        timestep=model.opt.timestep,
-        constraints=data.nefc,
-        colliding=data.ncon > 0,
-        gravity=model.opt.gravity,
-        **fields,
-    )
+    own = {"time": data.time, "timestep": model.opt.timestep, "gravity": model.opt.gravity}
+    return View(**own, constraints=data.nefc, colliding=data.ncon > 0, **fields)
 
 
 @compilable(forceinline=True, keep=True)
@@ -171,6 +120,7 @@ def find_idle(view: View, i: int) -> float:
     gain, stiffness, damping = view.gain[i, 0], view.bias[i, 1], view.bias[i, 2]
     if view.bias_type[i] != BIAS_AFFINE or gain == 0.0 or (stiffness != -gain and damping != -gain):
         return 0.0
+    # g u + b_0 + b_1 l + b_2 l' = 0 solved for u (MuJoCo, Computation, Actuation model)
     return -(view.bias[i, 0] + stiffness * view.length[i] + damping * view.velocity[i]) / gain
 
 

@@ -142,23 +142,17 @@ def replay_fault(path: Path | str, twin: str | Path | None = None) -> FaultRepla
     """
     fault = read_fault(path)
     flown = Twin(load_twin(twin or fault.twin).with_effects(fault.effects), 1, num_threads=1)
-    first, parts = find_onset(flown, fault)
+    first, state, parts = None, fault.before.copy(), tuple[str, ...]()
+    for k in range(round(fault.duration / flown.dt) + 1):
+        if find_diverged(state).any():
+            wrong = tuple(name for name, v in state.arrays().items() if not np.isfinite(v).all())
+            first, parts = k * flown.dt, wrong or ("qvel",)
+            break
+        flown.advance_policy(state, fault.command, flown.dt)
     after = flown.step_policy(fault.before, fault.command, fault.duration)
     pairs = zip(after.arrays().values(), fault.after.arrays().values(), strict=True)
     equal = all(np.array_equal(one, other, equal_nan=True) for one, other in pairs)
     return FaultReplay(fault, after, equal, first, parts)
-
-
-def find_onset(twin: Twin, fault: Fault) -> tuple[float | None, tuple[str, ...]]:
-    """When the numbers of a fault go wrong [s after its start], and which arrays of the state they are in."""
-    state = fault.before.copy()
-    for k in range(round(fault.duration / twin.dt) + 1):
-        if find_diverged(state).any():
-            arrays = state.arrays().items()
-            names = tuple(name for name, v in arrays if not np.isfinite(v).all()) or ("qvel",)
-            return k * twin.dt, names
-        twin.advance_policy(state, fault.command, twin.dt)
-    return None, ()
 
 
 def describe_replay(replay: FaultReplay) -> str:

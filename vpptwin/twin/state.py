@@ -5,12 +5,40 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import NamedTuple, Self
 
 import numpy as np
 
 
 @dataclass(frozen=True)
-class TwinState:
+class RowArrays:
+    """Arrays of N simulations, leading axis N each."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Every array by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Self:
+        """The state of which `arrays()` gave these arrays; copies."""
+        return cls(**{f.name: arrays[f.name].copy() for f in fields(cls)})
+
+    def take(self, ids: np.ndarray | slice) -> Self:
+        """The rows `ids` as a state of their own (a copy), repeats allowed; or those of a slice (a view)."""
+        return type(self)(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
+
+    def copy(self) -> Self:
+        """A deep copy."""
+        return type(self)(**{f.name: getattr(self, f.name).copy() for f in fields(self)})
+
+    def write_rows(self, ids: np.ndarray, rows: Self) -> None:
+        """Put `rows`, which has len(ids) rows, in place of the rows `ids` of this very state."""
+        for f in fields(self):
+            getattr(self, f.name)[ids] = getattr(rows, f.name)
+
+
+@dataclass(frozen=True)
+class TwinState(RowArrays):
     """State of N simulations, leading axis N.
 
     Attributes:
@@ -62,19 +90,6 @@ class TwinState:
         plain = {f.name: arrays[f.name].copy() for f in fields(cls) if f.name != "actuators"}
         return cls(**plain, actuators=records)
 
-    def take(self, ids: np.ndarray) -> TwinState:
-        """The rows `ids` as a state of their own (a copy); repeats are allowed."""
-        return TwinState(**{f.name: getattr(self, f.name)[ids] for f in fields(self)})
-
-    def copy(self) -> TwinState:
-        """A deep copy."""
-        return TwinState(**{f.name: getattr(self, f.name).copy() for f in fields(self)})
-
-    def write_rows(self, ids: np.ndarray, rows: TwinState) -> None:
-        """Put `rows`, which has len(ids) rows, in place of the rows `ids` of this very state."""
-        for f in fields(self):
-            getattr(self, f.name)[ids] = getattr(rows, f.name)
-
     def replace_rows(self, ids: np.ndarray, rows: TwinState) -> TwinState:
         """This state with its rows `ids` exchanged for `rows`, which has len(ids) rows; neither argument changes."""
         result = self.copy()
@@ -102,3 +117,22 @@ def as_numbers(values: np.ndarray) -> np.ndarray:
     """Arrays and records (N, ...) as the numbers that they hold, (N, k), a counter as the float of the same bits."""
     width = math.prod(values.shape[1:]) * values.dtype.itemsize // 8
     return values.view(np.float64).reshape(len(values), width)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Joints and free bodies that follow a log."""
+
+    dofs: np.ndarray  # their degrees of freedom, (D,)
+    pose: np.ndarray  # whole poses at every step, of which theirs count, (N, steps, nq) m, rad, unit quaternions
+    velocity: np.ndarray  # likewise, (N, steps, nv) m/s, rad/s
+
+
+class Trajectory(NamedTuple):
+    """What became of N simulations under logged commands."""
+
+    state: TwinState  # the final state
+    qpos: np.ndarray  # the engine's positions after every step, (N, steps, nq) m, rad
+    qvel: np.ndarray  # velocities after every step, (N, steps, nv) m/s, rad/s
+    # of the simulated motors after every step, (N, steps, 2) rad/s; None where none is simulated
+    rotor_speed: np.ndarray | None

@@ -19,14 +19,13 @@ from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.twin.robot.manifold import difference_poses, find_places, integrate_pose
 from vpptwin.twin.robot.model import hold_joints
 from vpptwin.twin.spec import TwinSpec
-from vpptwin.twin.state import TwinState
+from vpptwin.twin.state import Driven, Trajectory, TwinState
 from vpptwin.twin.stepping.constants import ConstantTable
 from vpptwin.twin.stepping.fused import Stepper
-from vpptwin.twin.stepping.kernel import CONTEXT, delay_depth, warm_up, write_kernel
+from vpptwin.twin.stepping.kernel import CONTEXT, delay_depth, scratch_rows, warm_up, write_kernel
 from vpptwin.twin.stepping.layout import read_layout
 from vpptwin.twin.stepping.pipeline import Pipeline
 from vpptwin.twin.stepping.recall import Past, Recollection, evolves, write_recollection
-from vpptwin.twin.stepping.replay import Driven, Trajectory
 from vpptwin.twin.stepping.stepped import leave_out
 
 MANY = 256
@@ -99,7 +98,7 @@ class Twin:
         self.led = np.zeros(model.nv)
         self.led[driven] = model.dof_armature[driven]
         self._numbers = robot.numbers
-        self._scratch = np.zeros(self._kernel.scratch_shape(num_sims, int(model.nv)))
+        self._scratch = np.zeros((num_sims, scratch_rows(int(model.nv)), int(model.nv)))
         self._context = np.zeros(1, CONTEXT)
         mark_rows(self._batch.bind("userdata"), self._context)
 

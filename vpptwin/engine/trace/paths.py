@@ -220,13 +220,9 @@ def drop_unused(lines: list[str]) -> list[str]:
         used = {name for own, text in halves for name in VARIABLE.findall(text) if name != own}
         kept = [line for line, (own, _) in zip(lines, halves) if not own or own in used]
         if len(kept) == len(lines):
-            return keep_blocks(kept)
+            break
         lines = kept
-
-
-def keep_blocks(lines: list[str]) -> list[str]:
-    """The lines with something in every block."""
-    result = []
+    result = []  # with something in every block
     for line, after in zip(lines, [*lines[1:], ""]):
         result.append(line)
         inner = len(line) - len(line.lstrip()) + 4

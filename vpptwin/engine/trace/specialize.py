@@ -124,7 +124,7 @@ class Writer(Arithmetic):
                 if node.value is not None:
                     self.assign(node.target, self.value(node.value, scope), scope)
             case ast.AugAssign():
-                now = self.value(copy_load(node.target), scope)
+                now = self.value(node.target, scope)
                 result = self.operate(node.op, now, self.value(node.value, scope))
                 if isinstance(now, Cells):
                     self.fill(now, ..., result)
@@ -324,8 +324,3 @@ def may_jump(statements: Sequence[ast.stmt]) -> bool:
         if isinstance(node, (ast.For, ast.While)) and any(isinstance(n, ast.Return) for n in ast.walk(node)):
             return True
     return False
-
-
-def copy_load(node: ast.expr) -> ast.expr:
-    """A target, to be read."""
-    return ast.parse(ast.unparse(node), mode="eval").body

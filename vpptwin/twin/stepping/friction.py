@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vpptwin.engine.compile import compilable
-from vpptwin.engine.elimination import eliminate, substitute
+from vpptwin.engine.tree import eliminate, substitute
 
 SWEEPS = 100
 """Most sweeps of the relaxation over rubbing joints; one suffices where the inertia does not couple them."""

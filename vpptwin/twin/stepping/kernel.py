@@ -20,8 +20,7 @@ from vpptwin.actuators.numbers import vehicle_dtype
 from vpptwin.effects import Effect
 from vpptwin.engine.callback import FUNCTION, MARK, WORDS
 from vpptwin.engine.check import check_step
-from vpptwin.engine.compile import INNER, KEPT, c_function
-from vpptwin.engine.memory import array_at
+from vpptwin.engine.compile import INNER, KEPT, array_at, c_function
 from vpptwin.engine.store import open_entry, seal_entry
 from vpptwin.engine.structs import data_offset, mirror_size, model_offset
 from vpptwin.engine.tree import FUNCTIONS, Pose, Reach, Shape, Tree
@@ -161,10 +160,6 @@ class Kernel:
     def _compile(self, entry: str, name: str, kind: Any) -> Any:  # noqa: ANN401
         dtypes = {"LAYER": self.layer, "CONSTANTS": self.constants}
         return compile_once(entry, name, self.pipeline, dtypes, kind)
-
-    def scratch_shape(self, count: int, nv: int) -> tuple[int, int, int]:
-        """Shape of the room that `count` simulations need."""
-        return count, scratch_rows(nv), nv
 
 
 def scratch_rows(nv: int) -> int:
@@ -310,7 +305,8 @@ def warm_up(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, rows
     result, known = layer.copy(), np.ascontiguousarray(constants)
     given, own = np.ascontiguousarray(commands, float), np.ascontiguousarray(rows, np.int64)
     first = find_first(layer, constants, given, dt)
-    move = compile_warm_up(result.dtype, constants.dtype, given.shape[2])
+    text, dtypes = WARM_UP.format(nu=given.shape[2]), {"LAYER": result.dtype, "CONSTANTS": constants.dtype}
+    move = compile_once(text, "warm_up", None, dtypes, FLY)
 
     def move_some(begin: int, end: int) -> None:
         part, same, number, since = (array[begin:end] for array in (result, known, own, first))
@@ -331,8 +327,3 @@ def find_first(layer: np.ndarray, constants: np.ndarray, commands: np.ndarray, d
     forgets = (constants["actuator.time_constant"] == 0.0) & (constants["actuator.gap"] == 0.0)
     forgets &= constants["actuator.rate_limit"] * dt > 2.0 * way
     return np.where(forgets, max(steps - 2 * depth - 4, 0), 0)
-
-
-def compile_warm_up(layer: np.dtype, constants: np.dtype, nu: int) -> Any:  # noqa: ANN401
-    """The C function that moves actuators alone: addresses of their state, constants, commands and `SIZES`."""
-    return compile_once(WARM_UP.format(nu=nu), "warm_up", None, {"LAYER": layer, "CONSTANTS": constants}, FLY)

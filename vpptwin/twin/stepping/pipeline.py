@@ -63,21 +63,18 @@ class Pipeline:
         namespace |= {name: shared[function] for name, function in self.functions.items()}
         exec(compile(self.source, file, "exec"), namespace)
         chain = {name: transform(namespace[name], inline=True) for name in CHAIN}
-        return {f.__name__: transform(bind_names(f, chain), inline=True) for f in STEPS}
+        bound = {}
+        for f in STEPS:
+            # numba freezes globals as it compiles, so each catalogue has functions of its own that find its chain there
+            own = FunctionType(f.__code__, f.__globals__ | chain, f.__name__)
+            own.__module__ = f.__module__
+            bound[f.__name__] = transform(own, inline=True)
+        return bound
 
 
 def keep_plain(function: Function, inline: bool = False) -> Function:
     """The function as it is: for a pipeline in plain Python."""
     return function
-
-
-def bind_names(function: Function, names: dict[str, Any]) -> Function:
-    """The function with other things behind some of its global names."""
-    # numba freezes globals as it compiles, so each catalogue needs functions of its own that find its chain there.
-    assert isinstance(function, FunctionType)
-    bound = FunctionType(function.__code__, function.__globals__ | names, function.__name__)
-    bound.__module__ = function.__module__
-    return bound
 
 
 def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect], only: frozenset[str] | None = None) -> Pipeline:
@@ -87,6 +84,7 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect], only: fro
     """
     effects = [e for e in catalogue if e.stage in STEP_STAGES]
     joints = {model.joint(i).name: i for i in range(model.njnt)}
+    addresses = {"position": model.jnt_qposadr, "velocity": model.jnt_dofadr}
     columns: dict[tuple[str, str], int] = {}
     states: dict[str, list[str]] = {}
     starts: list[float | tuple[str, int]] = []
@@ -98,7 +96,9 @@ def write_pipeline(model: mujoco.MjModel, catalogue: Sequence[Effect], only: fro
         first = len(starts)
         states[effect.id] = [f"s[{first + copies * i}{rotor}]" for i in range(len(effect.states))]
         for state in effect.states:
-            starts += copies * [find_start(model, joints.get(effect.target, -1), state.start)]
+            start = state.start
+            joint = joints.get(effect.target, -1)
+            starts += copies * [(start, int(addresses[start][joint])) if isinstance(start, str) else float(start)]
     places = {effect.id: i for i, effect in enumerate(effects)}
     written = [e for e in effects if only is None or e.id in only]
     functions = {name_function(places[e.id], e): e.apply for e in written}
@@ -220,13 +220,6 @@ class ChainWriter:
         return lines
 
 
-def find_start(model: mujoco.MjModel, joint: int, start: float | str) -> float | tuple[str, int]:
-    """Where a state of an effect on a joint starts: a number, or the index of the joint's position or velocity."""
-    if isinstance(start, str):
-        return start, int((model.jnt_qposadr if start == "position" else model.jnt_dofadr)[joint])
-    return float(start)
-
-
 def name_function(place: int, effect: Effect) -> str:
     """What an effect's function is called in the text, whatever its joint is called: rigs of one form share a step."""
     kind = effect.id.rpartition(".")[2]
@@ -243,10 +236,11 @@ def fingerprint(*texts: str, functions: Sequence[Callable[..., Any]] = ()) -> st
         reach(function, reached)
     for captured in reached.values():
         digest.update(captured.encode())
-    files = {inspect.getsourcefile(f) or "" for f in reached} | own_sources()
+    own, versions = describe_compilers()
+    files = {inspect.getsourcefile(f) or "" for f in reached} | own
     for file in sorted(files):
         digest.update(Path(file).read_bytes() if Path(file).is_file() else b"")
-    digest.update(versions().encode())
+    digest.update(versions.encode())
     return digest.hexdigest()[:20]
 
 
@@ -269,12 +263,6 @@ def reach(function: Function, reached: dict[FunctionType, str]) -> None:
             reach(value, reached)
 
 
-@cache
-def versions() -> str:
-    """Versions of what compiles."""
-    return " ".join([*map(version, ("numba", "llvmlite", "mujoco", "numpy")), sys.version])
-
-
 COMPILED = (
     "effects/base.py",
     "robots/planar_drone/effects/laws.py",
@@ -286,7 +274,8 @@ COMPILED = (
 
 
 @cache
-def own_sources() -> frozenset[str]:
-    """The files that `COMPILED` names."""
+def describe_compilers() -> tuple[frozenset[str], str]:
+    """The files that `COMPILED` names, and versions of what compiles."""
     root = Path(__file__).parents[2]
-    return frozenset(str(file) for pattern in COMPILED for file in root.glob(pattern))
+    files = frozenset(str(file) for pattern in COMPILED for file in root.glob(pattern))
+    return files, " ".join([*map(version, ("numba", "llvmlite", "mujoco", "numpy")), sys.version])
