@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from vpptwin.robots.planar_drone.display.fingerprint import SIZES, draw_fingerprint, fly, take_fingerprint
 from vpptwin.twin import TwinSpec, load_twin
-from vpptwin.viz.plots.fingerprint import SIZES, draw_fingerprint, fly, take_fingerprint
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -18,20 +18,21 @@ from tests.train.conftest import tiny_env
 from vpptwin.cli.main import main
 from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.robots.planar_drone.display.overlay import CraftOverlay
+from vpptwin.robots.planar_drone.display.rotors import RotorMotion, SetpointChanges
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import is_own
 from vpptwin.train.stored import find_checkpoint
 from vpptwin.twin.spec import load_twin
 from vpptwin.viz.plots.palette import NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK, TWIN, to_rgb
-from vpptwin.viz.scene.camera import View
+from vpptwin.viz.scene.camera import CameraView
 from vpptwin.viz.scene.frames import BACKDROP, Painter
-from vpptwin.viz.scene.motion import Rotors
 from vpptwin.viz.scene.video import encode_film, write_video
 
 FLIP = Path(__file__).parents[2] / "demo/flights/flip.mcap"
-SIZE, VIEW = (480, 300), View(np.array([0.0, 0.0, 1.2]), 0.75)  # 200 pixels a metre
-STILL = Rotors(np.zeros(2), np.zeros(2), np.zeros(2))
+SIZE, VIEW = (480, 300), CameraView(np.array([0.0, 0.0, 1.2]), 0.75)  # 200 pixels a metre
+STILL = RotorMotion(*np.zeros((3, 1, 2)))
 SHAPES = """
 <mujoco><worldbody>
   <body name="slider"><joint name="slide" type="slide" axis="1 0 0"/>
@@ -49,7 +50,13 @@ SHAPES = """
 @pytest.fixture(scope="module")
 def painter() -> Painter:
     """Our rig on a small canvas."""
-    return Painter(load_twin().model, load_vehicle(), VIEW, SIZE)
+    return Painter(load_twin().model, VIEW, SIZE)
+
+
+def add(rotors: RotorMotion | None = None, target: np.ndarray | None = None) -> CraftOverlay:
+    """What the drone adds to a single picture: its rotors, and a setpoint x, z, θ."""
+    setpoint = None if target is None else SetpointChanges(np.zeros(1), *target[:, None])
+    return CraftOverlay(load_vehicle(), np.zeros(1), rotors, setpoint=setpoint)
 
 
 def find(frame: np.ndarray, colour: str, near: int = 12) -> np.ndarray:
@@ -67,7 +74,7 @@ def pose(x: float, z: float, theta: float) -> np.ndarray:
 def test_every_shape_is_drawn_where_it_is() -> None:
     """Box, ball, capsule, disc, ellipsoid and plane in their colours, with their extent; what is hidden is not."""
     model = mujoco.MjModel.from_xml_string(SHAPES)
-    frame = Painter(model, None, VIEW, SIZE).draw(np.array([0.1]))
+    frame = Painter(model, VIEW, SIZE).draw(np.array([0.1]))
     for colour, low, high in (
         ("#FF0000", (0.0, 1.15), (0.2, 1.25)),
         ("#00FF00", (-0.6, 1.1), (-0.4, 1.3)),
@@ -85,29 +92,29 @@ def test_every_shape_is_drawn_where_it_is() -> None:
 def test_the_craft_moves_and_turns(painter: Painter) -> None:
     """The mark on its top is above it upright, below it upside-down, to the left after a quarter turn to the left."""
     for theta, aside, above in ((0.0, 0.0, 0.018), (np.pi, 0.0, -0.018), (0.5 * np.pi, -0.018, 0.0)):
-        mark = find(painter.draw(pose(0.3, 1.4, theta), spin=STILL), TOP_MARK)
+        mark = find(painter.draw(pose(0.3, 1.4, theta), overlay=add(STILL)), TOP_MARK)
         assert len(mark) > 15
         np.testing.assert_allclose(mark.mean(axis=0), [0.3 + aside, 1.4 + above], atol=0.012)
 
 
 def test_thrust_has_a_colour_for_each_sign(painter: Painter) -> None:
     """Arrows point where the rotors push, from their hubs; none without thrust."""
-    frame = painter.draw(pose(0.0, 1.2, 0.0), spin=replace(STILL, thrust=np.array([4.0, -4.0])))
+    frame = painter.draw(pose(0.0, 1.2, 0.0), overlay=add(replace(STILL, thrust=np.array([[4.0, -4.0]]))))
     up, down = find(frame, POSITIVE_THRUST), find(frame, NEGATIVE_THRUST)
     assert up[:, 0].mean() == pytest.approx(-0.2, abs=0.01)
     assert up[:, 1].max() > 1.5
     assert down[:, 0].mean() == pytest.approx(0.2, abs=0.01)
     assert down[:, 1].min() < 0.9
-    idle = painter.draw(pose(0.0, 1.2, 0.0), spin=STILL)
+    idle = painter.draw(pose(0.0, 1.2, 0.0), overlay=add(STILL))
     assert not len(find(idle, POSITIVE_THRUST))
     assert not len(find(idle, NEGATIVE_THRUST))
 
 
 def test_blade_pitch_is_visible(painter: Painter) -> None:
     """A blade that points at the viewer is seen from its end: steep with pitch, flat without."""
-    spin = Rotors(np.full(2, 0.5 * np.pi * 20.0), np.zeros(2), np.zeros(2))
+    spin = replace(STILL, angle=np.full((1, 2), 0.5 * np.pi * 20.0))
     flat, steep = (
-        painter.draw(pose(0.0, 1.2, 0.0), spin=replace(spin, blade_pitch=np.full(2, pitch))).astype(int)
+        painter.draw(pose(0.0, 1.2, 0.0), overlay=add(replace(spin, blade_pitch=np.full((1, 2), pitch)))).astype(int)
         for pitch in (0.0, 0.2)
     )
     assert np.count_nonzero(np.abs(flat - steep).max(axis=-1) > 60) > 10
@@ -120,7 +127,7 @@ def test_twin_target_trail_and_text(painter: Painter) -> None:
     assert np.abs(plain[:8, 220:].astype(int) - [255 * c for c in to_rgb(BACKDROP)]).max() < 60
     for options, box in (
         ({"twin": pose(0.5, 1.2, 0.0)}, (0.3, 1.15, 0.7, 1.25)),
-        ({"target": pose(0.5, 0.8, 0.0)}, (0.3, 0.75, 0.7, 0.85)),
+        ({"overlay": add(target=pose(0.5, 0.8, 0.0))}, (0.3, 0.75, 0.7, 0.85)),
         ({"trail": np.array([[0.2, 0.9], [0.6, 1.5]])}, (0.2, 0.9, 0.6, 1.5)),
         ({"text": ["1.50 s"]}, (-1.2, 1.75, -0.8, 1.95)),
     ):
@@ -130,7 +137,7 @@ def test_twin_target_trail_and_text(painter: Painter) -> None:
         assert np.count_nonzero((x > box[0]) & (x < box[2]) & (z > box[1]) & (z < box[3])) > 40
     blue = painter.draw(here, twin=pose(0.5, 1.2, 0.0))[150, 340].astype(int)
     wanted = np.array([255 * c for c in to_rgb(TWIN)])
-    purple = painter.draw(here, target=pose(0.5, 1.2, 0.0))[150, 340].astype(int)
+    purple = painter.draw(here, overlay=add(target=pose(0.5, 1.2, 0.0)))[150, 340].astype(int)
     assert np.argmax(blue) == np.argmax(wanted) == 2
     assert np.argmin(purple) == np.argmin(to_rgb(TARGET)) == 1
 

@@ -17,9 +17,9 @@ from PIL import Image
 from tests.viz.browser import Browser
 from tests.viz.server import serve
 from vpptwin.cli.main import main
+from vpptwin.robots.planar_drone.display.live import KEYS, LivePage
 from vpptwin.train.env.observe import wrap_angle
 from vpptwin.train.evaluate.live import KICK, LiveFlight
-from vpptwin.viz.pages.live import KEYS, Panel
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +100,11 @@ def test_every_key_asks_for_something_there_is(flight: LiveFlight) -> None:
 
 
 @pytest.fixture
-def panel() -> Iterator[Panel]:
+def panel() -> Iterator[LivePage]:
     """A page around no scene."""
-    panel = Panel(["flip", "push up"])
+    panel = LivePage(["flip", "push up"])
     yield panel
-    panel.close()
+    panel.server.close()
 
 
 def ask(address: str, body: bytes | None = None) -> bytes:
@@ -114,19 +114,19 @@ def ask(address: str, body: bytes | None = None) -> bytes:
         return content
 
 
-def test_the_page_takes_commands_and_tells_the_state(panel: Panel) -> None:
+def test_the_page_takes_commands_and_tells_the_state(panel: LivePage) -> None:
     """What is known waits in order; what is not is refused, as are other addresses."""
-    assert b"vpptwin live" in ask(panel.address)
+    assert b"vpptwin live" in ask(panel.server.address)
     panel.state = {"time": 1.5}
-    assert json.loads(ask(panel.address + "state")) == {"time": 1.5}
-    ask(panel.address, b"push up")
-    ask(panel.address, b"flip")
+    assert json.loads(ask(panel.server.address + "state")) == {"time": 1.5}
+    ask(panel.server.address, b"push up")
+    ask(panel.server.address, b"flip")
     assert [panel.asked.get_nowait(), panel.asked.get_nowait()] == ["push up", "flip"]
-    for address, body in ((panel.address, b"format the disk"), (panel.address + "etc/passwd", None)):
+    for address, body in ((panel.server.address, b"format the disk"), (panel.server.address + "etc/passwd", None)):
         with pytest.raises(urllib.error.HTTPError):
             ask(address, body)
     assert panel.asked.empty()
-    assert panel.address.startswith("http://127.0.0.1:")
+    assert panel.server.address.startswith("http://127.0.0.1:")
 
 
 @pytest.mark.browser

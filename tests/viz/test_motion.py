@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.viz.conftest import make_flight, make_prediction
-from vpptwin.estimation.replay import Prediction
+from vpptwin.robots.planar_drone.display.rotors import hold, read_setpoint, turn_rotors
 from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.scene.motion import choose_frames, count_frames, hold, read_target, sample_prediction, turn_rotors
-from vpptwin.viz.scene.show import prepare_show
+from vpptwin.viz.scene.show import choose_frames, count_frames, prepare_show, sample_prediction
 
 
 def test_commands_hold_until_the_next() -> None:
@@ -36,27 +37,17 @@ def test_rotors_turn_by_the_integral_of_their_speed() -> None:
     """400 rad/s for 1 s, then 500 rad/s: 400 + 0.5 * 500 = 650 rad at 1.5 s; thrust is k_t omega alpha."""
     time = np.array([0.0, 1.0, 1.0 + 1e-9, 2.0])
     speed = np.array([400.0, 400.0, 500.0, 500.0])[:, None] * np.ones((1, 2))
-    vehicle = load_twin().vehicle
-    assert vehicle is not None
-    rotors = turn_rotors(time, speed, np.full((1, 2), 0.1), np.array([1.5]), vehicle)
+    rotors = turn_rotors(time, speed, np.full((1, 2), 0.1), np.array([1.5]), load_twin().vehicle)
     np.testing.assert_allclose(rotors.angle, [[650.0, 650.0]], rtol=1e-6)
     np.testing.assert_allclose(rotors.thrust, 0.0505 * 500.0 * 0.1)
 
 
 def test_twin_is_hidden_in_gaps() -> None:
     """Between 1 and 2 s the prediction has no sample: nothing is shown there, however straight the line would be."""
-    flight = make_flight()
-    whole = make_prediction(flight)
+    whole = make_prediction(make_flight())
     keep = (whole.time <= 1.0) | (whole.time >= 2.0)
-    torn = Prediction(
-        whole.time[keep],
-        whole.qpos[keep],
-        whole.qvel[keep],
-        whole.blade_pitch[keep],
-        whole.rotor_speed[keep],
-        np.empty(0),
-    )
-    shown = sample_prediction(torn, None, np.array([0.2, 0.8, 1.0, 1.5, 1.9, 2.0, 3.0])).shown
+    torn = replace(whole, time=whole.time[keep], qpos=whole.qpos[keep])
+    shown = sample_prediction(torn, np.array([0.2, 0.8, 1.0, 1.5, 1.9, 2.0, 3.0])).shown
     np.testing.assert_array_equal(shown, [False, True, True, False, False, True, True])
 
 
@@ -71,7 +62,7 @@ def test_prediction_without_a_finite_state_is_refused() -> None:
 
 def test_target_starts_with_the_setpoint_that_holds() -> None:
     """Of setpoints stamped before the first frame only the last counts, as if it came at the first frame."""
-    target = read_target(make_flight(), start=1.5, end=4.0)
+    target = read_setpoint(make_flight(), start=1.5, end=4.0)
     assert target is not None
     np.testing.assert_allclose(target.time, [0.0, 0.5])
     np.testing.assert_allclose(target.x, [0.0, 0.5])

@@ -14,7 +14,7 @@ from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec, load_twin
 from vpptwin.viz.pages.playback import play_page
 from vpptwin.viz.plots.panels import tell_robot
-from vpptwin.viz.scene.motion import find_positions
+from vpptwin.viz.scene.show import find_positions
 
 CART_POLE = """
 <mujoco><worldbody>

@@ -30,20 +30,20 @@ from tornado.websocket import websocket_connect
 from tests.bad_files import DEMO
 from tests.viz.page_reader import read_paths
 from vpptwin.cli.main import main
+from vpptwin.robots.planar_drone.display.live import LivePage
 from vpptwin.system.errors import InputError
 from vpptwin.viz.pages.browse import tell_address
-from vpptwin.viz.pages.live import Panel
 from vpptwin.viz.pages.serve import Server
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def panel() -> Iterator[Panel]:
+def panel() -> Iterator[LivePage]:
     """A page that takes one command."""
-    panel = Panel(["flip"])
+    panel = LivePage(["flip"])
     yield panel
-    panel.close()
+    panel.server.close()
 
 
 def ask(address: str, method: str = "GET", path: str = "", body: bytes = b"", **headers: str) -> int:
@@ -57,9 +57,9 @@ def ask(address: str, method: str = "GET", path: str = "", body: bytes = b"", **
     return status
 
 
-def test_only_loopback_listens(panel: Panel) -> None:
+def test_only_loopback_listens(panel: LivePage) -> None:
     """The socket is bound to 127.0.0.1; other addresses of this machine answer nothing."""
-    where = urlsplit(panel.address)
+    where = urlsplit(panel.server.address)
     (heard,) = {c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.laddr.port == where.port}
     assert heard == "127.0.0.1"
     assert main(["play", str(DEMO), "--host", "203.0.113.7"]) == 2
@@ -67,10 +67,10 @@ def test_only_loopback_listens(panel: Panel) -> None:
         Server("nowhere.invalid")
 
 
-def test_without_the_secret_nothing_is_there(panel: Panel) -> None:
+def test_without_the_secret_nothing_is_there(panel: LivePage) -> None:
     """Not the page, not its state, not the scene, no command."""
-    other = panel.address.replace(panel.server.secret, "x" * len(panel.server.secret))
-    bare = panel.address.replace(f"{panel.server.secret}/", "")
+    other = panel.server.address.replace(panel.server.secret, "x" * len(panel.server.secret))
+    bare = panel.server.address.replace(f"{panel.server.secret}/", "")
     for address in (other, bare):
         for path in ("", "state", "scene/", "scene/main.min.js", "socket"):
             assert ask(address, path=path) == 404
@@ -86,40 +86,40 @@ HOSTS = {
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_other_names_for_this_machine_are_refused(panel: Panel, host: str) -> None:
+def test_other_names_for_this_machine_are_refused(panel: LivePage, host: str) -> None:
     """A page whose name is made to point here (DNS rebinding) reads nothing and asks for nothing."""
-    given = host.format(urlsplit(panel.address).port)
-    assert ask(panel.address, Host=given) == HOSTS[host]
-    assert ask(panel.address, "POST", body=b"flip", Host=given) == HOSTS[host]
+    given = host.format(urlsplit(panel.server.address).port)
+    assert ask(panel.server.address, Host=given) == HOSTS[host]
+    assert ask(panel.server.address, "POST", body=b"flip", Host=given) == HOSTS[host]
     assert panel.asked.empty() == (HOSTS[host] != 200)
 
 
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "https://127.0.0.1:{}", "http://127.0.0.1:1", "http://localhost:{}"]
 )
-def test_other_pages_are_refused(panel: Panel, origin: str) -> None:
+def test_other_pages_are_refused(panel: LivePage, origin: str) -> None:
     """What another page sends, whatever it knows, is not taken, and no viewer of its gets the scene."""
-    port = urlsplit(panel.address).port
+    port = urlsplit(panel.server.address).port
     given = origin.format(port)
-    assert ask(panel.address, "POST", body=b"flip", Origin=given) == 403
-    assert ask(panel.address, path="state", Origin=given) == 403
+    assert ask(panel.server.address, "POST", body=b"flip", Origin=given) == 403
+    assert ask(panel.server.address, path="state", Origin=given) == 403
     assert panel.asked.empty()
-    assert ask(panel.address, "POST", body=b"flip", Origin=f"http://127.0.0.1:{port}") == 200
+    assert ask(panel.server.address, "POST", body=b"flip", Origin=f"http://127.0.0.1:{port}") == 200
     assert panel.asked.get_nowait() == "flip"
     with pytest.raises(HTTPClientError, match="403"):
         watch(panel.server, 1, Origin=given)
 
 
-def test_bad_requests_are_refused(panel: Panel) -> None:
+def test_bad_requests_are_refused(panel: LivePage) -> None:
     """Unknown commands, bytes that are no text, bodies of megabytes, other methods."""
     for body in (b"format the disk", b"\xff\xfe"):
-        assert ask(panel.address, "POST", body=body) == 400
+        assert ask(panel.server.address, "POST", body=body) == 400
     with suppress(ConnectionError, http.client.HTTPException):
-        assert ask(panel.address, "POST", body=b"flip" * 10**6) in (400, 413)
-    assert ask(panel.address, "DELETE") == 405
-    assert ask(panel.address, path="../../etc/passwd") == 404
+        assert ask(panel.server.address, "POST", body=b"flip" * 10**6) in (400, 413)
+    assert ask(panel.server.address, "DELETE") == 405
+    assert ask(panel.server.address, path="../../etc/passwd") == 404
     assert panel.asked.empty()
-    assert ask(panel.address) == 200
+    assert ask(panel.server.address) == 200
 
 
 def watch(server: Server, count: int, **headers: str) -> list[dict[str, object]]:
@@ -135,13 +135,13 @@ def watch(server: Server, count: int, **headers: str) -> list[dict[str, object]]
     return asyncio.run(read())
 
 
-def test_an_invitation_holds_once(panel: Panel) -> None:
+def test_an_invitation_holds_once(panel: LivePage) -> None:
     """It leads to the page, for whoever comes first, and from no other page."""
     invitation = panel.server.invite()
     assert panel.server.secret not in invitation
     assert ask(invitation, Host="evil.example:80") == 403
     with urllib.request.urlopen(invitation, timeout=10.0) as answer:
-        assert answer.url == panel.address
+        assert answer.url == panel.server.address
     assert ask(invitation) == 404
     assert ask(panel.server.invite() + "x") == 404
 
@@ -175,7 +175,7 @@ def test_a_flight_is_served_as_it_is_written(tmp_path: Path, capsys: pytest.Capt
     ],
 )  # fmt: skip
 def test_a_browser_is_opened_if_there_is_one(
-    panel: Panel, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    panel: LivePage, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     terminal: bool, screen: str, named: str | None, opened: bool,
 ) -> None:  # fmt: skip
     """Where somebody sits before a terminal and a screen, not one in that terminal; without the secret on its line."""
@@ -196,7 +196,7 @@ def test_a_browser_is_opened_if_there_is_one(
     monkeypatch.setenv("DISPLAY", screen)
     monkeypatch.setenv("BROWSER", "mine %s" if named == "mine" else "")
     tell_address(panel.server, "shows it.")
-    assert capsys.readouterr().out == f"{panel.address} shows it.\n"
+    assert capsys.readouterr().out == f"{panel.server.address} shows it.\n"
     assert bool(addresses) == opened
     assert not [address for address in addresses if panel.server.secret in address]
 

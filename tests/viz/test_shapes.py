@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.viz.scene.shapes import (
+from vpptwin.viz.scene.geoms import read_paint
+from vpptwin.viz.scene.meshes import (
     SEGMENTS,
     make_capsule,
     make_cone,
     make_cylinder,
     make_geom,
     make_ribbon,
-    read_paint,
 )
 
 # A polygon of n corners has n/(2 pi) sin(2 pi/n) of its circle's area.

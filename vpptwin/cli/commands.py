@@ -30,7 +30,7 @@ def run_effects(options: argparse.Namespace) -> None:
 
     spec = load_twin(options.twin, options.effects)
     if options.pictures:
-        from vpptwin.viz.plots.fingerprint import draw_catalogue
+        from vpptwin.robots.planar_drone.display.fingerprint import draw_catalogue
 
         files = draw_catalogue(spec, Path(options.pictures), options.force)
         print(f"{len(files)} pictures in {options.pictures}")
@@ -102,8 +102,8 @@ def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
     from vpptwin.train.stored import need_checkpoint
 
     need_checkpoint(checkpoint)
+    from vpptwin.robots.planar_drone.display.live import fly_live
     from vpptwin.train.evaluate.live import LiveFlight
-    from vpptwin.viz.pages.live import fly_live
 
     fly_live(LiveFlight(checkpoint), host)
 
@@ -161,9 +161,9 @@ def run_identify(options: argparse.Namespace) -> None:
 
 def run_fly(options: argparse.Namespace) -> None:
     """`vpptwin fly`."""
+    from vpptwin.robots.planar_drone.display.markers import describe_flight
     from vpptwin.robots.planar_drone.pilot.command import Sortie, check_out, fly_log, print_library
     from vpptwin.twin.spec import load_twin
-    from vpptwin.viz.scene.markers import describe_flight
 
     if options.list:
         print_library()

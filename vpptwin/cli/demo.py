@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 
 from vpptwin.report.command import diagnose_logs
+from vpptwin.robots.planar_drone.display.markers import describe_flight
 from vpptwin.robots.planar_drone.pilot.command import Sortie, fly_log
 from vpptwin.system.files import check_own
 from vpptwin.system.resources import flights_dir
 from vpptwin.train.evaluate.pilot import load_pilot
 from vpptwin.twin.spec import load_twin
 from vpptwin.viz.command import play_log
-from vpptwin.viz.scene.markers import describe_flight
 
 DIAGNOSED = ("aggressive", "mixed", "steps")
 

@@ -56,8 +56,10 @@ class PlanarDrone(Robot):
             "list_topics": "vpptwin.robots.planar_drone.report:list_drone",
             "advise_library": "vpptwin.robots.planar_drone.report:advise_drone",
             "suggest_training": "vpptwin.robots.planar_drone.report:suggest_flip",
-            "find_positions": "vpptwin.robots.planar_drone.display:read_pose",
-            "tell_robot": "vpptwin.robots.planar_drone.display:tell_craft",
+            "find_positions": "vpptwin.robots.planar_drone.display.overlay:read_pose",
+            "make_overlay": "vpptwin.robots.planar_drone.display.overlay:overlay_craft",
+            "tell_robot": "vpptwin.robots.planar_drone.display.panels:tell_craft",
+            "find_triggers": "vpptwin.robots.planar_drone.display.panels:find_flips",
         }
     )
 

@@ -15,12 +15,9 @@ import numpy as np
 import umsgpack
 
 from vpptwin.viz.plots import palette
-from vpptwin.viz.scene.camera import View, frame_view
-from vpptwin.viz.scene.motion import TRAIL_DURATION
-from vpptwin.viz.scene.rotors import PITCH_EXAGGERATION, TURN_SLOWDOWN
-from vpptwin.viz.scene.scene import GRID_STEP, ROOT, find_corners, name_body
-from vpptwin.viz.scene.show import Show
-from vpptwin.viz.scene.stage import view_flight
+from vpptwin.viz.scene.camera import CameraView, frame_view
+from vpptwin.viz.scene.geoms import GRID_STEP, ROOT, find_corners, name_body
+from vpptwin.viz.scene.show import TRAIL_DURATION, LegendEntry, Show, view_show
 
 FOLLOWED_HALF_HEIGHT = 0.6  # m seen above and below a followed craft
 VIEWER = Path(meshcat.__file__).parent / "viewer" / "dist" / "main.min.js"
@@ -48,15 +45,6 @@ class Recorder:
 
 
 @dataclass(frozen=True)
-class LegendEntry:
-    """A colour, how it is drawn (solid, translucent, line) and what it stands for."""
-
-    colour: str
-    style: str
-    text: str
-
-
-@dataclass(frozen=True)
 class PageText:
     """What the page says and knows around the scene."""
 
@@ -75,50 +63,31 @@ class PageText:
 def describe_show(show: Show, title: str, caption: str) -> PageText:
     """Legend, note, views and readouts for what a show holds; caption is what the legend calls the twin."""
     legend = [LegendEntry(palette.LOG, "solid", "the log")]
-    notes = [f"Grid: {GRID_STEP:g} m."]
-    views = {
-        "flight": lower_view(view_flight(show)),
-        "rig": lower_view(frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.3)),
-    }
+    rig = frame_view(find_corners(show.model, show.log.qpos[0]), margin=0.3)
+    views = {"flight": lower_view(view_show(show)), "rig": lower_view(rig)}
     log_node: tuple[str, ...] = ()
     twin_node: tuple[str, ...] = ()
     if show.twin is not None:
         legend.append(LegendEntry(palette.TWIN, "translucent", caption))
     if show.followed >= 0:
-        views["craft"] = (0.0, 0.0, View(np.zeros(3), FOLLOWED_HALF_HEIGHT).distance)
-        body = name_body(show.model, show.followed)
-        log_node = (*split_path(ROOT), "log", body)
-        twin_node = (*split_path(ROOT), "twin", body) if show.twin is not None else ()
+        views["craft"] = lower_view(CameraView(np.zeros(3), FOLLOWED_HALF_HEIGHT))
+        root, body = ROOT.removeprefix("/"), name_body(show.model, show.followed)
+        log_node = (root, "log", body)
+        twin_node = (root, "twin", body) if show.twin is not None else ()
         legend.append(LegendEntry(palette.TRAIL, "line", f"the log's last {TRAIL_DURATION:g} s"))
-    if show.target is not None:
-        legend.append(LegendEntry(palette.TARGET, "translucent", "target"))
-    if show.log.rotors is not None:
-        legend.append(LegendEntry(palette.POSITIVE_THRUST, "solid", "thrust"))
-        legend.append(LegendEntry(palette.NEGATIVE_THRUST, "solid", "negative thrust"))
-        notes.append(f"Rotors turn {TURN_SLOWDOWN:g} times slower and pitch {PITCH_EXAGGERATION:g} times further.")
-        notes.append("Thrust: k_T × speed × commanded pitch.")
+    note = " ".join([f"Grid: {GRID_STEP:g} m.", *show.overlay.notes])
     start, duration = float(show.frames[0]), float(show.time[-1])
-    note = " ".join(notes)
-    return PageText(title, tuple(legend), note, start, len(show.frames), duration, views, log_node, twin_node)
+    entries = (*legend, *show.overlay.legend)
+    return PageText(title, entries, note, start, len(show.frames), duration, views, log_node, twin_node)
 
 
-def lower_view(view: View) -> tuple[float, float, float]:
+def lower_view(view: CameraView) -> tuple[float, float, float]:
     """Centre x and z and distance of the camera [m]."""
     return float(view.centre[0]), float(view.centre[2]), view.distance
 
 
-def split_path(path: str) -> list[str]:
-    """The names along a scene path."""
-    return [name for name in path.split("/") if name]
-
-
 def render_page(commands: list[bytes], text: PageText) -> str:
-    """The page as HTML.
-
-    Args:
-        commands: packed meshcat commands in the order of drawing.
-        text: what the page says around the scene.
-    """
+    """The page as HTML, from packed meshcat commands in the order of drawing and what it says around the scene."""
     readout: dict[str, object] = {
         "start": text.start, "frame": text.duration / (text.frames - 1), "log": text.log_node, "twin": text.twin_node,
         "views": text.views, "trail": round(TRAIL_DURATION * text.frames / text.duration),

@@ -19,8 +19,7 @@ from vpptwin.viz.pages.browse import has_screen
 from vpptwin.viz.pages.serve import keep_going
 from vpptwin.viz.plots.palette import TWIN, to_rgb
 from vpptwin.viz.scene.camera import AZIMUTH, BACKDROP_BOTTOM, BACKDROP_TOP, ELEVATION, FIELD_OF_VIEW
-from vpptwin.viz.scene.show import Show, prepare_show
-from vpptwin.viz.scene.stage import view_flight
+from vpptwin.viz.scene.show import Show, prepare_show, view_show
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
@@ -143,7 +142,7 @@ def add_sky(spec: TwinSpec) -> TwinSpec:
 
 def aim(camera: mujoco.MjvCamera, show: Show) -> None:
     """Look at the flight from where the page does."""
-    view = view_flight(show)
+    view = view_show(show)
     camera.lookat[:] = view.centre
     camera.azimuth, camera.elevation = 90.0 + np.degrees(AZIMUTH), -np.degrees(ELEVATION)
     camera.distance = view.distance

@@ -15,7 +15,7 @@ from vpptwin.twin.robot.signals import Tracked
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.plots.figure import INK
 from vpptwin.viz.plots.palette import TWIN
-from vpptwin.viz.scene.motion import place_body
+from vpptwin.viz.scene.show import place_body
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 
 SMOOTHED = 0.07
 """Window of the quadratic that velocities are the slope of, s."""
-TURNED = 0.01
-"""Change of the setpoint's angle that counts as a trigger, rad."""
-SPINNING = 0.1
-"""A setpoint's angle that goes on changing within this time is one trigger, s."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +81,13 @@ def tell_flight(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
         expected = "a log of our craft, or of the joints that the twin's signals name"
         advice = "name the rig's twin with --twin, or use a topic map"
         raise InputError(f"{flight.path}: nothing to plot, topics {present}", expected, advice)
-    return Story(flight.name, panels, find_triggers(flight))
+    return Story(flight.name, panels, find_triggers(spec.robot, flight))
 
 
-def find_triggers(flight: Flight) -> np.ndarray:
-    """Times at which the setpoint's angle changes, (k,) s; of an angle that turns, the time at which it begins."""
-    stream = flight.streams.get("/setpoint/pose")
-    if stream is None or len(stream) < 2:
-        return np.empty(0)
-    times = stream.time[1:][np.abs(np.diff(stream["theta"])) > TURNED]
-    begun: np.ndarray = np.diff(times, prepend=-np.inf) > SPINNING
-    return times[begun]
+@by_robot
+def find_triggers(robot: Robot, flight: Flight) -> np.ndarray:
+    """Times (k,) [s] at which something else was asked for, drawn across all panels: of most rigs none."""
+    return np.empty(0)
 
 
 @by_robot

@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-from vpptwin.viz.scene.scene import ROOT
-
-if TYPE_CHECKING:
-    from meshcat import Visualizer
 
 FIELD_OF_VIEW = 30.0  # degrees, vertical; narrow, so that perspective distorts little
 AZIMUTH, ELEVATION = np.radians(-8.0), np.radians(10.0)  # of the camera, seen from what it looks at
@@ -18,11 +12,10 @@ MARGIN = 0.55  # m around what moves: the arm, a rotor and an arrow
 SMALLEST_HALF_HEIGHT = 0.85  # m
 SCREEN_ASPECT = 1.5  # width over height that the view is made for
 BACKDROP_TOP, BACKDROP_BOTTOM = [0.96, 0.97, 0.98], [0.80, 0.84, 0.88]
-CAMERA = "/Cameras/default/rotated/<object>"
 
 
 @dataclass(frozen=True)
-class View:
+class CameraView:
     """What the camera looks at: centre (3,) [m] in the world and the half height [m] that it sees there."""
 
     centre: np.ndarray
@@ -36,27 +29,8 @@ class View:
 
 def frame_view(
     places: np.ndarray, margin: float = MARGIN, smallest: float = SMALLEST_HALF_HEIGHT, aspect: float = SCREEN_ASPECT
-) -> View:
+) -> CameraView:
     """The view that holds all places (n, 3) [m] with a margin [m] and at least `smallest` [m] above its centre."""
     low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
     half, centre = 0.5 * (high - low), 0.5 * (low + high)
-    return View(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / aspect, smallest))
-
-
-def place_camera(vis: Visualizer, view: View) -> None:
-    """Aim meshcat's camera, which always looks at the origin: the rig is shifted there, nothing in it changes."""
-    import meshcat.transformations as tf  # as in `vpptwin.viz.scene.shapes`
-
-    vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
-    aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
-    vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
-    before = float(np.cos(AZIMUTH) * np.cos(ELEVATION))
-    vis[CAMERA].set_property("position", [view.distance * c for c in (aside, above, before)])
-
-
-def set_backdrop(vis: Visualizer) -> None:
-    """A pale backdrop without meshcat's own grid and axes."""
-    vis["/Grid"].set_property("visible", False)
-    vis["/Axes"].set_property("visible", False)
-    vis["/Background"].set_property("top_color", BACKDROP_TOP)
-    vis["/Background"].set_property("bottom_color", BACKDROP_BOTTOM)
+    return CameraView(np.array([centre[0], 0.0, centre[2]]), max(half[2], half[0] / aspect, smallest))

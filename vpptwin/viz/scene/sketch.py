@@ -8,14 +8,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from vpptwin.effects import Effect, Stage
 from vpptwin.twin.robot.robot import Robot
 from vpptwin.twin.sensors import PERFECT
-from vpptwin.viz.scene.frames import outline_geom
-from vpptwin.viz.scene.scene import FIRST_HIDDEN_GROUP
-from vpptwin.viz.scene.shapes import read_paint
+from vpptwin.viz.scene.geoms import find_hull, list_drawn, outline_geom
 
 Place = Callable[[np.ndarray], np.ndarray]
 """From points of the world (..., 3) [m] to points of the drawing (..., 2) [px]."""
@@ -73,10 +70,8 @@ def sketch_rig(robot: Robot, effects: Iterable[Effect], label: str) -> str:
     data.qpos[:] = robot.start_pose
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    drawn = [g for g in range(model.ngeom) if model.geom_group[g] < FIRST_HIDDEN_GROUP]
-    drawn = [
-        g for g in drawn if read_paint(model, g).opacity > 0.0 and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-    ]
+    paints = list_drawn(model)
+    drawn = [g for g in paints if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
     places = {g: data.geom_xpos[g] + outline_geom(model, g) @ data.geom_xmat[g].reshape(3, 3).T for g in drawn}
     moving = [places[g] for g in drawn if model.body_weldid[model.geom_bodyid[g]] != 0]
     if not moving:
@@ -97,8 +92,7 @@ def sketch_rig(robot: Robot, effects: Iterable[Effect], label: str) -> str:
     deep = 3 - sum(axes)
     nearest_last = sorted(drawn, key=lambda g: data.geom_xpos[g][deep] * (-1.0 if deep == 1 else 1.0))
     shapes = [
-        draw_outline(place(places[g]), int(model.geom_bodyid[g]) in bodies, read_paint(model, g).opacity)
-        for g in nearest_last
+        draw_outline(place(places[g]), int(model.geom_bodyid[g]) in bodies, paints[g].opacity) for g in nearest_last
     ]
     reach = MARK * extent.max()
     for joint in sorted({joint for part in parts for joint in part.joints}):
@@ -112,10 +106,7 @@ def sketch_rig(robot: Robot, effects: Iterable[Effect], label: str) -> str:
 
 def draw_outline(points: np.ndarray, lit: bool, opacity: float) -> str:
     """The convex hull of points (k, 2) [px]."""
-    try:
-        hull = points[ConvexHull(points).vertices]
-    except QhullError:  # seen from its edge
-        hull = points[[np.lexsort(points.T)[0], np.lexsort(points.T)[-1]]]
+    hull, _ = find_hull(points)
     style = f'{LIT} stroke="var(--lit)"' if lit else 'fill="currentColor" stroke="currentColor"'
     return f'<path d="{trace(hull)}z" {style} opacity="{opacity * (1.0 if lit else 0.45):.2f}"/>'
 

@@ -1,122 +1,112 @@
-"""The scene of a show: rig, log, twin, target and trail, each drawn once and moved by tracks."""
+"""The scene of a show in meshcat: rig, log, twin, trail and what the robot adds, drawn once and moved by tracks."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import meshcat.geometry as mg
+import meshcat.transformations as tf
 import mujoco
 import numpy as np
 from meshcat import Visualizer
 
-from vpptwin.robots.planar_drone.vehicle import Vehicle
-from vpptwin.viz.plots.palette import TARGET, TRAIL, TWIN, to_int
-from vpptwin.viz.scene.camera import View, frame_view, place_camera, set_backdrop
-from vpptwin.viz.scene.motion import Motion, Target
-from vpptwin.viz.scene.rotors import draw_arrows, draw_rotors, track_arrows, track_rotors
-from vpptwin.viz.scene.scene import (
+from vpptwin.viz.plots.palette import GREY, TRAIL, TWIN, to_int
+from vpptwin.viz.scene.camera import AZIMUTH, BACKDROP_BOTTOM, BACKDROP_TOP, ELEVATION, FIELD_OF_VIEW, CameraView
+from vpptwin.viz.scene.geoms import (
+    FIRST_HIDDEN_GROUP,
+    GRID_STEP,
+    PLANE_THICKNESS,
     ROOT,
-    draw_bodies,
-    draw_geom,
-    draw_grid,
-    draw_surroundings,
-    find_craft,
+    Paint,
     name_body,
     pose_bodies,
-    track_bodies,
+    read_paint,
 )
-from vpptwin.viz.scene.shapes import Paint, make_ribbon
-from vpptwin.viz.scene.show import Show
-from vpptwin.viz.scene.tracks import Track, make_track
+from vpptwin.viz.scene.meshes import make_geom, make_material, make_ribbon
+from vpptwin.viz.scene.show import Show, Trajectory, view_show
+from vpptwin.viz.scene.tracks import KeyframeTrack, make_track
 
 TRAIL_WIDTH = 0.012  # m
 TRAIL_DEPTH = 0.03  # m, the trail's y: just behind the craft
 GRID_DEPTH = 0.5  # m, the grid's y: behind the rig
 TWIN_PAINT = Paint(TWIN, 0.5, behind=True)
-TARGET_PAINT = Paint(TARGET, 0.4, behind=True)
+CAMERA = "/Cameras/default/rotated/<object>"
 
 
-def draw_show(vis: Visualizer, show: Show) -> list[Track]:
+def draw_show(vis: Visualizer, show: Show) -> list[KeyframeTrack]:
     """Draw everything, aim the camera, and return the tracks that move it."""
-    set_backdrop(vis)
-    draw_surroundings(vis[f"{ROOT}/world"], show.model)
-    tracks = draw_motion(vis, show, "log", show.log)
-    view = view_flight(show)
+    draw_surroundings(vis, show.model)
+    tracks = draw_trajectory(vis, show, "log", show.log)
     if show.twin is not None:
-        tracks += draw_motion(vis, show, "twin", join_phase(show.twin, show.log), TWIN_PAINT)
+        tracks += draw_trajectory(vis, show, "twin", show.twin, TWIN_PAINT)
     if show.followed >= 0:
         draw_trail(vis, show)
-    if show.target is not None and show.rotorcraft is not None:
-        tracks += draw_target(vis, show, show.rotorcraft, show.target)
-    aim_at(vis, view)
+    tracks += show.overlay.draw_target(vis, show)
+    aim_at(vis, view_show(show))
     return tracks
 
 
-def aim_at(vis: Visualizer, view: View) -> None:
-    """Place the camera, and a grid behind what it sees."""
-    centre, reach = view.centre[[0, 2]], view.half_height * np.array([2.5, 1.5])
-    draw_grid(vis[f"{ROOT}/grid"], np.maximum(centre - reach, [-np.inf, 0.0]), centre + reach, GRID_DEPTH)
-    place_camera(vis, view)
+def draw_surroundings(vis: Visualizer, model: mujoco.MjModel) -> None:
+    """Draw the geoms that never move (floor, wall, rail) before a pale backdrop without meshcat's own grid and axes."""
+    vis["/Grid"].set_property("visible", False)
+    vis["/Axes"].set_property("visible", False)
+    vis["/Background"].set_property("top_color", BACKDROP_TOP)
+    vis["/Background"].set_property("bottom_color", BACKDROP_BOTTOM)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if model.body_weldid[body] == 0:
+            place = vis[f"{ROOT}/world"][name_body(model, body)]
+            draw_geom(place, model, geom, None)
+            place.set_transform(make_matrix(data.xpos[body], data.xquat[body]))
 
 
-def view_flight(show: Show, **options: float) -> View:
-    """The view that holds the path of what is followed, or all that moves; options are those of `frame_view`."""
-    position, _ = pose_bodies(show.model, show.log.qpos)
-    if show.followed >= 0:
-        return frame_view(position[:, show.followed], **options)
-    return frame_view(position[:, show.model.body_weldid != 0].reshape(-1, 3), **options)
+def draw_bodies(node: Visualizer, model: mujoco.MjModel, paint: Paint | None = None) -> None:
+    """Draw the geoms of the moving bodies below node/BODY, all in one paint, or in the MJCF's colours."""
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if model.body_weldid[body] != 0:
+            draw_geom(node[name_body(model, body)], model, geom, paint)
 
 
-def draw_motion(vis: Visualizer, show: Show, name: str, motion: Motion, paint: Paint | None = None) -> list[Track]:
-    """Draw the rig as it moves: solid in the MJCF's colours, with thrust arrows, or in one paint without them."""
-    node = f"{ROOT}/{name}"
-    draw_bodies(vis[node], show.model, paint)
-    tracks = track_bodies(node, show.model, show.time, motion)
-    if show.rotorcraft is None:
-        return tracks
-    craft = f"{node}/{name_body(show.model, find_craft(show.model))}"
-    draw_rotors(vis[craft], show.model, show.rotorcraft, paint)
-    if motion.rotors is not None:
-        tracks += track_rotors(craft, show.time, motion.rotors)
-        if paint is None:
-            draw_arrows(vis[craft])
-            tracks += track_arrows(craft, show.time, motion.rotors, show.rotorcraft)
-    return tracks
+def draw_geom(node: Visualizer, model: mujoco.MjModel, geom: int, paint: Paint | None) -> None:
+    """Draw one geom below its body's node, unless it is transparent or in a hidden group."""
+    own, shape = read_paint(model, geom), make_geom(model, geom)
+    if shape is None or own.opacity == 0.0 or model.geom_group[geom] >= FIRST_HIDDEN_GROUP:
+        return
+    place = node[model.geom(geom).name or f"geom_{geom}"]
+    if paint is not None:
+        own = replace(paint, opacity=paint.opacity * own.opacity)
+    place.set_object(shape[0], make_material(own, smooth=shape[1]))
+    pose = make_matrix(model.geom_pos[geom], model.geom_quat[geom])
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+        pose[:3, 3] -= 0.5 * PLANE_THICKNESS * pose[:3, 2]
+    place.set_transform(pose)
 
 
-def join_phase(twin: Motion, log: Motion) -> Motion:
-    """The twin with its rotors turned to where the log's are when it first shows: nobody models their phase."""
-    if twin.rotors is None or log.rotors is None:
-        return twin
-    first = int(np.argmax(twin.shown))
-    angle = twin.rotors.angle + log.rotors.angle[first] - twin.rotors.angle[first]
-    return replace(twin, rotors=replace(twin.rotors, angle=angle))
+def make_matrix(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """4 x 4 pose from a position [m] and MuJoCo's quaternion (w, x, y, z)."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, quaternion)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), position
+    return matrix
 
 
-def draw_ghost(vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
-    """Draw the craft once more, as what shows the setpoint."""
-    for geom in np.flatnonzero(model.geom_bodyid == find_craft(model)):
-        draw_geom(vis, model, int(geom), TARGET_PAINT)
-    draw_rotors(vis, model, vehicle, TARGET_PAINT)
-
-
-def draw_target(vis: Visualizer, show: Show, vehicle: Vehicle, target: Target) -> list[Track]:
-    """Draw the ghost at the setpoint, hidden before the first one."""
-    node = f"{ROOT}/target"
-    draw_ghost(vis[node], show.model, vehicle)
-    half = -0.5 * target.theta  # θ turns about -y
-    zero = np.zeros_like(half)
-    end = show.time[-1]
-    rows = np.append(np.arange(len(half)), len(half) - 1)  # the last setpoint stays until the end
-    time = np.append(target.time, end)
-    position = np.stack([target.x, zero, target.z], -1)[rows]
-    quaternion = np.stack([zero, np.sin(half), zero, np.cos(half)], -1)[rows]
-    moves = {"position": position, "quaternion": quaternion}
-    tracks = [make_track(node, name, time, values, hold=True) for name, values in moves.items()]
-    if target.time[0] > 0.0:
-        shown = np.array([False, True, True])
-        tracks.append(make_track(node, "visible", np.array([0.0, target.time[0], end]), shown))
-    return tracks
+def draw_trajectory(
+    vis: Visualizer, show: Show, name: str, trajectory: Trajectory, paint: Paint | None = None
+) -> list[KeyframeTrack]:
+    """Draw the rig as it moves, in the MJCF's colours or in one paint, and what the robot adds to it."""
+    path, model, time = f"{ROOT}/{name}", show.model, show.time
+    draw_bodies(vis[path], model, paint)
+    position, quaternion = pose_bodies(model, trajectory.qpos)
+    tracks = [] if trajectory.shown.all() else [make_track(path, "visible", time, trajectory.shown)]
+    for body in np.flatnonzero(model.body_weldid):
+        node = f"{path}/{name_body(model, int(body))}"
+        tracks.append(make_track(node, "position", time, position[:, body]))
+        tracks.append(make_track(node, "quaternion", time, quaternion[:, body]))
+    return tracks + show.overlay.draw_parts(vis, show, name, paint)
 
 
 def draw_trail(vis: Visualizer, show: Show) -> None:
@@ -125,3 +115,23 @@ def draw_trail(vis: Visualizer, show: Show) -> None:
     path = position[:, show.followed] + [0.0, TRAIL_DEPTH, 0.0]
     material = mg.MeshBasicMaterial(color=to_int(TRAIL), opacity=0.45, depthWrite=False)
     vis[f"{ROOT}/trail"].set_object(make_ribbon(path, TRAIL_WIDTH), material)
+
+
+def aim_at(vis: Visualizer, view: CameraView) -> None:
+    """Draw a grid behind what the camera sees, and aim it; it always looks at the origin, so the rig is shifted."""
+    centre, reach = view.centre[[0, 2]], view.half_height * np.array([2.5, 1.5])
+    first = np.floor(np.maximum(centre - reach, [-np.inf, 0.0]) / GRID_STEP) * GRID_STEP
+    last = np.ceil((centre + reach) / GRID_STEP) * GRID_STEP
+    ends: list[tuple[float, float, float]] = []
+    for x in np.arange(first[0], last[0] + 1e-9, GRID_STEP):
+        ends += [(x, GRID_DEPTH, first[1]), (x, GRID_DEPTH, last[1])]
+    for z in np.arange(first[1], last[1] + 1e-9, GRID_STEP):
+        ends += [(first[0], GRID_DEPTH, z), (last[0], GRID_DEPTH, z)]
+    lines = mg.PointsGeometry(np.array(ends, dtype=np.float32).T)
+    grid = mg.LineSegments(lines, mg.LineBasicMaterial(color=to_int(GREY), opacity=0.35))
+    vis[f"{ROOT}/grid"].set_object(grid)
+    vis[ROOT].set_transform(tf.translation_matrix(-view.centre))
+    aside, above = np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)
+    vis[CAMERA].set_property("fov", FIELD_OF_VIEW)
+    before = float(np.cos(AZIMUTH) * np.cos(ELEVATION))
+    vis[CAMERA].set_property("position", [view.distance * c for c in (aside, above, before)])

@@ -1,4 +1,4 @@
-"""Animation tracks: what changes over time, in the form that meshcat's viewer plays."""
+"""Keyframe tracks of three.js: what changes over time, in the form that meshcat's viewer plays."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import umsgpack
+from meshcat.path import Path as NodePath
 
 FLOAT32_ARRAY = 0x17  # msgpack extension that the viewer unpacks into a Float32Array
 HOLD = 2300  # three.js InterpolateDiscrete
 
 
 @dataclass(frozen=True)
-class Track:
+class KeyframeTrack:
     """One animated property of one scene node."""
 
     path: str  # the node, absolute, such as "/rig/log/craft"
@@ -35,7 +36,7 @@ def pack_floats(array: np.ndarray) -> umsgpack.Ext:
     return umsgpack.Ext(FLOAT32_ARRAY, np.ascontiguousarray(array, dtype=np.float32).tobytes())
 
 
-def make_track(path: str, name: str, time: np.ndarray, values: np.ndarray, hold: bool = False) -> Track:
+def make_track(path: str, name: str, time: np.ndarray, values: np.ndarray, hold: bool = False) -> KeyframeTrack:
     """A track whose kind follows from the values, without the keys that change nothing.
 
     Args:
@@ -53,19 +54,17 @@ def make_track(path: str, name: str, time: np.ndarray, values: np.ndarray, hold:
         keep = np.concatenate([[True], moves])
         keep[-1] = True
         time, values = time[keep], values[keep]
-    return Track(path, name, kind, time, values, hold or boolean)
+    return KeyframeTrack(path, name, kind, time, values, hold or boolean)
 
 
 @dataclass(frozen=True)
 class Animation:
     """All tracks of a page; takes the place of meshcat's own Animation, which spends a dictionary on every key."""
 
-    tracks: list[Track] = field(default_factory=list)
+    tracks: list[KeyframeTrack] = field(default_factory=list)
 
     def lower(self) -> list[dict[str, object]]:
         """One clip per animated node, in the order in which the nodes appear."""
-        from meshcat.path import Path as NodePath  # as in `vpptwin.viz.scene.shapes`
-
         clips: dict[str, list[dict[str, object]]] = {}
         for track in self.tracks:
             clips.setdefault(track.path, []).append(track.lower())

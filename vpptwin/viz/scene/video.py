@@ -19,9 +19,7 @@ from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.plots import palette
 from vpptwin.viz.plots.figure import thin
 from vpptwin.viz.scene.frames import Painter
-from vpptwin.viz.scene.motion import TRAIL_DURATION, Rotors, hold
-from vpptwin.viz.scene.show import Show, prepare_show
-from vpptwin.viz.scene.stage import view_flight
+from vpptwin.viz.scene.show import TRAIL_DURATION, Show, prepare_show, view_show
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
@@ -68,8 +66,8 @@ def write_video(
     if show.time[-1] > LONGEST and not film:
         found = f"{flight.path}: {show.time[-1]:.0f} s"
         raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html, or .mp4")
-    view = view_flight(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
-    painter = Painter(show.model, show.rotorcraft, view, size)
+    view = view_show(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
+    painter = Painter(show.model, view, size)
     times = np.arange(0.0, show.time[-1], 1.0 / RATE)
     bar = tqdm(paint_show(painter, show, times), total=len(times), leave=False, disable=None, desc="video")
     if film:
@@ -132,15 +130,8 @@ def choose_palette(frames: Sequence[Image.Image]) -> Image.Image:
 def paint_show(painter: Painter, show: Show, times: np.ndarray) -> Iterator[np.ndarray]:
     """Frames of a show at times (k,) [s] from its start."""
     nearest = np.searchsorted(show.time, times).clip(0, len(show.time) - 1)
-    target = show.target
     for time, row in zip(times, nearest):
-        asked = None
-        if target is not None and time >= target.time[0]:
-            at = np.array([time])
-            asked = np.concatenate([hold(target.time, values, at) for values in (target.x, target.z, target.theta)])
         twin = None if show.twin is None or not show.twin.shown[row] else show.twin.qpos[row]
         past = show.log.qpos[(show.time > time - TRAIL_DURATION) & (show.time <= time)]
-        both = show.log.rotors
-        spin = None if both is None else Rotors(both.angle[row], both.blade_pitch[row], both.thrust[row])
         trail, text = past[:, :2] if show.followed >= 0 else None, [f"{time + show.frames[0]:5.2f} s"]
-        yield painter.draw(show.log.qpos[row], spin=spin, twin=twin, target=asked, trail=trail, text=text)
+        yield painter.draw(show.log.qpos[row], twin=twin, trail=trail, text=text, overlay=show.overlay, time=time)

@@ -11,10 +11,10 @@ import numpy as np
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import START_NS, Message
 from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS
+from vpptwin.robots.planar_drone.display.rotors import find_craft, fit_craft
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.viz.plots.palette import TARGET, to_rgb
-from vpptwin.viz.scene.scene import FIRST_HIDDEN_GROUP, find_craft, fit_craft, pose_bodies
-from vpptwin.viz.scene.shapes import PLANE_HALF_SIZE, PLANE_THICKNESS, Paint, read_paint
+from vpptwin.viz.scene.geoms import PLANE_THICKNESS, Paint, list_drawn, pose_bodies, size_plane
 
 TRANSFORMS, MARKERS = "/tf", "/rig/markers"
 WORLD, BODY, GHOST = "world", "body", "target"
@@ -87,10 +87,8 @@ def list_markers(model: mujoco.MjModel, ghost: bool) -> list[dict[str, object]]:
     craft, data = find_craft(model), mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     markers: list[dict[str, object]] = []
-    for geom in range(model.ngeom):
-        paint, body = read_paint(model, geom), int(model.geom_bodyid[geom])
-        if model.geom_group[geom] >= FIRST_HIDDEN_GROUP or paint.opacity == 0.0:
-            continue
+    for geom, paint in list_drawn(model).items():
+        body = int(model.geom_bodyid[geom])
         moves = model.body_weldid[body] != 0
         frame = BODY if body == craft else model.body(body).name if moves else WORLD
         place, turn = model.geom_pos[geom], model.geom_quat[geom]
@@ -117,8 +115,8 @@ def make_marker(
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         shape = SPHERE
     elif kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        width, depth = (2.0 * (s if s > 0.0 else PLANE_HALF_SIZE) for s in size[:2])
-        scale, place = np.array([width, depth, PLANE_THICKNESS]), place - [0.0, 0.0, 0.5 * PLANE_THICKNESS]
+        scale = np.array([*(2.0 * s for s in size_plane(model, geom)), PLANE_THICKNESS])
+        place = place - [0.0, 0.0, 0.5 * PLANE_THICKNESS]
     red, green, blue = to_rgb(paint.colour)
     return {
         "frame": frame, "ns": frame, "id": number, "type": shape, "action": 0, "frame_locked": True,

@@ -1,4 +1,4 @@
-"""What is drawn and plotted of the drone otherwise than of any rig."""
+"""What `vpptwin plot` shows of a flight of the drone."""
 
 from __future__ import annotations
 
@@ -8,21 +8,30 @@ import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS, PlanarDrone
+from vpptwin.robots.planar_drone.craft import PlanarDrone
 from vpptwin.robots.planar_drone.vehicle import Rotor
 from vpptwin.viz.plots.palette import ORANGE, PURPLE, SKY, TARGET
 from vpptwin.viz.plots.panels import Line, Panel, differentiate, measured, twin_line
-from vpptwin.viz.scene.motion import Positions, interpolate
+from vpptwin.viz.scene.show import interpolate
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
 
 
-def read_pose(robot: PlanarDrone, flight: Flight) -> Positions:
-    """Those of our craft."""
-    flight.require("/mocap/pose")
-    pose, joint = flight.streams["/mocap/pose"], robot.model.joint
-    return {joint(j).qposadr[0]: (pose.time, pose[c]) for j, c in zip(CRAFT_JOINTS, ("x", "z", "theta"))}
+TURNED = 0.01
+"""Change of the setpoint's angle that counts as a trigger, rad."""
+SPINNING = 0.1
+"""A setpoint's angle that goes on changing within this time is one trigger, s."""
+
+
+def find_flips(robot: PlanarDrone, flight: Flight) -> np.ndarray:
+    """Times at which the setpoint's angle changes, (k,) s; of an angle that turns, the time at which it begins."""
+    stream = flight.streams.get("/setpoint/pose")
+    if stream is None or len(stream) < 2:
+        return np.empty(0)
+    times = stream.time[1:][np.abs(np.diff(stream["theta"])) > TURNED]
+    begun: np.ndarray = np.diff(times, prepend=-np.inf) > SPINNING
+    return times[begun]
 
 
 def tell_craft(robot: PlanarDrone, flight: Flight, prediction: Prediction | None) -> list[Panel]:

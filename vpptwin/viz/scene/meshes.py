@@ -1,42 +1,25 @@
-"""Solids as triangle meshes in metres, and how a surface is painted."""
+"""Solids as meshcat's triangle meshes in metres, and how their surfaces are painted."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
+import meshcat.geometry as mg
 import mujoco
 import numpy as np
 
-from vpptwin.viz.plots.palette import LOG, SURROUNDINGS, to_hex, to_int
-
-if TYPE_CHECKING:
-    import meshcat.geometry as mg
+from vpptwin.viz.plots.palette import to_int
+from vpptwin.viz.scene.geoms import PLANE_THICKNESS, Paint, size_plane
 
 SEGMENTS = 32  # around a solid of revolution
-PLANE_HALF_SIZE = 3.0  # m, drawn for a plane that the MJCF leaves infinite
-UNSET_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's colour of a geom that names none
-PLANE_THICKNESS = 0.01  # m
 
 
-@dataclass(frozen=True)
-class Paint:
-    """Colour "#RRGGBB" and opacity 0..1 of a surface; behind puts it behind whatever coincides with it."""
-
-    colour: str
-    opacity: float = 1.0
-    behind: bool = False
-
-    def material(self, smooth: bool = True) -> mg.Material:
-        """The meshcat material; translucent surfaces do not hide what lies behind them."""
-        import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
-
-        options: dict[str, object] = {"flatShading": not smooth}
-        if self.opacity < 1.0:
-            options["depthWrite"] = False
-        if self.behind:
-            options |= {"polygonOffset": True, "polygonOffsetFactor": 2.0, "polygonOffsetUnits": 2.0}
-        return mg.MeshPhongMaterial(color=to_int(self.colour), opacity=self.opacity, **options)
+def make_material(paint: Paint, smooth: bool = True) -> mg.Material:
+    """The meshcat material of a paint; translucent surfaces do not hide what lies behind them."""
+    options: dict[str, object] = {"flatShading": not smooth}
+    if paint.opacity < 1.0:
+        options["depthWrite"] = False
+    if paint.behind:
+        options |= {"polygonOffset": True, "polygonOffsetFactor": 2.0, "polygonOffsetUnits": 2.0}
+    return mg.MeshPhongMaterial(color=to_int(paint.colour), opacity=paint.opacity, **options)
 
 
 def revolve(profile: np.ndarray) -> mg.TriangularMeshGeometry:
@@ -45,8 +28,6 @@ def revolve(profile: np.ndarray) -> mg.TriangularMeshGeometry:
     Args:
         profile: (n, 2) radius and height [m], in order along the outline; a repeated point keeps that edge sharp.
     """
-    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
-
     angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS, endpoint=False)
     radius, height = profile[:, :1], profile[:, 1:]
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(height, (len(profile), SEGMENTS))])
@@ -78,8 +59,6 @@ def make_capsule(radius: float, half_length: float) -> mg.TriangularMeshGeometry
 
 def make_ribbon(points: np.ndarray, width: float) -> mg.TriangularMeshGeometry:
     """A ribbon in the x-z plane through points (n, 3) [m]; segment i owns indices 6 i to 6 i + 5."""
-    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
-
     step = np.gradient(points[:, [0, 2]], axis=0)
     length = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9)
     side = np.stack([-step[:, 1], np.zeros(len(points)), step[:, 0]], -1) / length * (0.5 * width)
@@ -91,8 +70,6 @@ def make_ribbon(points: np.ndarray, width: float) -> mg.TriangularMeshGeometry:
 
 def make_geom(model: mujoco.MjModel, geom: int) -> tuple[mg.Geometry, bool] | None:
     """The mesh of a MuJoCo geom in its own frame and whether it is shaded smoothly; None for kinds not drawn."""
-    import meshcat.geometry as mg  # here, as few commands draw and it takes half a second
-
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return mg.Box((2.0 * size).tolist()), True
@@ -105,7 +82,7 @@ def make_geom(model: mujoco.MjModel, geom: int) -> tuple[mg.Geometry, bool] | No
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         return make_capsule(size[0], size[1]), True
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        width, depth = (2.0 * (s if s > 0.0 else PLANE_HALF_SIZE) for s in size[:2])
+        width, depth = (2.0 * s for s in size_plane(model, geom))
         return mg.Box([width, depth, PLANE_THICKNESS]), True
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
@@ -113,12 +90,3 @@ def make_geom(model: mujoco.MjModel, geom: int) -> tuple[mg.Geometry, bool] | No
         vertices = model.mesh_vert[vertex : vertex + int(mesh.vertnum[0])]
         return mg.TriangularMeshGeometry(vertices, model.mesh_face[face : face + int(mesh.facenum[0])]), False
     return None
-
-
-def read_paint(model: mujoco.MjModel, geom: int) -> Paint:
-    """The MJCF's own colour of a geom: its material's, else its rgba, else dark where it moves and pale where not."""
-    material = model.geom_matid[geom]
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    if material < 0 and np.allclose(rgba, UNSET_RGBA):
-        return Paint(LOG if model.body_weldid[model.geom_bodyid[geom]] != 0 else SURROUNDINGS)
-    return Paint(to_hex(tuple(rgba[:3])), float(rgba[3]))

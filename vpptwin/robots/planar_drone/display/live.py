@@ -15,21 +15,30 @@ import mujoco
 import numpy as np
 from meshcat import Visualizer
 
-from vpptwin.actuators.blade import compute_thrust, max_thrust
+from vpptwin.actuators.blade import compute_thrust
+from vpptwin.robots.planar_drone.display.rotors import (
+    PITCH_EXAGGERATION,
+    SHORTEST_ARROW,
+    TURN_SIGNS,
+    TURN_SLOWDOWN,
+    RotorMotion,
+    find_craft,
+    fit_craft,
+)
+from vpptwin.robots.planar_drone.display.scene import BLADES, draw_arrows, draw_ghost, draw_rotors, measure_arrows
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.signals import until_interrupted
 from vpptwin.viz.pages.browse import tell_address
 from vpptwin.viz.pages.page import TEMPLATES
 from vpptwin.viz.pages.serve import LOOPBACK, Answer, Server, keep_going
-from vpptwin.viz.scene import rotors
-from vpptwin.viz.scene.camera import View, set_backdrop
-from vpptwin.viz.scene.scene import ROOT, draw_bodies, draw_surroundings, find_craft, fit_craft, make_matrix, name_body
-from vpptwin.viz.scene.stage import aim_at, draw_ghost
+from vpptwin.viz.scene.camera import CameraView
+from vpptwin.viz.scene.geoms import ROOT, name_body
+from vpptwin.viz.scene.stage import aim_at, draw_bodies, draw_surroundings, make_matrix
 
 if TYPE_CHECKING:
     from vpptwin.train.evaluate.live import LiveFlight
 
-VIEW = View(np.array([0.1, 0.0, 1.25]), 1.35)
+VIEW = CameraView(np.array([0.1, 0.0, 1.25]), 1.35)
 FRAME = 0.025
 """Time between pictures, s."""
 KEYS = {
@@ -55,25 +64,20 @@ class LiveStage:
         self._node = vis[f"{ROOT}/log"]
         self._craft = self._node[name_body(model, find_craft(model))]
         self._ghost = vis[f"{ROOT}/target"]
-        set_backdrop(vis)
-        draw_surroundings(vis[f"{ROOT}/world"], self._model)
+        draw_surroundings(vis, self._model)
         draw_bodies(self._node, self._model)
-        rotors.draw_rotors(self._craft, self._model, vehicle)
-        rotors.draw_arrows(self._craft)
+        draw_rotors(self._craft, self._model, vehicle)
+        draw_arrows(self._craft)
         draw_ghost(self._ghost, self._model, vehicle)
         aim_at(vis, VIEW)
 
-    def show(
-        self, qpos: np.ndarray, target: np.ndarray, angle: np.ndarray, pitch: np.ndarray, thrust: np.ndarray
-    ) -> None:
+    def show(self, qpos: np.ndarray, target: np.ndarray, rotors: RotorMotion) -> None:
         """Move everything.
 
         Args:
             qpos: joint positions (nq,).
             target: x, z, θ (3,) m, m, rad.
-            angle: turned by the rotors, (2,) rad.
-            pitch: of the blades, (2,) rad.
-            thrust: of the rotors along body z, (2,) N.
+            rotors: at this time, (1, 2).
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
@@ -83,22 +87,20 @@ class LiveStage:
         half = -0.5 * target[2]  # θ turns about -y
         turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
         self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
-        full = max_thrust(self._vehicle.rotor)
-        for i, sign in enumerate(rotors.TURN_SIGNS):
-            rotor = self._craft[f"rotor_{i + 1}"]
-            rotor["spin"].set_transform(tf.rotation_matrix(sign * angle[i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
-            for blade in ("blade_a", "blade_b"):
-                feather = tf.rotation_matrix(sign * rotors.PITCH_EXAGGERATION * pitch[i], [1, 0, 0])
-                rotor["spin"][blade]["feather"].set_transform(feather)
-            for name, factor in (("positive", 1.0), ("negative", -1.0)):
-                length = float(max(factor * thrust[i] / full * rotors.ARROW_LENGTH, rotors.SHORTEST_ARROW))
-                arrow = rotor[f"{name}_thrust"]
-                arrow.set_property("visible", length > rotors.SHORTEST_ARROW)
-                arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
-                arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
+        for i, sign in enumerate(TURN_SIGNS):
+            spin = self._craft[f"rotor_{i + 1}"]["spin"]
+            spin.set_transform(tf.rotation_matrix(sign * rotors.angle[0, i] / TURN_SLOWDOWN, [0, 0, 1]))
+            for blade, _ in BLADES:
+                feather = tf.rotation_matrix(sign * PITCH_EXAGGERATION * rotors.blade_pitch[0, i], [1, 0, 0])
+                spin[blade]["feather"].set_transform(feather)
+        for node, length in measure_arrows(rotors.thrust[0], self._vehicle):
+            arrow = self._craft[node]
+            arrow.set_property("visible", bool(length > SHORTEST_ARROW))
+            arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
+            arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
 
 
-class Panel:
+class LivePage:
     """A page with the scene, buttons and keys; what is asked for waits in `asked`.
 
     Args:
@@ -125,21 +127,12 @@ class Panel:
         }
         self.server = Server(host, gets, {"": ask})
 
-    @property
-    def address(self) -> str:
-        """Where the page is."""
-        return self.server.address
-
-    def close(self) -> None:
-        """Stop serving."""
-        self.server.close()
-
 
 def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
     """Fly in real time until Ctrl-C, and print where to look: a page on an address of this machine."""
     env, vehicle = flight.env, flight.env.twin.vehicle
-    panel = Panel(flight.commands, host)
-    with until_interrupted(), closing(panel):
+    panel = LivePage(flight.commands, host)
+    with until_interrupted(), closing(panel.server):
         stage = LiveStage(Visualizer(window=panel.server), env.twin.spec.model, vehicle)
         about = "shows the flight, with buttons and keys to flip and push it. Ctrl-C here to end."
         tell_address(panel.server, about)
@@ -156,7 +149,8 @@ def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
             now = time.perf_counter()
             if now >= redraw:
                 thrust = compute_thrust(vehicle.rotor, speed, pitch)
-                stage.show(env.state.qpos[0], env.episodes.target[0], angle, pitch, thrust)
+                rotors = RotorMotion(*(part[None] for part in (angle, pitch, thrust)))
+                stage.show(env.state.qpos[0], env.episodes.target[0], rotors)
                 # Drawing takes half of the time at most: the flight is to keep pace with the clock.
                 redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
             if due > now:
