@@ -149,7 +149,7 @@ def test_long_logs_are_decoded_in_parts(tmp_path: Path, monkeypatch: pytest.Monk
     """Chunk by chunk, so that memory does not grow twice: the values come out in order all the same."""
     path = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(200)).write(chunk_size=2000)
     whole = read_flight(path).streams["/mocap/pose"]
-    monkeypatch.setattr(decoding, "MERGED", 3000)
+    monkeypatch.setattr(decoding, "MAX_MERGED", 3000)
     parts = read_flight(path).streams["/mocap/pose"]
     np.testing.assert_array_equal(parts.time, whole.time)
     np.testing.assert_array_equal(parts["x"], whole["x"])

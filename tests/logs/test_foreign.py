@@ -226,7 +226,7 @@ def test_parquet_is_read(tmp_path: Path) -> None:
 
 def test_lists_of_parquet_may_be_torn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of another length, or empty ones, are no samples; lists whose mean length alone is one are none at all."""
-    monkeypatch.setattr("vpptwin.logs.formats.columnar._ROWS", 15)
+    monkeypatch.setattr("vpptwin.logs.formats.columnar._MAX_ROWS", 15)
     lists = [None if k == 3 else [7.0, q] if k != 30 else [7.0] for k, (_, q) in enumerate(ROWS)]
     odd = [[1.0] * (1 + 2 * (k % 2)) for k in range(len(ROWS))]
     late = [[k, k] if k < 30 else [k] for k in range(len(ROWS))]
@@ -538,7 +538,7 @@ def test_bad_conversions_are_refused(
 def test_columns_of_no_interest_cost_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     """Only what a twin names is converted and held, once, whatever pieces it comes in; other columns may be broken."""
     monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 1000)
-    monkeypatch.setattr("vpptwin.logs.formats.columnar._ROWS", 7)
+    monkeypatch.setattr("vpptwin.logs.formats.columnar._MAX_ROWS", 7)
     log = write_csv(tmp_path / "state.csv", compose("time,other,q,text", "{t},{q},{q},A"))
     if kind == "csv":
         log.write_text(log.read_text().replace("0.35,17.5,", "0.35,broken,"))
@@ -571,7 +571,7 @@ def test_large_logs_are_surveyed_in_stretches(tmp_path: Path, monkeypatch: pytes
         transcribe(log, log := tmp_path / "state.mcap")
     whole = survey(log)[1]
     monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 20_000)
-    monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 300)
+    monkeypatch.setattr("vpptwin.logs.formats.container._MAX_NOTED", 300)
     parts = survey(log)[1]
     assert len(whole[1].stretches) == 1
     assert len(parts[1].stretches) > 2

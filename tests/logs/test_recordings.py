@@ -324,7 +324,7 @@ def test_large_logs_are_read_and_converted_as_they_come(
         given = tmp_path / "map.yaml" if log.stem == "table" else None
         whole = read_flight(log, given)
         monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", large if log == flip else 100)
-        monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 50)
+        monkeypatch.setattr("vpptwin.logs.formats.container._MAX_NOTED", 50)
         monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 100)
         parts = read_flight(log, given)
         assert not any(channel.is_kept for channel in transcribe(log, tmp_path / "again.mcap").files[0].channels)
@@ -346,7 +346,7 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
 ) -> None:
     """In a line that says what to write; LOG@START-END is that part of a file, of a table, of a folder."""
     monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 10_000)
-    monkeypatch.setattr("vpptwin.logs.formats.container._MANY", 50)
+    monkeypatch.setattr("vpptwin.logs.formats.container._MAX_NOTED", 50)
     monkeypatch.setattr("vpptwin.logs.streams.condense.ROOM", 50_000.0)
     log = pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10**7 for k in range(1000)])
     table = tmp_path / "log.csv"

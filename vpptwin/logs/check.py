@@ -22,11 +22,7 @@ MIN_FORCE, MAX_FORCE = 2.5, 50.0  # m/s^2, median of any flight; at rest and in 
 
 
 def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) -> None:
-    """Refuse NaN and infinities in a column or field, (n,) or (n, k), of a file's topic; time (n,) s.
-
-    Raises:
-        InputError: with count and time of the first.
-    """
+    """Refuse NaN and infinities in a column or field, (n,) or (n, k), of a file's topic; time (n,) s."""
     bad = np.flatnonzero(_any_component(~np.isfinite(values)))
     if len(bad):
         kind = "NaN" if np.isnan(values[bad[0]]).any() else "an infinity"
@@ -38,11 +34,7 @@ def check_finite(label: str, time: np.ndarray, name: str, values: np.ndarray) ->
 
 
 def find_huge(label: str, time: np.ndarray, name: str, values: np.ndarray) -> np.ndarray:
-    """Rare messages, (n,) bool, whose values (n,) or (n, k) are beyond what anything measures; time (n,) s.
-
-    Raises:
-        InputError: if there are many.
-    """
+    """Rare messages, (n,) bool, whose values (n,) or (n, k) are beyond what anything measures; time (n,) s."""
     rows = _any_component(np.abs(values) > HUGE)
     if (count := np.count_nonzero(rows)) > RARE * len(values):
         raise InputError(
@@ -55,11 +47,7 @@ def find_huge(label: str, time: np.ndarray, name: str, values: np.ndarray) -> np
 
 
 def find_wild(label: str, column: Column, values: np.ndarray) -> np.ndarray:
-    """Rare messages, (n,) bool, whose values (n,) or (n, k) no rig of this kind reaches.
-
-    Raises:
-        InputError: if there are many, naming the unit that they look like.
-    """
+    """Rare messages, (n,) bool, whose values (n,) or (n, k) no rig of this kind reaches."""
     rows = _any_component(np.abs(values) > column.limit)
     if np.count_nonzero(rows) > RARE * len(values):
         raise InputError(
@@ -74,9 +62,6 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
     """Rare messages, (n,) bool, whose quaternion is none, as trackers send them that have lost their body.
 
     The fields, (n,) each, are those of an angle column's source; time (n,) s.
-
-    Raises:
-        InputError: with the norm if many are none, with the tilt if they turn about another axis than the plane's.
     """
     quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
     with np.errstate(over="ignore"):  # an infinite norm is refused like any other
@@ -104,11 +89,7 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
 
 
 def check_accelerometer(label: str, force: np.ndarray) -> None:
-    """Refuse specific forces (n,) in another unit or without gravity: in flight and at rest the median is gravity's.
-
-    Raises:
-        InputError: naming what the values look like.
-    """
+    """Refuse specific forces (n,) in another unit or without gravity: in flight and at rest the median is gravity's."""
     median = float(np.median(force))
     if MIN_FORCE < median < MAX_FORCE:
         return
@@ -128,9 +109,6 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
         label: file and topic of the gyro.
         pose: time (n,) s and unwrapped angle (n,) rad.
         gyro: time (m,) s and rate (m,) rad/s.
-
-    Raises:
-        InputError: if the two agree but for a factor, such as 57.3, 2, or -1. Logs with little rotation pass unjudged.
     """
     time, theta = pose
     inside = np.flatnonzero((time >= gyro[0][0]) & (time <= gyro[0][-1]))

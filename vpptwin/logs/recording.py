@@ -2,51 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import MCAP0_MAGIC
 
-from vpptwin.logs.formats.arrays import read_mat, read_npz
-from vpptwin.logs.formats.bags import read_bag
-from vpptwin.logs.formats.columnar import read_parquet
-from vpptwin.logs.formats.container import list_channels, read_container
+from vpptwin.logs.formats.container import list_channels
 from vpptwin.logs.formats.decode import Batch, DecodeError, decode_channel
-from vpptwin.logs.formats.delimited import read_csv
-from vpptwin.logs.formats.lerobot import read_lerobot, split_episode
 from vpptwin.logs.formats.raw import LARGE, RawChannel, RawFile, Wish
-from vpptwin.logs.formats.structures import split_run
-from vpptwin.logs.formats.tables import Table, find_elsewhere, find_field, is_packed, keep_tables, name_topic
-from vpptwin.logs.formats.unpack import ZSTD, unpack_file
-from vpptwin.logs.formats.vehicles import read_dataflash, read_ulog, read_usd
+from vpptwin.logs.formats.readers import MCAP, find_format, name_table, read_file, read_start
+from vpptwin.logs.formats.tables import find_elsewhere, find_field, is_packed
+from vpptwin.logs.formats.unpack import ZSTD
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.span import part_span
-from vpptwin.logs.spelling import ARRAYS, LOG, TEXTS, PathLike, find_files, is_episode, spell
-from vpptwin.system.errors import InputError, check_name
+from vpptwin.logs.parts import part_span
+from vpptwin.logs.spelling import PathLike, find_files, spell
+from vpptwin.system.errors import InputError
 from vpptwin.system.fields import Stamp
-
-TableReader = Callable[[Path, str, Wish, list[str]], Iterator[Table]]
-_SIGNATURES = {
-    b"\x89PNG": ("a PNG picture", "give the .mcap file itself"),
-    b"PK\x03\x04": ("a ZIP archive", "unpack it and give the .mcap file inside"),
-    b"\x7fELF": ("a program", "give a log"),
-    b"\x89HDF": ("an HDF5 file", "convert it to MCAP"),
-}
-_TABLES: dict[str, TableReader] = {
-    "csv": read_csv, "parquet": read_parquet, "lerobot": read_lerobot, "ulog": read_ulog,
-    "dataflash": read_dataflash, "usd": read_usd, "mat": read_mat, "npz": read_npz,
-}  # fmt: skip
-"""Logs of other kinds: what reads them as named columns over time."""
-_BEGINNINGS = {
-    b"PAR1": "parquet", b"ULog": "ulog", b"\xa3\x95": "dataflash",
-    b"#ROSBAG": "bag", b"SQLite format 3": "bag", b"\x1f\x8b": "csv", b"MATLAB ": "mat",
-}  # fmt: skip
-_ALONE = ("csv", "parquet", "lerobot", "mat", "npz")
-"""Those that hold one table, as a rule."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +57,7 @@ class Recording:
         return any(channel.rows for _, channel in self._find_channels(topic))
 
     def check_type(self, topic: str) -> str:
-        """Message type of a topic.
-
-        Raises:
-            InputError: if it was recorded with several types.
-        """
+        """Message type of a topic."""
         types = {shorten_type(c.message_type): c.message_type for _, c in self._find_channels(topic)}
         if len(types) > 1:
             raise InputError(
@@ -112,9 +82,6 @@ class Recording:
 
         Yields:
             Batches whose record numbers count across all files.
-
-        Raises:
-            InputError: if messages are no ROS 2 messages, or do not decode.
         """
         for index, channel in self._find_channels(topic):
             refuse_encoding(self.path, [channel])
@@ -139,7 +106,7 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
     wish = replace(wish, names=name_tables([part_span(given)[0] for given in paths], wish))
     for given in paths:
         plain, span = part_span(given, origin)
-        files.append(_read_file(plain, replace(wish, span=span)))
+        files.append(read_file(plain, replace(wish, span=span)))
         channels = [channel for file in files for channel in file.channels]
         held = sum(block.payload.nbytes for channel in channels for block in channel.blocks)
         if wish.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
@@ -164,26 +131,19 @@ def name_tables(paths: Sequence[Path], wish: Wish) -> dict[str, str]:
     (wanted,), topics = wish.fields, dict[str, str | None]()
     for path in paths:
         start = read_start(path)
-        kind = find_kind(path, start) if not start.startswith(ZSTD) else find_kind(path.with_suffix(""), b"")
-        found = {name_table(path, kind): None} if kind in _ALONE else None if kind else list_channels(path)
-        if found is None:  # of several topics, which only reading tells
+        form = find_format(path, start) if not start.startswith(ZSTD) else find_format(path.with_suffix(""), b"")
+        if form is not None and form.is_single:
+            topics[name_table(path, form)] = None
+        elif form is MCAP and (channels := list_channels(path)) is not None:
+            topics |= channels
+        else:  # of several topics, which only reading tells
             return {}
-        topics |= found
     tables = [topic for topic, message_type in topics.items() if message_type is None or is_packed(message_type)]
     return {tables[0]: wanted} if len(tables) == 1 and wanted not in topics else {}
 
 
-def name_table(path: Path, kind: str) -> str:
-    """What the only table of a file of a kind is called."""
-    return "/episode" if kind == "lerobot" else name_topic(path)
-
-
 def refuse_encoding(path: Path, channels: Sequence[RawChannel]) -> None:
-    """Refuse messages that are not CDR with a ros2msg definition.
-
-    Raises:
-        InputError: naming the encoding and the topics.
-    """
+    """Refuse messages that are not CDR with a ros2msg definition."""
     for name, given, expected in (
         ("message encoding", [c.encoding for c in channels], MessageEncoding.CDR),
         ("definition", [c.schema_encoding for c in channels], SchemaEncoding.ROS2),
@@ -212,73 +172,3 @@ def refuse_messages(
         f"messages with {', '.join(paths)} as the definition in the file says",
         "say `stamp: log_time` of it" if headless else "check the field names and the program that wrote it",
     )
-
-
-def read_start(path: Path) -> bytes:
-    """The first bytes of a file.
-
-    Raises:
-        InputError: if it cannot be read, or has none.
-    """
-    check_name(str(path))
-    try:
-        with (split_run(path)[0] if not is_episode(path) else split_episode(path)[0] / "meta" / "info.json").open(
-            "rb"
-        ) as file:
-            start = file.read(64)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})", LOG, "check its permissions") from None
-    if not start:
-        advice = "check that the recorder was stopped properly, and record again"
-        raise InputError(f"{path} is empty (0 bytes)", LOG, advice)
-    return start
-
-
-def _read_file(path: Path, wish: Wish) -> RawFile:
-    start = read_start(path)
-    if start.startswith(ZSTD):
-        with unpack_file(path) as plain:
-            try:
-                return replace(_read_file(plain, wish), path=path)
-            except InputError as error:
-                raise InputError(error.found.replace(str(plain), str(path)), error.expected, error.action) from None
-    kind = find_kind(path, start)
-    if kind == "bag":
-        return read_bag(path, wish)
-    if kind is not None:
-        notes: list[str] = []
-        own = name_table(path, kind)
-        called = wish.names.get(own, own)
-        return keep_tables(path, _TABLES[kind](path, called, wish, notes), wish, notes)
-    if not start.startswith(MCAP0_MAGIC):
-        raise _refuse_foreign(path, start)
-    raw = read_container(path, wish)
-    if raw.profile not in ("ros2", ""):
-        found = f"{path} has the MCAP profile '{raw.profile}'"
-        raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")
-    return raw
-
-
-def find_kind(path: Path, start: bytes) -> str | None:
-    """Which kind of log a file is that begins so, None for MCAP and for what is none."""
-    if is_episode(path):
-        return "lerobot"
-    for beginning, kind in _BEGINNINGS.items():
-        if start.startswith(beginning):
-            return kind
-    if (ending := split_run(path)[0].suffix.lower()) in ARRAYS:
-        return ending[1:]
-    if start[:1] == b"\xbc" and start[2:3] == b"\0":
-        return "usd"
-    text = path.name.lower().endswith(TEXTS) and not start.startswith((*_SIGNATURES, MCAP0_MAGIC))
-    return "csv" if text else None
-
-
-def _refuse_foreign(path: Path, start: bytes) -> InputError:
-    for signature, (found, action) in _SIGNATURES.items():
-        if start.startswith(signature):
-            return InputError(f"{path} is {found}", LOG, action)
-    if MCAP0_MAGIC.startswith(start):
-        return InputError(f"{path} ends after {len(start)} bytes", LOG, "copy or record it again")
-    kind = "text" if all(32 <= byte < 127 or byte in b"\t\r\n" for byte in start) else "not MCAP"
-    return InputError(f"{path} is {kind}, starting with {start[:12]!r}", LOG, "give the .mcap file itself")

@@ -12,25 +12,23 @@ from collections.abc import Sequence
 from contextlib import suppress
 from glob import glob, has_magic
 from itertools import takewhile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from vpptwin.logs.bag_folder import PACKED, is_bag, list_bag
-from vpptwin.logs.formats.arrays import list_array_tests
-from vpptwin.logs.formats.columnar import list_file_episodes
-from vpptwin.logs.formats.lerobot import find_episode, is_lerobot, list_episodes, read_info, split_episode
-from vpptwin.logs.formats.structures import split_run
-from vpptwin.logs.span import part_span
+import yaml
+
+from vpptwin.logs.formats.lerobot import find_episode, list_episodes, read_info
+from vpptwin.logs.formats.readers import FORMATS, LOG
+from vpptwin.logs.parts import is_lerobot, is_part, part_number, part_span, split_episode, split_test
 from vpptwin.system.errors import InputError
+from vpptwin.system.plain import read_yaml
 
 PathLike = str | os.PathLike[str]
-LOG = "a flight log: MCAP (ros2 profile, CDR messages), CSV, or another of docs/logs.md"
-"""What is expected where none was given."""
-ARRAYS = (".mat", ".npz")
-TEXTS = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".txt", ".txt.gz", ".dat")
-_PLAIN = (".mcap", ".parquet", ".ulg", ".bin", ".bag", ".db3", *ARRAYS, *TEXTS)
-_LOGS = (*_PLAIN, *(log + packed for log in _PLAIN for packed in PACKED))
-_NAMED = 3  # files of one recording that are all named
-_LONGEST = 200  # bytes of a name that is made of a log's
+_PACKED = (".zstd", ".zst")
+"""What names of files end with that are compressed as a whole."""
+_ENDINGS = tuple(ending + packed for form in FORMATS for ending in form.endings for packed in ("", *_PACKED))
+_MAX_NAMES = 3  # files of one recording that are all named
+_MAX_STEM = 200  # bytes of a name that is made of a log's
+_METADATA = "metadata.yaml"
 
 
 def spell(log: PathLike | Sequence[PathLike]) -> Path:
@@ -56,7 +54,8 @@ def list_flights(log: PathLike) -> list[Path]:
     if is_lerobot(given):
         return list_episodes(given)
     held = sorted(given.iterdir())
-    logs = [test for item in held if item.is_file() and item.name.lower().endswith(_LOGS) for test in list_tests(item)]
+    files = [item for item in held if item.is_file() and item.name.lower().endswith(_ENDINGS)]
+    logs = [test for file in files for test in list_tests(file)]
     logs += [item for item in held if item.is_dir() and is_bag(item)]
     if not logs:
         shown = ", ".join(item.name for item in held[:5]) or "nothing"
@@ -66,10 +65,11 @@ def list_flights(log: PathLike) -> list[Path]:
 
 def list_tests(file: Path) -> list[Path]:
     """The flights that a file stands for: FILE#NUMBER each where it holds several; whoever reads tells damage."""
-    find = {".parquet": list_file_episodes, **dict.fromkeys(ARRAYS, list_array_tests)}.get(file.suffix.lower())
     numbers: list[int] = []
     with suppress(InputError):
-        numbers = find(file) if find is not None and file.is_file() else []
+        for form in FORMATS:
+            if form.list_tests is not None and file.suffix.lower() in form.endings and file.is_file():
+                numbers = form.list_tests(file)
     return [Path(f"{file}#{number}") for number in numbers] if len(numbers) > 1 else [file]
 
 
@@ -119,9 +119,19 @@ def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
         return [_cut(file, given, plain) for file in find_files(plain)]
     if within != [given]:
         return find_files(within[0])
-    if not os.path.isdir(given):
-        raise _refuse_absent(given)
-    return list_bag(given)
+    if os.path.isdir(given):
+        return list_bag(given)
+    text = str(given)
+    if text == "-":
+        raise InputError("- as a log", "a file, as logs are read more than once", "write it to a file first")
+    for mark, wanted in (
+        ("@", "LOG@START-END in seconds, one of them at least"),
+        ("#", "FOLDER#EPISODE of LeRobot"),
+    ):
+        log_name, _, rest = text.rpartition(mark)
+        if log_name and os.path.exists(log_name):
+            raise InputError(f"{mark}{rest} of {log_name}", wanted, f"correct it, or give {log_name}")
+    raise InputError(f"no file {given}", LOG, "check the path")
 
 
 def list_sources(log: PathLike) -> list[Path]:
@@ -133,11 +143,11 @@ def list_sources(log: PathLike) -> list[Path]:
     found: list[Path] = []
     for file in find_files(log):
         plain = part_span(file)[0]
-        if is_episode(plain):
-            folder, episode = split_episode(plain)
+        folder, episode = split_episode(plain)
+        if episode is not None:
             found += [folder / "meta" / "info.json", *find_episode(folder, episode, read_info(folder))]
         else:
-            found.append(split_run(plain)[0])
+            found.append(split_test(plain)[0])
     return list(dict.fromkeys(found))
 
 
@@ -156,11 +166,7 @@ def list_parts(log: PathLike) -> list[tuple[Path, float, float]]:
 
 
 def split_sum(text: str) -> list[str]:
-    """The logs of A+B; a name with a plus of what is there stays whole.
-
-    Raises:
-        InputError: if one of them has no name.
-    """
+    """The logs of A+B; a name with a plus of what is there stays whole."""
     pieces: list[str] = []
     for piece in [text] if _is_there(text) else text.split("+"):
         pieces.append(piece)
@@ -176,34 +182,21 @@ def split_sum(text: str) -> list[str]:
 def name_log(log: PathLike) -> str:
     """A log's name in messages: without its folders, and short."""
     names = [_base(Path(piece)) for piece in split_sum(str(log))]
-    return "+".join(names) if len(names) <= _NAMED else f"{names[0]}+{len(names) - 1} more"
+    return "+".join(names) if len(names) <= _MAX_NAMES else f"{names[0]}+{len(names) - 1} more"
 
 
 def stem_log(log: PathLike) -> str:
     """What files that belong to a log are called: its name without ending, in signs that links and shells take."""
     plain, span = part_span(spell(log))
     files = [part_span(Path(piece))[0] for piece in split_sum(str(plain))]
-    stems = [_base(file) if os.path.isdir(file) or is_episode(file) else _stem(*split_run(file)) for file in files]
-    stem = "_".join(stems) if len(stems) <= _NAMED else f"{stems[0]}_and_{len(stems) - 1}_more"
-    whole = stem + (str(spell(log))[len(str(plain)) :] if span is not None else "")
-    return whole.replace("#", "_").replace("@", "_").encode()[:_LONGEST].decode(errors="ignore")
-
-
-def is_episode(path: Path) -> bool:
-    """Whether a path is FOLDER#EPISODE of a LeRobot data set."""
-    folder, mark, number = str(path).rpartition("#")
-    known = bool(mark) and _is_number(number) and os.path.isdir(folder) and not os.path.exists(path)
-    return known and is_lerobot(Path(folder))
-
-
-def is_part(path: Path) -> bool:
-    """Whether a path is FOLDER#EPISODE of a LeRobot data set, or FILE#NUMBER of a file of several tests."""
-    return is_episode(path) or split_run(path)[1] is not None
-
-
-def _stem(file: Path, number: int | None) -> str:
-    """A file's name without its ending, with the number of a test."""
-    return file.stem if number is None else f"{file.stem}#{number}"
+    stems = []
+    for file in files:
+        plain_file, number = split_test(file)
+        whole = os.path.isdir(file) or split_episode(file)[1] is not None
+        stems.append(_base(file) if whole else plain_file.stem + ("" if number is None else f"#{number}"))
+    stem = "_".join(stems) if len(stems) <= _MAX_NAMES else f"{stems[0]}_and_{len(stems) - 1}_more"
+    text = stem + (str(spell(log))[len(str(plain)) :] if span is not None else "")
+    return text.replace("#", "_").replace("@", "_").encode()[:_MAX_STEM].decode(errors="ignore")
 
 
 def _cut(file: Path, given: Path, plain: Path) -> Path:
@@ -222,27 +215,38 @@ def _is_there(text: str) -> bool:
 
 
 def _strip(text: str) -> str:
-    """A log without its stretch and episode."""
-    plain = str(part_span(Path(text))[0])
-    folder, mark, number = plain.rpartition("#")
-    return folder if mark and _is_number(number) and not os.path.exists(plain) else plain
+    """A log without its stretch, test and episode."""
+    return part_number(part_span(Path(text))[0])[0]
 
 
-def _is_number(text: str) -> bool:
-    """Whether a text numbers an episode."""
-    return text.isdecimal() and len(text) < 10
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a rosbag2."""
+    return (folder / _METADATA).exists()
 
 
-def _refuse_absent(given: Path) -> InputError:
-    """What to say of a log that is not there: which part of its name is not understood, if it is that."""
-    text = str(given)
-    if text == "-":
-        return InputError("- as a log", "a file, as logs are read more than once", "write it to a file first")
-    for mark, wanted in (
-        ("@", "LOG@START-END in seconds, one of them at least"),
-        ("#", "FOLDER#EPISODE of LeRobot"),
-    ):
-        log, _, rest = text.rpartition(mark)
-        if log and os.path.exists(log):
-            return InputError(f"{mark}{rest} of {log}", wanted, f"correct it, or give {log}")
-    return InputError(f"no file {given}", LOG, "check the path")
+def list_bag(folder: Path) -> list[Path]:
+    """The files of a rosbag2 folder that its metadata name, or that it holds where those cannot be read."""
+    try:
+        content = read_yaml(folder / _METADATA)
+        named = [str(name) for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        held = (file.name for file in folder.iterdir())
+        named = sorted(name for name in held if _unpacked(name.lower()).endswith((".mcap", ".db3")))
+    if not named:
+        raise InputError(f"{folder} with a {_METADATA} that names none of its files", "a rosbag2 folder", "remove it")
+    return [_find_named(folder, name) for name in dict.fromkeys(named)]
+
+
+def _find_named(folder: Path, name: str) -> Path:
+    """A file that metadata name: from the folder on, or its parent as up to version 3, or by name alone."""
+    bare = PurePosixPath(name).name
+    for place in (folder / name, folder.parent / name, folder / bare, folder / _unpacked(bare)):
+        with suppress(OSError):  # of names that are too long, folders that nobody may read
+            if place.is_file() and place.resolve().is_relative_to(folder.resolve()):
+                return place
+    raise InputError(f"{folder}/{_METADATA} names {name}, which is missing", "all files of the recording", "copy it")
+
+
+def _unpacked(name: str) -> str:
+    """A file's name once it is unpacked."""
+    return next((name.removesuffix(ending) for ending in _PACKED if name.endswith(ending)), name)

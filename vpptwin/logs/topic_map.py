@@ -59,11 +59,7 @@ class Route:
     origin: str = ""
 
     def choose_columns(self, message_type: str) -> tuple[Column, ...]:
-        """Columns that can be read from messages of a type.
-
-        Raises:
-            InputError: if the type is another than SPEC's and the topic map doesn't say where the columns lie.
-        """
+        """Columns that can be read from messages of a type."""
         known = shorten_type(message_type) == shorten_type(self.channel.message_type)
         chosen = [
             replace(column, source=self.sources.get(column.name, column.source))

@@ -21,7 +21,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.formats.decode import find_leaf
-from vpptwin.logs.formats.layout import Layout, compose_message, parse_definition
+from vpptwin.logs.formats.layout import MessageLayout, compose_message, parse_definition
 from vpptwin.logs.messages import compose_definition
 from vpptwin.logs.streams.convert import Value, split_column
 from vpptwin.system.errors import InputError
@@ -56,7 +56,7 @@ class _Template:
     """A message with everything filled in that does not change, and where the rest goes."""
 
     message: bytearray
-    layout: Layout
+    layout: MessageLayout
 
     def fill(self, path: str, value: Value) -> None:
         """Put a number, or all elements of an array, into the little-endian message."""

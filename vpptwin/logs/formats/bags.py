@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from vpptwin.logs.formats.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, show_reading
 from vpptwin.logs.formats.unpack import unpack_message
 from vpptwin.system.errors import InputError, escape_text, load_extra
 
@@ -20,11 +20,7 @@ _MESSAGE = b"\x02"
 
 
 def read_bag(path: Path, wish: Wish) -> RawFile:
-    """Read a ROS 1 bag, or one SQLite file of a rosbag2.
-
-    Raises:
-        InputError: if it is damaged, or its messages are of types that it does not define and nobody knows.
-    """
+    """Read a ROS 1 bag, or one SQLite file of a rosbag2."""
     with path.open("rb") as file:
         is_first = file.read(7) == b"#ROSBAG"
     load_extra("rosbags.typesys", path)
@@ -129,7 +125,7 @@ class _Gather:
     """Messages one by one, into channels."""
 
     def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
-        self.path, self.number, self.times, self.span, self.hold = path, 0, (2**63, -1), wish.span, Hold(wish.take)
+        self.path, self.number, self.times, self.span, self.held_bytes = path, 0, (2**63, -1), wish.span, HeldBytes(wish.take)
         self.channels = {
             key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
             for key, (topic, kind, text) in texts.items()
@@ -158,7 +154,7 @@ class _Gather:
         number, stamp, content = zip(*self.held.pop(place))
         payload = np.frombuffer(b"".join(content), np.uint8).reshape(len(number), place[1])
         self.channels[place[0]].blocks.append(Block(np.array(number, np.uint64), np.array(stamp, np.uint64), payload))
-        self.hold.add(payload.nbytes, self.channels.values())
+        self.held_bytes.add(payload.nbytes, self.channels.values())
 
     def finish(self) -> RawFile:
         """All that was kept."""

@@ -8,28 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.logs.formats.headings import check_times, count_ns, find_clock, guess_unit, part_units
-from vpptwin.logs.formats.raw import Wish
-from vpptwin.logs.formats.structures import refuse_runs, split_run
+from vpptwin.logs.formats.headings import find_times, part_units
+from vpptwin.logs.formats.raw import Wish, refuse_damaged
+from vpptwin.logs.formats.structures import refuse_tests
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
+from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError, load_extra
 from vpptwin.system.fields import UNSAID, Stamp
 
-_ROWS = 1 << 16  # rows converted at once
+_MAX_ROWS = 1 << 16  # rows converted at once
 _BUFFER = 1 << 16  # bytes of a column read at once
 ROWS_OF_SETS = ("index", "frame_index", "episode_index", "task_index")  # bookkeeping of LeRobot
 
 
 def read_parquet(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Rows of a Parquet file, in pieces.
-
-    Raises:
-        InputError: if it is damaged, or has no column with the time.
-    """
-    file, number = split_run(path)
+    """Rows of a Parquet file, in pieces."""
+    file, number = split_test(path)
     held = list_file_episodes(file)
     if number is None and len(held) > 1:
-        raise refuse_runs(path, [f"episode_index {episode}" for episode in held])
+        raise refuse_tests(path, [f"episode_index {episode}" for episode in held])
     if number is not None and number not in held:
         found, expected = f"{path}: no episode {number}", ", ".join(f"#{n}" for n in held[:12]) or f"{file}"
         raise InputError(found, expected, "correct the number")
@@ -37,26 +34,16 @@ def read_parquet(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterat
 
 
 def list_file_episodes(file: Path) -> list[int]:
-    """The episodes of a Parquet file out of a LeRobot data set, [] for any other file.
-
-    Raises:
-        InputError: if it is damaged.
-    """
+    """The episodes of a Parquet file out of a LeRobot data set, [] for any other file."""
     pa, parquet = load_extra("pyarrow", file), load_extra("pyarrow.parquet", file)
     try:
         with parquet.ParquetFile(file, pre_buffer=False, buffer_size=_BUFFER) as content:
             if "episode_index" not in content.schema_arrow.names:
                 return []
-            batches = content.iter_batches(batch_size=_ROWS, columns=["episode_index"])
+            batches = content.iter_batches(batch_size=_MAX_ROWS, columns=["episode_index"])
             return sorted({int(n) for batch in batches for n in batch.column(0).unique().to_pylist() if n is not None})
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:
-        raise refuse_damaged(file, error) from None
-
-
-def refuse_damaged(file: Path, error: Exception) -> InputError:
-    """What to say of a file that Arrow cannot read."""
-    reason = " ".join(str(error).split())[:200]
-    return InputError(f"{file} is damaged ({reason})", "a whole Parquet file", "copy it again")
+        raise refuse_damaged(file, "Parquet file", error) from None
 
 
 def read_rows(
@@ -68,28 +55,29 @@ def read_rows(
     parquet, compute = load_extra("pyarrow.parquet", path), load_extra("pyarrow.compute", path)
     try:
         content = parquet.ParquetFile(file, pre_buffer=False, buffer_size=_BUFFER)  # else all of it is held
-        unit: str | None = None
         units: dict[str, str] = {}
         widths: dict[str, int] = {}
         given = dict(zip(part_units(content.schema_arrow.names, units), content.schema_arrow.names))
-        clock = find_clock(path, list(given), stamp, units)
+        times = find_times(path, topic, list(given), stamp, units)
+        clock = times.name
         fields: dict[str, str] | None = None
-        for first in content.iter_batches(batch_size=_ROWS):  # only rows tell whether lists have one length
+        for first in content.iter_batches(batch_size=_MAX_ROWS):  # only rows tell whether lists have one length
             held = {n: read_arrow(pa, n, first.column(k), units, names, widths) for k, n in enumerate(given)}
             held = {n: columns for n, columns in held.items() if episode is None or n not in ROWS_OF_SETS}
             if {"episode_index", "frame_index"} <= given.keys():  # of LeRobot, with its folder or without
                 measured = [c for found in held.values() for c in found if c not in (clock, *ROWS_OF_SETS)]
                 units = dict.fromkeys(measured, UNSAID) | units
-            times = held[clock].get(clock, np.empty(0, bool))
-            if times.dtype.kind not in "iuf" or times.ndim > 1:
+            stamps = held[clock].get(clock, np.empty(0, bool))
+            if stamps.dtype.kind not in "iuf" or stamps.ndim > 1:
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
             fields = choose_fields(wish, topic, [column for columns in held.values() for column in columns])
             if topic not in wish.fields and (unread := [name for name, columns in held.items() if not columns]):
                 notes.append(f"{topic}: {list_some('no numbers in', unread)}")
             given = {n: given[n] for n, columns in held.items() if n == clock or not fields.keys().isdisjoint(columns)}
             break
+        is_empty = True
         wanted = [*given.values(), *(["episode_index"] if episode is not None else [])]
-        for batch in content.iter_batches(batch_size=_ROWS, columns=wanted):
+        for batch in content.iter_batches(batch_size=_MAX_ROWS, columns=wanted):
             if episode is not None:
                 batch = batch.filter(compute.equal(batch.column("episode_index"), episode))
             if not batch.num_rows:
@@ -101,26 +89,18 @@ def read_rows(
                 if lost in find_named(wish, topic, fields or {}):
                     raise InputError(f"{path}: {lost} holds lists of several lengths", "one length", "save it so")
                 columns[lost] = np.full((batch.num_rows, *([widths[lost]] if lost in widths else [])), np.nan)
-            time = columns[clock]
-            check_times(path, clock, time)
-            unit = unit or (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
-            yield Table(topic, count_ns(time, unit), columns, units, fields)
-        if unit is None:
+            is_empty = False
+            counted = times.count(columns[clock], notes if stamp is None else [])
+            yield Table(topic, counted, columns, units, fields)
+        if is_empty:
             raise InputError(f"{path} has no rows", "a table with rows", "check what wrote it")
-        if unit not in ("s", units.get(clock)) and stamp is None:
-            notes.append(f"{topic}: {clock} is taken to count {unit}")
     except (pa.ArrowException, OSError, KeyError) as error:
-        raise refuse_damaged(file, error) from None
+        raise refuse_damaged(file, "Parquet file", error) from None
 
 
 def read_arrow(
-    pa: Any,  # noqa: ANN401
-    name: str,
-    column: Any,  # noqa: ANN401
-    units: dict[str, str],
-    names: Mapping[str, list[str]],
-    widths: dict[str, int],
-) -> dict[str, np.ndarray]:
+    pa: Any, name: str, column: Any, units: dict[str, str], names: Mapping[str, list[str]], widths: dict[str, int],  # noqa: ANN401
+) -> dict[str, np.ndarray]:  # fmt: skip
     """A column as arrays: dates in ns, lists (n, k) or one column per named element, what is neither left out."""
     kind = column.type
     if pa.types.is_timestamp(kind):
@@ -128,12 +108,8 @@ def read_arrow(
         return {name: np.asarray(column.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64()))}
     if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind):
         inner = column.flatten()
-        if (
-            NAMES.fullmatch(f"{name}[0]")
-            and pa.types.is_string(inner.type)
-            and len(inner)
-            and not len(inner) % len(column)
-        ):
+        is_named = NAMES.fullmatch(f"{name}[0]") and pa.types.is_string(inner.type)
+        if is_named and len(inner) and not len(inner) % len(column):
             texts = np.asarray(inner.fill_null("").to_numpy(zero_copy_only=False)).reshape(len(column), -1)
             return {f"{name}[{k}]": texts[:, k] for k in range(texts.shape[1])}
         values = read_lists(column, widths, name)

@@ -21,15 +21,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from tqdm import tqdm
 from zstandard import ZstdError
 
-from vpptwin.logs.formats.raw import Block, Hold, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, show_reading
 from vpptwin.logs.formats.tables import is_packed, keep_apart
 from vpptwin.logs.formats.unpack import Unpacker
 from vpptwin.system.errors import InputError, escape_text
 
 _PREFIX = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-_MANY = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
-_READ = 1 << 25  # bytes of a file held in memory at once
+_MAX_NOTED = 1 << 17  # messages noted before they are stored, which takes 200 bytes each
+_MAX_MAPPED = 1 << 25  # bytes of a file held in memory at once
 # What mcap and the decompressors raise on records whose content makes no sense.
 _BROKEN = (McapError, ValueError, RuntimeError, MemoryError, OverflowError, struct.error, ZstdError)
 
@@ -58,7 +58,7 @@ class _Scan:
 
     def __init__(self, wish: Wish, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm) -> None:
         self.wish, self.unpacker, self.mapped, self.bar = wish, unpacker, mapped, bar
-        self.hold, self.forgotten = Hold(wish.take), 0
+        self.held, self.forgotten = HeldBytes(wish.take), 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -84,7 +84,7 @@ class _Scan:
                         raise _DamageError(begin, "holds a broken message")
                     channel_id, _, log_time, _ = unpack_message(data, start)
                     found.append((channel_id, length - _MESSAGE.size, start + _MESSAGE.size, log_time))
-                    if len(found) == _MANY:
+                    if len(found) == _MAX_NOTED:
                         self.store(data, found)
                         self.forget(data, position)
                         found = []
@@ -102,7 +102,7 @@ class _Scan:
         """Give back the memory that the file takes up to a position, if it is the file that is walked over."""
         if isinstance(data, memoryview):
             self.bar.update(position - self.bar.n)
-        if isinstance(data, memoryview) and position > self.forgotten + _READ:
+        if isinstance(data, memoryview) and position > self.forgotten + _MAX_MAPPED:
             self.mapped.madvise(mmap.MADV_DONTNEED, 0, position // mmap.PAGESIZE * mmap.PAGESIZE)
             self.forgotten = position
 
@@ -146,7 +146,7 @@ class _Scan:
                 payload = windows[start[rows].astype(np.intp) - (width == 0), :width]
                 self.channels[identifier].blocks.append(Block(number[rows], log_time[rows], payload))
                 size += payload.nbytes
-        self.hold.add(size, self.channels.values())
+        self.held.add(size, self.channels.values())
 
 
 def name_channel(record: ChannelRecord, schema: Schema | None) -> tuple[str, str]:
@@ -167,18 +167,7 @@ def list_channels(path: Path) -> dict[str, str] | None:
 
 
 def read_container(path: Path, wish: Wish) -> RawFile:
-    """Take an MCAP file apart.
-
-    Args:
-        path: the file.
-        wish: tells which channels' payloads are to be kept.
-
-    Returns:
-        All channels; those wanted with their payloads.
-
-    Raises:
-        InputError: if the file is damaged or ends early, or unpacks to more than a log can honestly hold.
-    """
+    """Take an MCAP file apart: all of its channels, those wanted with their payloads."""
     bar = show_reading(path, unit="B", total=path.stat().st_size)
     with path.open("rb") as file, bar, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         scan = _Scan(wish, Unpacker(path, path.stat().st_size), mapped, bar)
@@ -187,10 +176,21 @@ def read_container(path: Path, wish: Wish) -> RawFile:
         try:
             _read_records(body, scan)
         except _DamageError as damage:
-            raise _refuse_damaged(path, len(view), scan, damage) from None
+            readable = f"{scan.count} messages"
+            if scan.count:
+                readable += f" over {(scan.log_time[1] - scan.log_time[0]) * 1e-9:.1f} s"
+            offset = damage.offset + len(MCAP0_MAGIC)
+            raise InputError(
+                f"{path} {damage.reason} at byte {offset} of {len(view)}, {readable} before it are readable",
+                "a complete MCAP file",
+                f"copy or record it again, or save the readable part with `mcap recover {path.name} -o recovered.mcap`",
+            ) from None
         finally:
             body.release()
             view.release()
+    if scan.profile not in ("ros2", ""):
+        found = f"{path} has the MCAP profile '{scan.profile}'"
+        raise InputError(found, "'ros2'", "record with ROS 2, or convert the log")
     return RawFile(path, scan.profile, list(scan.channels.values()), scan.log_time)
 
 
@@ -201,7 +201,16 @@ def _read_records(body: memoryview, scan: _Scan) -> None:
             with _blame(start, "header"):
                 scan.profile = Header.read(_open_stream(body, start, end)).profile
         elif opcode == Opcode.CHUNK:
-            _read_chunk(_open_stream(body, start, end), start, scan)
+            with _blame(start, "chunk"):
+                chunk = Chunk.read(_open_stream(body, start, end))
+                if chunk.compression not in ("", "zstd", "lz4"):
+                    raise _DamageError(start, f"holds a chunk compressed by '{chunk.compression}'")
+                records = scan.unpacker.unpack(chunk)
+            try:
+                for _ in scan.take_records(records):
+                    pass
+            except _DamageError:
+                raise _DamageError(start, "holds a broken chunk") from None
         elif opcode == Opcode.STATISTICS:
             with _blame(start, "summary"):
                 expected = Statistics.read(_open_stream(body, start, end)).message_count
@@ -215,30 +224,5 @@ def _read_records(body: memoryview, scan: _Scan) -> None:
         raise _DamageError(end, f"holds {scan.count} messages, not {expected} as its summary says,")
 
 
-def _read_chunk(stream: ReadDataStream, offset: int, scan: _Scan) -> None:
-    with _blame(offset, "chunk"):
-        chunk = Chunk.read(stream)
-        if chunk.compression not in ("", "zstd", "lz4"):
-            raise _DamageError(offset, f"holds a chunk compressed by '{chunk.compression}'")
-        records = scan.unpacker.unpack(chunk)
-    try:
-        for _ in scan.take_records(records):
-            pass
-    except _DamageError:
-        raise _DamageError(offset, "holds a broken chunk") from None
-
-
 def _open_stream(data: bytes | memoryview, start: int, end: int) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(data[start:end]))
-
-
-def _refuse_damaged(path: Path, size: int, scan: _Scan, damage: _DamageError) -> InputError:
-    readable = f"{scan.count} messages"
-    if scan.count:
-        readable += f" over {(scan.log_time[1] - scan.log_time[0]) * 1e-9:.1f} s"
-    offset = damage.offset + len(MCAP0_MAGIC)
-    return InputError(
-        f"{path} {damage.reason} at byte {offset} of {size}, {readable} before it are readable",
-        "a complete MCAP file",
-        f"copy or record it again, or save the readable part with `mcap recover {path.name} -o recovered.mcap`",
-    )

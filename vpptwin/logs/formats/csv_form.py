@@ -11,16 +11,18 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, cast
 
 from vpptwin.logs.formats.headings import clean_unit, part_units, split_time
+from vpptwin.logs.formats.raw import refuse_damaged
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import UNITS
 
-_HEAD, _MOST = 1 << 18, 1 << 24  # characters that are looked at to see what kind of CSV it is; of very long lines
-_LINES, _FEW, _TOLD = 50, 8, 1 << 16  # lines looked at, how few of them are too few, characters that tell decimals
-_LONGEST_UNIT = 12  # characters
-_LONGEST_CELL = 1 << 26  # characters: more is a quote that was left open
+_SAMPLE, _MAX_SAMPLE = 1 << 18, 1 << 24  # bytes that are looked at to see what kind of CSV it is; of very long lines
+_LINES, _MIN_LINES = 50, 8  # lines looked at
+_DECIMALS = 1 << 16  # characters that tell decimals
+_MAX_UNIT = 12  # characters
+_MAX_CELL = 1 << 26  # characters: more is a quote that was left open
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)|", re.IGNORECASE)
 COMMA_NUMBER = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}((\.\d{3})+(,\d+)?|(,\d{3})+(\.\d+)?|(['’ \u00a0\u202f]\d{3})+([.,]\d+)?)")
@@ -29,13 +31,14 @@ DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d(:?\d
 NULLS = ("", "nan", "NaN", "NAN", "null", "NULL", "None", "N/A", "NA", "-", "-nan",
          "#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NV", "#WERT!", "#BEZUG!", "#ZAHL!")  # fmt: skip
 """Cells without a value."""
+UNPACKING_ERRORS = (EOFError, zlib.error, gzip.BadGzipFile)
 LISTS = ("[", "(")
 """What cells with lists begin with."""
-csv.field_size_limit(_LONGEST_CELL)
+csv.field_size_limit(_MAX_CELL)
 
 
 @dataclass
-class Format:
+class CsvForm:
     """What kind of CSV a file is.
 
     Attributes:
@@ -62,20 +65,21 @@ class Format:
     grouped: set[str] = field(default_factory=set)
 
 
-def sniff(path: Path, notes: list[str]) -> Format:
-    """Find out what kind of CSV a file is, from its beginning.
-
-    Raises:
-        InputError: if it is none.
-    """
-    with open_bytes(path) as file:
-        head = read_head(path, file)
+def sniff(path: Path, notes: list[str]) -> CsvForm:
+    """Find out what kind of CSV a file is, from its beginning."""
+    try:
+        with open_bytes(path) as file:
+            head = file.read(_SAMPLE)
+            while head.count(b"\n") < _MIN_LINES and len(head) < _MAX_SAMPLE and (more := file.read(len(head))):
+                head += more
+    except UNPACKING_ERRORS as error:
+        raise refuse_damaged(path, "gzip file", error) from None
     encoding = find_encoding(head)
     if encoding in ("cp1252", "latin-1"):
         notes.append(f"{path.name} is not in UTF-8, read as Windows-1252 (Latin-1)")
     text = head.decode(encoding, "ignore").lstrip("\ufeff")
     lines = re.split(r"\r\n|\n|\r", text)
-    lines = lines[:-1] if len(head) >= _HEAD and len(lines) > 1 else lines
+    lines = lines[:-1] if len(head) >= _SAMPLE and len(lines) > 1 else lines
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
     told = re.fullmatch(r'"?sep=(.)"?[;,\t]*', lines[start]) if start < len(lines) else None  # which Excel obeys
     start += told is not None
@@ -83,16 +87,32 @@ def sniff(path: Path, notes: list[str]) -> Format:
     if not sample:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     delimiter = told.group(1) if told else find_delimiter(sample)
-    places, rows = part_lines(path, lines[start:], delimiter)
+    places, rows, place, size = list[int](), list[list[str]](), 0, 0  # the line each row begins in, and its cells
+    for line, row in part_rows(path, (f"{line}\n" for line in lines[start:]), delimiter):
+        if any(row) or len(row) > 1:
+            places.append(place)
+            rows.append([cell.strip() for cell in row])
+        place, size = line, size + sum(map(len, row))
+        if len(rows) >= _LINES and size > _DECIMALS:
+            break
     kinds = find_kinds(rows[:_LINES], rows)
     begin, named, united = find_heads(rows[:_LINES], kinds)
     if begin == len(rows):
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     width, body = len(kinds), [row for row in rows[begin:] if len(row) == len(kinds)]
     if named is not None:
-        names = fit_names(path, rows[named], body, start + places[named] + 1)
+        names = rows[named]  # a delimiter may end rows, or the names
+        cells = len(body[0]) if body else len(names)
+        if any(names[cells:]) or any(any(row[len(names) :]) for row in body):
+            found = f"{path}, line {start + places[named] + 1}: {len(names)} cells"
+            expected = f"{cells} cells a line, as in the lines after it"
+            raise InputError(found, expected, "complete the names, or remove the line")
+        names = [*names, *[""] * cells][:cells]
     else:
-        names = read_comment(lines[start - 1] if start else "", delimiter, width)
+        comment = lines[start - 1] if start else ""
+        names = [cell.strip() for cell in next(csv.reader([comment.lstrip("# ")], delimiter=delimiter), [])]
+        if len(names) != width or not comment.startswith("#"):
+            names = [f"c{i}" for i in range(width)]
     units: dict[str, str] = {}
     names = part_units(names, units)
     if united is not None:
@@ -100,30 +120,15 @@ def sniff(path: Path, notes: list[str]) -> Format:
     columns = list(zip(*body)) or [()] * width
     decimal = find_decimal(columns)
     first = [next((cell for cell in column if find_kind(cell) == kind), "") for column, kind in zip(columns, kinds)]
-    grouped = {n for n, column in zip(names, columns) if any(is_grouped(cell, decimal) for cell in column)}
+    plain = NUMBER if decimal == "." else COMMA_NUMBER
+    grouped = {name for name, column in zip(names, columns)
+               if any(GROUPED.fullmatch(cell) and not plain.fullmatch(cell) for cell in column)}  # fmt: skip
     is_folded = any("\n" in cell for row in rows for cell in row)
-    return Format(encoding, delimiter, decimal, start + places[begin], names, units, kinds, first, is_folded, grouped)
-
-
-def part_lines(path: Path, lines: Sequence[str], delimiter: str) -> tuple[list[int], list[list[str]]]:
-    """The first rows: which line each begins in, from 0 on, and its cells."""
-    places, rows, place, size = list[int](), list[list[str]](), 0, 0
-    for line, row in part_rows(path, (f"{line}\n" for line in lines), delimiter):
-        if any(row) or len(row) > 1:
-            places.append(place)
-            rows.append([cell.strip() for cell in row])
-        place, size = line, size + sum(map(len, row))
-        if len(rows) >= _LINES and size > _TOLD:
-            break
-    return places, rows
+    return CsvForm(encoding, delimiter, decimal, start + places[begin], names, units, kinds, first, is_folded, grouped)
 
 
 def part_rows(path: Path, lines: io.TextIOBase | Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    """Number of the line in which each row ends, from 1 on, and its cells.
-
-    Raises:
-        InputError: if a cell has no end.
-    """
+    """Number of the line in which each row ends, from 1 on, and its cells."""
     reader = csv.reader(lines, delimiter=delimiter)
     try:
         for row in reader:
@@ -183,51 +188,16 @@ def find_heads(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> tuple[int
     return (last + 1, last, None) if is_named else (last + 1, before, last)
 
 
-def read_comment(line: str, delimiter: str, width: int) -> list[str]:
-    """Names of columns that a comment above them tells; otherwise they are called by their place."""
-    said = [cell.strip() for cell in next(csv.reader([line.lstrip("# ")], delimiter=delimiter), [])]
-    return said if len(said) == width and line.startswith("#") else [f"c{i}" for i in range(width)]
-
-
-def fit_names(path: Path, names: Sequence[str], body: Sequence[Sequence[str]], line: int) -> list[str]:
-    """Names of as many columns as rows have cells: a delimiter may end rows, or the names.
-
-    Raises:
-        InputError: if cells have no name, or names no cells.
-    """
-    width = len(body[0]) if body else len(names)
-    if any(names[width:]) or any(any(row[len(names) :]) for row in body):
-        found, expected = f"{path}, line {line}: {len(names)} cells", f"{width} cells a line, as in the lines after it"
-        raise InputError(found, expected, "complete the names, or remove the line")
-    return [*names, *[""] * width][:width]
-
-
 def part_list(cell: str) -> list[str]:
     """The elements of a list in a cell."""
     return re.findall(r"[^,;\s]+", cell.strip("[]()"))
 
 
-def open_bytes(path: Path) -> Any:  # noqa: ANN401
+def open_bytes(path: Path) -> IO[bytes]:
     """The file's content, unpacked if it is gzipped."""
     with path.open("rb") as file:
         packed = file.read(2) == b"\x1f\x8b"
-    return gzip.open(path) if packed else path.open("rb")
-
-
-def read_head(path: Path, file: Any) -> bytes:  # noqa: ANN401
-    """The beginning of a file's content, with a few lines at least."""
-    try:
-        head = file.read(_HEAD)
-        while head.count(b"\n") < _FEW and len(head) < _MOST and (more := file.read(len(head))):
-            head += more
-        return head
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise refuse_damaged(path, error) from None
-
-
-def refuse_damaged(path: Path, error: Exception) -> InputError:
-    """What to say of a gzip file that ends early or is broken."""
-    return InputError(f"{path} is damaged ({error})", "a whole gzip file", "copy it again")
+    return cast(IO[bytes], gzip.open(path)) if packed else path.open("rb")
 
 
 def find_encoding(head: bytes) -> str:
@@ -253,7 +223,7 @@ def find_delimiter(lines: Sequence[str]) -> str:
         rows = list(csv.reader((f"{line}\n" for line in lines), delimiter=mark))
         width, same = Counter(len(row) for row in reversed(rows)).most_common(1)[0]
         columns = list(zip(*(row for row in rows if len(row) == width)))
-        cells = [[cell.strip() for cell in column[-_FEW:]] for column in columns]
+        cells = [[cell.strip() for cell in column[-_MIN_LINES:]] for column in columns]
         told = sum(all(is_number(cell) or DATE.fullmatch(cell) for cell in column) for column in cells) / width
         return same / len(rows) * (0.1 + told) + 0.05 * (len(rows[0]) == width) if width > 1 else 0.0
 
@@ -282,12 +252,6 @@ def find_decimal(columns: Sequence[Sequence[str]]) -> str:
     return max(".,", key=lambda mark: (told[mark], doubt[mark]))
 
 
-def is_grouped(cell: str, decimal: str) -> bool:
-    """Whether a cell holds a number whose thousands are parted."""
-    plain = NUMBER if decimal == "." else COMMA_NUMBER
-    return bool(GROUPED.fullmatch(cell)) and not plain.fullmatch(cell)
-
-
 def is_number(cell: str) -> bool:
     """Whether a cell holds a number, or a list of them, or nothing."""
     if cell.isdigit() or cell in NULLS or NUMBER.fullmatch(cell) or cell.startswith(LISTS):
@@ -299,6 +263,6 @@ def is_units(row: Sequence[str], after: Sequence[str]) -> bool:
     """Whether a row holds units: no number where the row after it has some, and short words."""
     numbers = [i for i, cell in enumerate(after) if cell and is_number(cell)]
     words = [row[i].strip("[]()") for i in numbers if i < len(row)]
-    if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _LONGEST_UNIT:
+    if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _MAX_UNIT:
         return False
     return not any(word not in ("1", *NULLS) and is_number(word) for word in words)

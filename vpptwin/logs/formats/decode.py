@@ -16,16 +16,16 @@ from vpptwin.logs.formats.layout import (
     LITTLE_ENDIAN,
     STAMP,
     Definitions,
-    Layout,
     LayoutError,
     Leaf,
+    MessageLayout,
     describe_columns,
     locate_fields,
     parse_definition,
 )
 from vpptwin.logs.formats.raw import Batch, Block, RawChannel
 
-MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
+MAX_MERGED = 1 << 25  # bytes of messages decoded at once, so that memory does not double on long logs
 MAX_SHAPES = 256  # message shapes (lengths of strings and sequences) of one channel worth a vectorised pass each
 
 
@@ -47,7 +47,15 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
     Raises:
         DecodeError: if a message does not fit its definition, or has no such field.
     """
-    yield from _take_rows(channel, paths)
+    for rows in channel.rows:  # of a table, as messages with these fields would be
+        layout, known, values = describe_columns(rows.columns), {STAMP: rows.time, **rows.columns}, {}
+        for path in paths:
+            leaf = find_leaf(layout, path)
+            data = known[path] if path in known else known[path.rpartition("[")[0]][:, leaf.offset // int(leaf.code[1])]
+            values[path] = data.view(np.uint8) if data.dtype == bool else data
+        number = np.arange(rows.number, rows.number + len(rows.time), dtype=np.uint64)
+        log_time = rows.time if rows.time.min() >= 0 else np.maximum(rows.time, 0)
+        yield Batch(number, log_time.view(np.uint64), values, {})
     for held in channel.batches:
         told = {path: held.texts[path] for path in texts}
         yield Batch(held.number, held.log_time, {path: held.values[path] for path in paths}, told)
@@ -60,26 +68,11 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         yield from _decode_block(channel.message_type, definitions, block, paths, texts, reference)
 
 
-def _take_rows(channel: RawChannel, paths: Sequence[str]) -> Iterator[Batch]:
-    """The rows of a table, as messages with these fields would be."""
-    for rows in channel.rows:
-        layout = describe_columns(rows.columns)
-        known = {STAMP: rows.time, **rows.columns}
-        values = {}
-        for path in paths:
-            leaf = find_leaf(layout, path)
-            data = known[path] if path in known else known[path.rpartition("[")[0]][:, leaf.offset // int(leaf.code[1])]
-            values[path] = data.view(np.uint8) if data.dtype == bool else data
-        number = np.arange(rows.number, rows.number + len(rows.time), dtype=np.uint64)
-        log_time = rows.time if rows.time.min() >= 0 else np.maximum(rows.time, 0)
-        yield Batch(number, log_time.view(np.uint64), values, {})
-
-
 def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:
-    """Join the blocks of chunks by length of message, so that they are few but none is much beyond MERGED."""
+    """Join the blocks of chunks by length of message, so that they are few but none is much beyond MAX_MERGED."""
     for length in sorted({block.payload.shape[1] for block in blocks}):
         same = [block for block in blocks if block.payload.shape[1] == length]
-        sizes = np.cumsum([block.payload.nbytes for block in same]) // MERGED
+        sizes = np.cumsum([block.payload.nbytes for block in same]) // MAX_MERGED
         for group in np.unique(sizes):
             members = [block for block, size in zip(same, sizes) if size == group]
             columns = zip(*((block.number, block.log_time, block.payload) for block in members))
@@ -102,27 +95,27 @@ def _decode_block(
             yield from reference.decode(_take(block, remaining), paths, texts)
             return
         shapes += 1
-        same = _match_shape(block.payload[remaining], layout, texts)
+        fixed = [(0, 4), *((offset, 4) for offset in layout.counters)]  # encapsulation, lengths and wanted strings
+        fixed += [span for path, span in layout.strings.items() if path.rsplit("[", 1)[0] in texts]
+        columns = np.concatenate([np.arange(start, start + length) for start, length in fixed])
+        payload = block.payload[remaining]
+        same = np.asarray((payload[:, columns] == payload[0, columns]).all(axis=1))
         members, remaining = _take(block, remaining[same]), remaining[~same]
         batch = _decode_same(members, layout, paths, texts)
         ends = np.unique([0, len(members.number) - 1])
-        checks = list(reference.decode(_take(members, ends), paths, texts))
-        yield from [batch] if _agree(batch, ends, checks) else reference.decode(members, paths, texts)
+        agree = all(  # bit by bit, and NaN equals NaN
+            batch.texts == check.texts
+            and all(np.array_equal(data[row], check.values[p][0], equal_nan=True) for p, data in batch.values.items())
+            for row, check in zip(ends, list(reference.decode(_take(members, ends), paths, texts)), strict=True)
+        )
+        yield from [batch] if agree else reference.decode(members, paths, texts)
 
 
 def _take(block: Block, rows: np.ndarray) -> Block:
     return Block(block.number[rows], block.log_time[rows], block.payload[rows])
 
 
-def _match_shape(payload: np.ndarray, layout: Layout, texts: Sequence[str]) -> np.ndarray:
-    """Which messages have the encapsulation, the lengths and the wanted strings of the first. (n,) bool."""
-    fixed = [(0, 4), *((offset, 4) for offset in layout.counters)]
-    fixed += [span for path, span in layout.strings.items() if path.rsplit("[", 1)[0] in texts]
-    columns = np.concatenate([np.arange(start, start + length) for start, length in fixed])
-    return np.asarray((payload[:, columns] == payload[0, columns]).all(axis=1))
-
-
-def _decode_same(block: Block, layout: Layout, paths: Sequence[str], texts: Sequence[str]) -> Batch:
+def _decode_same(block: Block, layout: MessageLayout, paths: Sequence[str], texts: Sequence[str]) -> Batch:
     order = "<" if block.payload[0, 1] == LITTLE_ENDIAN else ">"
     payload = block.payload
     values = {}
@@ -134,11 +127,15 @@ def _decode_same(block: Block, layout: Layout, paths: Sequence[str], texts: Sequ
         end = leaf.offset + int(leaf.code[1]) * (leaf.count or 1)
         data = np.ascontiguousarray(payload[:, leaf.offset : end]).view(order + leaf.code)
         values[path] = (data[:, 0] if leaf.count is None else data).astype(leaf.code)
-    strings = {path: tuple(_read_strings(payload[0], layout, path)) for path in texts}
+    strings: dict[str, tuple[str, ...]] = dict.fromkeys(texts, ())
+    for name, (start, length) in layout.strings.items():
+        if (path := name.rsplit("[", 1)[0]) in strings:
+            text = payload[0, start : start + max(length - 1, 0)].tobytes().decode("utf-8", "replace")
+            strings[path] = (*strings[path], text)
     return Batch(block.number, block.log_time, values, strings)
 
 
-def find_leaf(layout: Layout, path: str) -> Leaf:
+def find_leaf(layout: MessageLayout, path: str) -> Leaf:
     """Leaf of a path, which may index into an array.
 
     Raises:
@@ -153,23 +150,6 @@ def find_leaf(layout: Layout, path: str) -> Leaf:
     raise DecodeError(f"no numeric field {path}, only {', '.join(list(layout.leaves)[:12])}")
 
 
-def _read_strings(message: np.ndarray, layout: Layout, path: str) -> Iterator[str]:
-    for name, (start, length) in layout.strings.items():
-        if name.rsplit("[", 1)[0] == path:
-            yield message[start : start + max(length - 1, 0)].tobytes().decode("utf-8", "replace")
-
-
-def _agree(batch: Batch, rows: np.ndarray, checks: Sequence[Batch]) -> bool:
-    """Whether rows of a batch equal what the reference decoder gives for them, bit by bit (NaN equals NaN)."""
-    for row, check in zip(rows, checks, strict=True):
-        for path, values in batch.values.items():
-            if not np.array_equal(values[row], check.values[path][0], equal_nan=True):
-                return False
-        if batch.texts != check.texts:
-            return False
-    return True
-
-
 class _ReferenceDecoder:
     """mcap-ros2-support's decoder: slow, and the reference for the fast one."""
 
@@ -182,7 +162,12 @@ class _ReferenceDecoder:
         for row in range(len(block.number)):
             message = self._decode_message(block.payload[row].tobytes())
             values = {path: np.asarray([_follow_path(message, path)]) for path in paths}
-            strings = {path: tuple(_list_strings(_follow_path(message, path))) for path in texts}
+            strings = {}
+            for path in texts:
+                names = _follow_path(message, path)
+                if not isinstance(names, list):
+                    raise DecodeError("a single value where a list of names was expected")
+                strings[path] = tuple(map(str, names))
             yield Batch(block.number[row : row + 1], block.log_time[row : row + 1], values, strings)
 
     def _decode_message(self, payload: bytes) -> object:
@@ -205,12 +190,6 @@ def _make_decoder(encoding: str, schema_encoding: str, message_type: str, defini
     if function is None:
         raise ValueError(f"no decoder for {encoding} with {schema_encoding} definitions")
     return function
-
-
-def _list_strings(value: object) -> list[str]:
-    if not isinstance(value, list):
-        raise DecodeError("a single value where a list of names was expected")
-    return [str(item) for item in value]
 
 
 def _follow_path(message: object, path: str) -> object:

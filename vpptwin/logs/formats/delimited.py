@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import re
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,18 +16,17 @@ from vpptwin.logs.formats.csv_form import (
     DATE,
     NULLS,
     NUMBER,
-    Format,
+    UNPACKING_ERRORS,
+    CsvForm,
     open_bytes,
     part_list,
     part_rows,
-    refuse_damaged,
     sniff,
-)
-from vpptwin.logs.formats.headings import count_ns, find_clock, guess_unit
-from vpptwin.logs.formats.raw import Wish
+)  # fmt: skip
+from vpptwin.logs.formats.headings import find_times
+from vpptwin.logs.formats.raw import Wish, refuse_damaged
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
 from vpptwin.system.errors import InputError, load_extra
-from vpptwin.system.fields import NANOSECONDS
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -45,44 +42,29 @@ _FORMS = {
 
 
 def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Rows of a CSV file, in pieces.
-
-    Args:
-        path: of the file, which may be gzipped.
-        topic: what it is called.
-        wish: says which columns are wanted, and may say which one is the time; otherwise it is found by its name.
-        notes: warnings are added to it.
-
-    Raises:
-        InputError: naming the line, if one is not like the others.
-    """
+    """Rows of a CSV file, which may be gzipped, in pieces."""
     pa = load_extra("pyarrow", path)
     form = sniff(path, notes)
-    stamp = wish.stamps.get(topic)
-    clock = find_clock(path, form.names, stamp, form.units)
+    times = find_times(path, topic, form.names, wish.stamps.get(topic), form.units)
+    clock = times.name
     fields = choose_fields(wish, topic, form.names)
     needed = {clock, *find_named(wish, topic, fields)}
     told = {name for name, kind in zip(form.names, form.kinds)
             if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
     wanted = [name for name in form.names if name in told and (name in fields or name == clock)]
-    unit = form.units.get(clock) if form.units.get(clock) in NANOSECONDS else None
-    unit = stamp.unit if stamp is not None and stamp.unit is not None else unit
-    unit = "ns" if is_date(form, clock) else unit
+    times.unit = "ns" if is_date(form, clock) else None
     cells, number = Cells(path, form, clock, needed, pa), 0
     for batch in convert_batches(cells, wanted):
         columns = {name: read_column(cells, batch.column(name), name, number) for name in wanted}
         number += batch.num_rows
         columns = drop_blank(cells, columns, number - batch.num_rows)
-        time = columns[clock]
-        if unit is None and len(time):
-            unit = guess_unit(time)
-            if unit != "s":
-                notes.append(f"{topic}: {clock} is taken to count {unit}")
-        yield Table(topic, count_ns(time, unit or "s"), columns, form.units, fields)
+        yield Table(topic, times.count(columns[clock], notes), columns, form.units, fields)
     if not number:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     unread = [name for name in form.names if name in fields and name not in told]
-    notes += [f"{topic}: {note}" for note in (list_some("no numbers in", unread), cells.describe_lost()) if note]
+    lost = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in cells.lost.items()]
+    said = list_some("no numbers in", unread), list_some("cells that are not as the others in", lost)
+    notes += [f"{topic}: {note}" for note in said if note]
 
 
 class CellError(Exception):
@@ -107,7 +89,7 @@ class Cells:
     """
 
     path: Path
-    form: Format
+    form: CsvForm
     clock: str
     needed: set[str]
     pa: Any
@@ -119,36 +101,34 @@ class Cells:
         """Column → its place."""
         return {name: place for place, name in enumerate(self.form.names)}
 
-    def describe_lost(self) -> str:
-        """Which cells were left out, "" if none was."""
-        said = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in self.lost.items()]
-        return list_some("cells that are not as the others in", said)
+    def find_line(self, row: int) -> int:
+        """Number of the line in which a row of values lies."""
+        with open_bytes(self.path) as file:
+            text = io.TextIOWrapper(file, self.form.encoding, "replace", newline=None)
+            filled = 0
+            for line, cells in part_rows(self.path, text, self.form.delimiter):
+                filled += bool(cells) and line > self.form.skip
+                if filled > row:
+                    break
+            return line
 
     def drop(self, name: str, wrong: np.ndarray, column: Any, number: int, expected: str) -> None:  # noqa: ANN401
-        """Note cells that are `wrong`, (n,) bool, in rows behind `number` others.
-
-        Raises:
-            InputError: if all of the column are needed.
-        """
+        """Note cells that are `wrong`, (n,) bool, in rows behind `number` others."""
         if not wrong.any():
             return
         cell = str(column[int(np.argmax(wrong))].as_py())
         if name in self.needed:
-            line = find_line(self.path, self.form, number + int(np.argmax(wrong)))
+            line = self.find_line(number + int(np.argmax(wrong)))
             raise InputError(f"{self.path}, line {line}: {cell!r} as {name}", expected, "correct the line")
         count, first = self.lost.get(name, (0, cell))
         self.lost[name] = count + int(np.count_nonzero(wrong)), first
 
 
 def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dict[str, np.ndarray]:
-    """Columns without the rows that are empty; `number` rows came before.
-
-    Raises:
-        InputError: if the time is no number, or missing in a row with values.
-    """
-    path, form, clock, time = cells.path, cells.form, cells.clock, columns[cells.clock]
+    """Columns without the rows that are empty; `number` rows came before."""
+    path, clock, time = cells.path, cells.clock, columns[cells.clock]
     if time.dtype.kind not in "iuf" or time.ndim > 1:
-        line, said = find_line(path, form, number), time.reshape(len(time), -1)[0, 0]
+        line, said = cells.find_line(number), time.reshape(len(time), -1)[0, 0]
         expected = "a number, or a date like 2026-01-31 12:00:00.5"
         found = f"{path}, line {line}: {said!r} as {clock}"
         raise InputError(found, expected, "convert it, or name another column")
@@ -158,12 +138,12 @@ def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dic
     filled = [c for n, c in columns.items() if n != clock and c.dtype.kind == "f"]
     torn = blank & np.any([np.isfinite(c).reshape(len(c), -1).any(axis=1) for c in filled], axis=0)
     if torn.any():
-        line = find_line(path, form, number + int(np.argmax(torn)))
+        line = cells.find_line(number + int(np.argmax(torn)))
         raise InputError(f"{path}, line {line}: no number as {clock}", "a time in every row", "remove the row")
     return {name: column[~blank] for name, column in columns.items()}
 
 
-def is_date(form: Format, clock: str) -> bool:
+def is_date(form: CsvForm, clock: str) -> bool:
     """Whether the time is told as a date."""
     place = form.names.index(clock)
     return place < len(form.first) and bool(DATE.fullmatch(form.first[place]))
@@ -189,18 +169,6 @@ def convert_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBa
             cells.loose |= {error.name} if tries < _TRIES else set(wanted) - {cells.clock}
 
 
-def choose_type(cells: Cells, name: str) -> Any:  # noqa: ANN401
-    """Arrow's type of a column."""
-    place, pa = cells.places[name], cells.pa
-    cell, kind = cells.form.first[place], cells.form.kinds[place]
-    if name == cells.clock and is_date(cells.form, name):
-        return pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:]) else None)
-    if kind != "number" or name in cells.loose:
-        return pa.string()
-    whole = name == cells.clock and re.fullmatch(r"\d{16,}", cell)  # which a double has no room for
-    return pa.int64() if whole else pa.float64()
-
-
 def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch]:
     """The columns wanted, from the start.
 
@@ -211,7 +179,16 @@ def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch
     from pyarrow import csv as arrow_csv
 
     path, form, pa = cells.path, cells.form, cells.pa
-    types = {name: choose_type(cells, name) for name in wanted}
+    types = {}
+    for name in wanted:
+        cell, kind = form.first[cells.places[name]], form.kinds[cells.places[name]]
+        if name == cells.clock and is_date(form, name):
+            types[name] = pa.timestamp("ns", "UTC" if re.search(r"(Z|[+-]\d\d(:?\d\d)?)$", cell[11:]) else None)
+        elif kind != "number" or name in cells.loose:
+            types[name] = pa.string()
+        else:  # an int64 for a clock for whose digits a double has no room
+            is_whole = name == cells.clock and re.fullmatch(r"\d{16,}", cell)
+            types[name] = pa.int64() if is_whole else pa.float64()
     with open_bytes(path) as file:
         try:
             reader = arrow_csv.open_csv(
@@ -226,8 +203,8 @@ def open_batches(cells: Cells, wanted: Sequence[str]) -> Iterator[pa.RecordBatch
                 ),
             )  # fmt: skip
             yield from reader
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            raise refuse_damaged(path, error) from None
+        except UNPACKING_ERRORS as error:
+            raise refuse_damaged(path, "gzip file", error) from None
         except (pa.ArrowInvalid, UnicodeError) as error:
             raise blame_line(cells, {n: str(kind).partition("[")[0] for n, kind in types.items()}, error) from None
 
@@ -300,7 +277,7 @@ def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:
     empty = ~np.asarray(column.is_valid().to_numpy(zero_copy_only=False))
     wrong = (widths != width) & ~empty
     if wrong.any() and name in cells.needed:
-        line = find_line(cells.path, cells.form, number + int(np.argmax(wrong)))
+        line = cells.find_line(number + int(np.argmax(wrong)))
         found = f"{cells.path}, line {line}: {widths[wrong][0]} values in the list of {name}"
         raise InputError(found, f"{width}, as in the first", "correct the line")
     values = np.full((len(widths), width), np.nan)
@@ -310,15 +287,3 @@ def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:
     wrong[good] |= odd.reshape(-1, width).any(axis=1) & ~empty[good]
     cells.drop(name, wrong, column, number, f"a list of {width} numbers")
     return values
-
-
-def find_line(path: Path, form: Format, row: int) -> int:
-    """Number of the line in which a row of values lies."""
-    with open_bytes(path) as file:
-        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
-        filled = 0
-        for line, cells in part_rows(path, text, form.delimiter):
-            filled += bool(cells) and line > form.skip
-            if filled > row:
-                break
-        return line

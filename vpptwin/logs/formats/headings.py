@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -81,16 +82,21 @@ def split_time(name: str) -> tuple[bool, str]:
     return False, ""
 
 
-def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None, units: Mapping[str, str]) -> str:
-    """The column of the time, by its name or, where it is the only one, by its unit.
+def find_times(
+    path: Path, topic: str, names: Sequence[str], stamp: Stamp | None, units: Mapping[str, str]
+) -> TimeColumn:
+    """The column of the time, by its name or, where it is the only one, by its unit."""
 
-    Raises:
-        InputError: if there is none, or none of the name that somebody gave.
-    """
+    def rank(name: str) -> int:
+        if name == "T":  # a thrust, torque or temperature, if anything else may be the time
+            return len(_TIMES) + 1
+        plain = list_names(name)[2]
+        return next((i for i, t in enumerate(_TIMES) if plain == t or plain.startswith(f"{t}_")), len(_TIMES))
+
     if stamp is not None:
         known = [name for name in names if stamp.path in list_names(name)]
     else:
-        known = sorted((n for n in names if split_time(n)[0]), key=lambda n: _rank(n))
+        known = sorted((name for name in names if split_time(name)[0]), key=rank)
         timed = [name for name in names if units.get(name) in NANOSECONDS]
         known = known or (timed if len(timed) == 1 else [])
     if not known:
@@ -101,14 +107,7 @@ def find_clock(path: Path, names: Sequence[str], stamp: Stamp | None, units: Map
         if all(parts):
             action = f"write {parts[0][0]} + 1e-9 {parts[1][0]} as one column, `time`"
         raise InputError(f"{path}: columns {listed}", f"a column {wanted} with the time", action)
-    return known[0]
-
-
-def _rank(name: str) -> int:
-    if name == "T":  # a thrust, torque or temperature, if anything else may be the time
-        return len(_TIMES) + 1
-    plain = list_names(name)[2]
-    return next((i for i, known in enumerate(_TIMES) if plain == known or plain.startswith(f"{known}_")), len(_TIMES))
+    return TimeColumn(path, topic, known[0], stamp, units)
 
 
 def guess_unit(time: np.ndarray) -> str:
@@ -130,17 +129,6 @@ def guess_unit(time: np.ndarray) -> str:
     return "s"
 
 
-def check_times(path: Path, clock: str, time: np.ndarray) -> None:
-    """Refuse a column of times (n,) with gaps.
-
-    Raises:
-        InputError: naming the first row without one.
-    """
-    if not np.isfinite(time).all():
-        row = int(np.argmin(np.isfinite(time)))
-        raise InputError(f"{path}: no time in row {row} of {clock}", "a time in every row", "remove the row")
-
-
 def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
     """Times in ns, (n,) int64."""
     factor = NANOSECONDS[unit]
@@ -151,3 +139,38 @@ def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
     whole = np.where(wild, 0.0, whole)
     counted = whole.astype(np.int64) * factor + np.rint((np.where(wild, 0.0, time) - whole) * factor).astype(np.int64)
     return np.where(wild, np.int64(2**62), counted)
+
+
+@dataclass
+class TimeColumn:
+    """The column of a table that holds its timestamps.
+
+    Attributes:
+        path, topic: of the log and the table.
+        name: of the column.
+        stamp: what somebody says of it, None for nobody.
+        units: of columns, by their headings.
+        unit: in which it counts, once that is known.
+    """
+
+    path: Path
+    topic: str
+    name: str
+    stamp: Stamp | None
+    units: Mapping[str, str]
+    unit: str | None = None
+
+    def count(self, time: np.ndarray, notes: list[str]) -> np.ndarray:
+        """Its values in some rows in ns, (n,) int64; a note tells of a unit that only they tell."""
+        if not np.isfinite(time).all():
+            row = int(np.argmin(np.isfinite(time)))
+            found = f"{self.path}: no time in row {row} of {self.name}"
+            raise InputError(found, "a time in every row", "remove the row")
+        heading = self.units.get(self.name)
+        if self.unit is None:
+            self.unit = (self.stamp.unit if self.stamp else None) or (heading if heading in NANOSECONDS else None)
+        if self.unit is None and len(time):
+            self.unit = guess_unit(time)
+            if self.unit != "s":
+                notes.append(f"{self.topic}: {self.name} is taken to count {self.unit}")
+        return count_ns(time, self.unit or "s")

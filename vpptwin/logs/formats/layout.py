@@ -45,7 +45,7 @@ class Leaf:
 
 
 @dataclass
-class Layout:
+class MessageLayout:
     """Fields of one message. counters: byte offsets of the lengths that shape it; size: bytes in all."""
 
     leaves: dict[str, Leaf] = field(default_factory=dict)
@@ -78,38 +78,30 @@ def parse_definition(name: str, text: str) -> Definitions:
         if lines and lines[0].startswith("MSG:"):
             name, lines = lines[0].removeprefix("MSG:").strip(), lines[1:]
         package = name.split("/")[0]
-        fields = (_parse_line(line.split("#")[0].strip(), package) for line in lines)
-        definitions[shorten_type(name)] = tuple(field for field in fields if field)
+        fields = []
+        for line in (line.split("#")[0].strip() for line in lines):
+            base, _, rest = line.partition(" ")
+            if not base or "=" in rest:  # blank, or a constant
+                continue
+            match = re.fullmatch(r"([\w/]+)(?:<=\d+)?(?:\[(<=)?(\d*)\])?", base)
+            if not match or not rest.split():
+                raise LayoutError(f"line '{line}'")
+            kind, bounded, digits = match.groups()
+            if kind not in CODES and kind not in ("string", "wstring"):
+                kind = shorten_type(kind) if "/" in kind else f"{package}/{kind}"
+            size = (0 if bounded or not digits else int(digits)) if base.endswith("]") else None
+            fields.append(Field(rest.split()[0], kind, size))
+        definitions[shorten_type(name)] = tuple(fields)
     time = (Field("sec", "int32", None), Field("nanosec", "uint32", None))
     return {"builtin_interfaces/Time": time, "builtin_interfaces/Duration": time} | definitions
 
 
-def _parse_line(line: str, package: str) -> Field | None:
-    base, _, rest = line.partition(" ")
-    if not base or "=" in rest:  # blank, or a constant
-        return None
-    match = re.fullmatch(r"([\w/]+)(?:<=\d+)?(?:\[(<=)?(\d*)\])?", base)
-    if not match or not rest.split():
-        raise LayoutError(f"line '{line}'")
-    kind, bounded, digits = match.groups()
-    if kind not in CODES and kind not in ("string", "wstring"):
-        kind = shorten_type(kind) if "/" in kind else f"{package}/{kind}"
-    is_array = base.endswith("]")
-    return Field(rest.split()[0], kind, (0 if bounded or not digits else int(digits)) if is_array else None)
-
-
-def arrange_fields(definitions: Definitions, name: str, length_of: LengthOf) -> Layout:
+def arrange_fields(definitions: Definitions, name: str, length_of: LengthOf) -> MessageLayout:
     """Offsets of all fields of a message by the alignment rules of CDR (relative to the byte behind its header).
 
-    Args:
-        definitions: what `parse_definition` gives.
-        name: type of the message.
-        length_of: (path, byte offset of the counter, is it a string) -> number of elements, or of bytes of the string.
-
-    Returns:
-        The layout of a message with these lengths.
+    length_of: (path, byte offset of the counter, is it a string) -> number of elements, or of bytes of the string.
     """
-    layout = Layout()
+    layout = MessageLayout()
 
     def count(path: str, of_string: bool) -> int:
         layout.size = _align(layout.size, 4)
@@ -155,7 +147,7 @@ def arrange_fields(definitions: Definitions, name: str, length_of: LengthOf) -> 
     return layout
 
 
-def locate_fields(definitions: Definitions, name: str, payload: bytes) -> Layout:
+def locate_fields(definitions: Definitions, name: str, payload: bytes) -> MessageLayout:
     """Layout of one recorded message.
 
     Raises:
@@ -179,9 +171,9 @@ def locate_fields(definitions: Definitions, name: str, payload: bytes) -> Layout
     return layout
 
 
-def describe_columns(columns: Mapping[str, np.ndarray]) -> Layout:
+def describe_columns(columns: Mapping[str, np.ndarray]) -> MessageLayout:
     """Layout of rows of a table that has these columns, (n,) or (n, k); what is text has no leaf."""
-    layout = Layout({STAMP: Leaf(0, "i8", None)})
+    layout = MessageLayout({STAMP: Leaf(0, "i8", None)})
     for name, data in columns.items():
         if data.dtype.kind in "biuf":
             code = "u1" if data.dtype == bool else data.dtype.str[1:]
@@ -191,14 +183,10 @@ def describe_columns(columns: Mapping[str, np.ndarray]) -> Layout:
 
 def compose_message(
     definitions: Definitions, name: str, strings: Mapping[str, str], lengths: Mapping[str, int]
-) -> tuple[bytearray, Layout]:
+) -> tuple[bytearray, MessageLayout]:
     """Build a little-endian message, all zeros but for its strings, with the layout to fill it in.
 
-    Args:
-        definitions: what `parse_definition` gives.
-        name: type of the message.
-        strings: path -> text; strings not named are empty.
-        lengths: path -> number of elements of a sequence; sequences not named are empty.
+    strings: path -> text; lengths: path -> number of elements of a sequence; what is not named is empty.
     """
     counters: dict[int, int] = {}
 
@@ -217,4 +205,5 @@ def compose_message(
 
 
 def _align(offset: int, width: int) -> int:
+    """The next multiple of `width` bytes behind the header: CDR, OMG DDS-RTPS 2.5, section 10."""
     return HEADER_BYTES + -(-(offset - HEADER_BYTES) // width) * width

@@ -12,13 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from vpptwin.logs.formats.columnar import read_rows
 from vpptwin.logs.formats.raw import Wish
 from vpptwin.logs.formats.tables import Table
+from vpptwin.logs.parts import split_episode
 from vpptwin.system.errors import InputError, load_extra
 from vpptwin.system.fields import Stamp
 from vpptwin.system.plain import is_within, read_json
 
-MOST_EPISODES = 100_000
+MAX_EPISODES = 100_000
 """Flights that one name may stand for."""
-MOST_FILES = 10**6
+MAX_FILES = 10**6
 """Above every chunk's and file's number."""
 _SLOT = re.compile(r"\{(chunk_index|file_index|episode_chunk|episode_index)(?::0?([1-9])d)?\}")
 """A number in a name of a file, and its width."""
@@ -47,48 +48,28 @@ class Info(BaseModel):
         return names
 
 
-def is_lerobot(folder: Path) -> bool:
-    """Whether a folder is a LeRobot data set."""
-    return (folder / "meta" / "info.json").is_file()
-
-
-def split_episode(path: Path) -> tuple[Path, int]:
-    """Folder and number of FOLDER#EPISODE."""
-    folder, _, number = str(path).rpartition("#")
-    return Path(folder), int(number)
-
-
 def list_episodes(folder: Path) -> list[Path]:
-    """The flights of a LeRobot data set: FOLDER#EPISODE.
-
-    Raises:
-        InputError: if `meta/info.json` does not say how many, or says more than its files can hold.
-    """
+    """The flights of a LeRobot data set: FOLDER#EPISODE."""
     total = read_info(folder).total_episodes
     if total is None:
         found = f"{folder}/meta/info.json without total_episodes"
         raise InputError(found, "a LeRobot data set with episodes", "check the data set")
-    held = min(count_episodes(folder, total), MOST_EPISODES)
+    files = list_parquet(folder / "data")  # which have room for an episode each, or for one a row
+    held = len([file for file in files if file.name.startswith("episode_")])
+    if not held:
+        parquet = load_extra("pyarrow.parquet", folder)
+        for file in files:
+            try:
+                held += parquet.read_metadata(file).num_rows
+            except (OSError, ValueError):  # reading it will say so
+                held = total
+            if held >= total:
+                break
+    held = min(held, total, MAX_EPISODES)
     if total > held:
         found = f"{folder}/meta/info.json says {total} episodes"
         raise InputError(found, f"at most {held}, by the files below data", f"copy all of it, or give one, {folder}#0")
     return [Path(f"{folder}#{episode}") for episode in range(total)]
-
-
-def count_episodes(folder: Path, most: int) -> int:
-    """Episodes that the files of a data set have room for, counted as far as `most`: a file each, or a row each."""
-    files = list_parquet(folder / "data")
-    if alone := [file for file in files if file.name.startswith("episode_")]:
-        return len(alone)
-    parquet, rows = load_extra("pyarrow.parquet", folder), 0
-    for file in files:
-        try:
-            rows += parquet.read_metadata(file).num_rows
-        except (OSError, ValueError):  # reading it will say so
-            return most
-        if rows >= most:
-            break
-    return rows
 
 
 def list_parquet(folder: Path) -> list[Path]:
@@ -97,11 +78,7 @@ def list_parquet(folder: Path) -> list[Path]:
 
 
 def read_info(folder: Path) -> Info:
-    """What a LeRobot data set says of itself.
-
-    Raises:
-        InputError: naming the key that is wrong.
-    """
+    """What a LeRobot data set says of itself."""
     file = folder / "meta" / "info.json"
     try:
         return Info.model_validate(read_json(file))
@@ -116,19 +93,14 @@ def read_info(folder: Path) -> Info:
 
 
 def read_lerobot(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Rows of one episode of a LeRobot data set, named FOLDER#EPISODE.
-
-    Raises:
-        InputError: if it has no such episode, or is damaged.
-    """
+    """Rows of one episode of a LeRobot data set, named FOLDER#EPISODE."""
     folder, episode = split_episode(path)
-    info = read_info(folder)
-    names = info.name_elements()
-    found = False
+    assert episode is not None
+    info, found = read_info(folder), False
     for file in find_episode(folder, episode, info):
         try:
             clock = wish.stamps.get(topic) or Stamp(path="timestamp", unit="s")
-            for table in read_rows(path, file, topic, clock, wish, notes, episode, names):
+            for table in read_rows(path, file, topic, clock, wish, notes, episode, info.name_elements()):
                 found = True
                 yield table
         except InputError as error:
@@ -140,20 +112,13 @@ def read_lerobot(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterat
 
 
 def find_episode(folder: Path, episode: int, info: Info) -> list[Path]:
-    """The Parquet files that may hold an episode: the one that the data set names, or else all.
-
-    Raises:
-        InputError: if it names one that is not in it.
-    """
+    """The Parquet files that may hold an episode: the one that the data set names, or else all."""
     numbers = {"episode_index": episode, "episode_chunk": episode // info.chunks_size}
     numbers |= find_place(folder, episode)
     needed = {slot[1] for slot in _SLOT.finditer(info.data_path)}
     if {"{", "}"} & {*_SLOT.sub("", info.data_path)} or not is_within(_SLOT.sub("0", info.data_path)):
-        found, advice = (
-            f"{folder}/meta/info.json: data_path {info.data_path!r}",
-            "correct it, or copy the data set again",
-        )
-        raise InputError(found, f"a file in the folder, such as {Info().data_path}", advice)
+        found = f"{folder}/meta/info.json: data_path {info.data_path!r}"
+        raise InputError(found, f"a file in the folder, such as {Info().data_path}", _AGAIN)
     if needed <= numbers.keys():
         named = folder / _SLOT.sub(lambda slot: f"{numbers[slot[1]]:0{slot[2] or 1}d}", info.data_path)
         if named.is_file():
@@ -166,16 +131,12 @@ def find_episode(folder: Path, episode: int, info: Info) -> list[Path]:
 
 
 def find_place(folder: Path, episode: int) -> Mapping[str, int]:
-    """Numbers of the chunk and file that hold an episode, by the data set's own index; none where it has none.
-
-    Raises:
-        InputError: if they are no numbers of files.
-    """
+    """Numbers of the chunk and file that hold an episode, by the data set's own index; none where it has none."""
     pa, parquet = load_extra("pyarrow", folder), load_extra("pyarrow.parquet", folder)
     for file in list_parquet(folder / "meta" / "episodes"):
         try:
             index = parquet.ParquetFile(file)
-            if index.metadata.num_rows > 10 * MOST_EPISODES:
+            if index.metadata.num_rows > 10 * MAX_EPISODES:
                 break
             rows = index.read(columns=["episode_index", *_PLACE]).to_pylist()
         except (pa.ArrowException, OSError, KeyError, ValueError):
@@ -183,7 +144,7 @@ def find_place(folder: Path, episode: int) -> Mapping[str, int]:
         for row in rows:
             if row.get("episode_index") == episode:
                 place = {name.removeprefix("data/"): row.get(name) for name in _PLACE}
-                if any(type(number) is not int or not 0 <= number < MOST_FILES for number in place.values()):
+                if any(type(number) is not int or not 0 <= number < MAX_FILES for number in place.values()):
                     found = f"{file}: {' and '.join(_PLACE)} of episode {episode}"
                     raise InputError(found, "numbers of a chunk and a file", "copy the data set again")
                 return place

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from vpptwin.logs.span import Span
+from vpptwin.logs.parts import Span
+from vpptwin.system.errors import InputError
 from vpptwin.system.fields import Stamp
 from vpptwin.system.progress import open_bar
 
@@ -27,7 +28,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TableRows:
     """Rows of a table in the place of messages: number of the first, time [ns] (n,), field -> (n,) or (n, k)."""
 
     number: int
@@ -59,7 +60,7 @@ class RawChannel:
     definition: str
     count: int = 0
     blocks: list[Block] = field(default_factory=list)
-    rows: list[Rows] = field(default_factory=list)
+    rows: list[TableRows] = field(default_factory=list)
     batches: list[Batch] = field(default_factory=list)
 
     @property
@@ -112,7 +113,7 @@ class Wish:
     names: Mapping[str, str] = field(default_factory=dict)  # what a table is called -> what it is wanted as
 
 
-class Hold:
+class HeldBytes:
     """Counts what channels hold [bytes], and lets it be looked at where that is much."""
 
     def __init__(self, take: Take | None) -> None:
@@ -130,3 +131,9 @@ def show_reading(path: Path, **options: object) -> tqdm:
     """A bar on standard error while a large file is read, with `options` of tqdm; of a small one none."""
     small = not path.is_file() or path.stat().st_size < LARGE
     return open_bar(desc=f"read {path.name}", disable=small, **options)
+
+
+def refuse_damaged(path: Path, kind: str, error: Exception) -> InputError:
+    """What to say of a file of a kind that a library cannot read."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return InputError(f"{path} is damaged ({reason})", f"a whole {kind}", "copy it again")

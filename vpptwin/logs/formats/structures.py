@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.logs.formats.headings import check_times, count_ns, find_clock, guess_unit, part_units, split_time
+from vpptwin.logs.formats.headings import find_times, part_units, split_time
 from vpptwin.logs.formats.raw import Wish
 from vpptwin.logs.formats.tables import Table, choose_fields, find_named, name_field, name_topic
+from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError
 
-RUN_FILES = (".mat", ".npz", ".parquet")
-"""Files that may hold several tests."""
 _VALUES = ("data", "values", "value")
 """What a structure of one signal calls what is neither its name nor its time."""
 _LABELS = ("name", "label", "title")
@@ -30,14 +28,6 @@ class Group:
     name: str
     columns: dict[str, np.ndarray]
     odd: dict[str, int] = field(default_factory=dict)
-
-
-def split_run(path: Path) -> tuple[Path, int | None]:
-    """File and number of FILE#NUMBER, a file alone without one."""
-    file, mark, number = str(path).rpartition("#")
-    found = mark and number.isdecimal() and len(number) < 10 and file.lower().endswith(RUN_FILES)
-    is_part = found and not os.path.exists(path) and os.path.isfile(file)
-    return (Path(file), int(number)) if is_part else (path, None)
 
 
 def simplify(value: Any) -> Any:  # noqa: ANN401
@@ -57,13 +47,10 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
     """The tables of a file or of one test of it: of arrays with their time, of structures, of matrices.
 
     The only one is called as the file, others as their variables.
-
-    Raises:
-        InputError: if there is none, or what is wanted has another length than its time.
     """
-    beside = list_runs(content) if split_run(path)[1] is None and holds_table(content) else []
+    beside = list_tests(content) if split_test(path)[1] is None and holds_table(content) else []
     notes += [f"{path.name}: {name} is a test beside: {path}#{k}" for k, (name, _) in enumerate(beside[:3])]
-    content = choose_run(path, content)
+    content = choose_test(path, content)
     groups = list(list_tables("", content, wish))
     if not groups:
         held = ", ".join(f"{k} {describe(v)}" for k, v in content.items()) or "nothing"
@@ -74,9 +61,8 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
         called = topic if len(groups) == 1 or not group.name else name_topic(Path(group.name.replace(".", "_")))
         units: dict[str, str] = {}
         given = dict(zip(part_units(list(group.columns), units), group.columns.values()))
-        stamp = wish.stamps.get(called)
-        clock = find_clock(path, list(given), stamp, units)
-        time = given[clock]
+        times = find_times(path, called, list(given), wish.stamps.get(called), units)
+        time = given[times.name]
         said = {name: f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()}
         if named := find_named(wish, called, {name: name_field(name) for name in group.odd}):
             found = f"{path}: {called}: {said[named[0]]}"
@@ -84,34 +70,27 @@ def part_tables(path: Path, topic: str, content: Mapping[str, Any], wish: Wish, 
         long = [said[name] for name, count in group.odd.items() if count > _SHORT]
         if long and called not in wish.fields:
             notes.append(f"{called}: {', '.join(long[:8])}: left out")
-        check_times(path, clock, time)
-        unit = (stamp.unit if stamp is not None else None) or units.get(clock) or guess_unit(time)
-        if unit not in ("s", units.get(clock)) and stamp is None:
-            notes.append(f"{called}: {clock} is taken to count {unit}")
-        yield Table(called, count_ns(time, unit), given, units, choose_fields(wish, called, given))
+        counted = times.count(time, notes if times.stamp is None else [])
+        yield Table(called, counted, given, units, choose_fields(wish, called, given))
 
 
-def choose_run(path: Path, content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The test that FILE#NUMBER names of a file, or the only one of a file that is an array of them.
-
-    Raises:
-        InputError: if there are several, and none is named; or none of this number.
-    """
-    runs, number = list_runs(content), split_run(path)[1]
-    if number is None and (not runs or holds_table(content)):
+def choose_test(path: Path, content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The test that FILE#NUMBER names of a file, or the only one of a file that is an array of them."""
+    tests, number = list_tests(content), split_test(path)[1]
+    if number is None and (not tests or holds_table(content)):
         return content
-    full = [place for place, (_, part) in enumerate(runs) if holds_table(part)]
+    full = [place for place, (_, part) in enumerate(tests) if holds_table(part)]
     if number is None and len(full) != 1:
-        raise refuse_runs(path, [name for name, _ in runs])
+        raise refuse_tests(path, [name for name, _ in tests])
     number = full[0] if number is None else number
-    if number >= len(runs):
-        found = f"{path}: {len(runs)} tests" if runs else f"{path}: a file of one test"
-        expected = f"#0 to #{len(runs) - 1}" if runs else f"{split_run(path)[0]}"
+    if number >= len(tests):
+        found = f"{path}: {len(tests)} tests" if tests else f"{path}: a file of one test"
+        expected = f"#0 to #{len(tests) - 1}" if tests else f"{split_test(path)[0]}"
         raise InputError(found, expected, "correct the number")
-    return runs[number][1]
+    return tests[number][1]
 
 
-def refuse_runs(path: Path, names: list[str]) -> InputError:
+def refuse_tests(path: Path, names: list[str]) -> InputError:
     """What to say of a file of several tests where one is wanted."""
     listed = ", ".join(f"#{k} {name}" for k, name in enumerate(names[:12]))
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
@@ -124,24 +103,23 @@ def holds_table(content: Mapping[str, Any]) -> bool:
     return next(list_tables("", content, Wish(lambda _: True)), None) is not None
 
 
-def list_runs(content: Mapping[str, Any], above: str = "") -> list[tuple[str, Mapping[str, Any]]]:
+def list_tests(content: Mapping[str, Any], above: str = "") -> list[tuple[str, Mapping[str, Any]]]:
     """Tests of a file, the structures of all arrays of them, and what each is called; [] without such an array."""
     found: list[tuple[str, Mapping[str, Any]]] = []
     for key, value in content.items():
         name = f"{above}.{key}".strip(".")
         if isinstance(value, Mapping) and unpack_signals(value) is value:
-            found += list_runs(value, name)
-        elif isinstance(value, list) and holds_runs(value):
-            found += [
-                (call_run(f"{name}({k})", part), part) for k, part in enumerate(value, 1) if isinstance(part, Mapping)
-            ]
+            found += list_tests(value, name)
+        parts = value if isinstance(value, list) and not is_signals(value) else []
+        structures = [(number, part) for number, part in enumerate(parts, 1) if isinstance(part, Mapping)]
+        if not any(holds_table(part) for _, part in structures):
+            continue
+        for number, part in structures:
+            group = next(list_tables("", part, Wish(lambda _: True)), None)
+            held = f"{len(next(iter(group.columns.values())))} times" if group else "no time"
+            label = find_label(part)
+            found.append((f"{name}({number}) ({label + ', ' if label else ''}{held})", part))
     return found
-
-
-def holds_runs(parts: list[Any]) -> bool:
-    """Whether a list is one of tests: of structures one of which at least has its time, but not one signal each."""
-    structures = [part for part in parts if isinstance(part, Mapping)]
-    return any(map(holds_table, structures)) and not is_signals(parts)
 
 
 def is_signals(parts: list[Any]) -> bool:
@@ -155,14 +133,6 @@ def find_label(part: Mapping[str, Any]) -> str:
     """What a structure says that it is called, "" if nothing."""
     labels = (value for key, value in part.items() if key.lower() in _LABELS and isinstance(value, str))
     return next((label for label in labels if label), "")
-
-
-def call_run(name: str, part: Mapping[str, Any]) -> str:
-    """What a test is called: its place, what it says of itself, how much it holds."""
-    groups = list(list_tables("", part, Wish(lambda _: True)))
-    held = f"{len(next(iter(groups[0].columns.values())))} times" if groups else "no time"
-    label = find_label(part)
-    return f"{name} ({label + ', ' if label else ''}{held})"
 
 
 def describe(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Named columns over time, as logs of other kinds hold them: kept as they are, and packed as ROS 2 messages."""
+"""Named columns over time, as logs of other kinds held them: kept as they are, and packed as ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -13,12 +13,22 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
 from vpptwin.logs.formats.layout import CODES, LITTLE_ENDIAN, LayoutError, arrange_fields, parse_definition
-from vpptwin.logs.formats.raw import Block, Hold, RawChannel, RawFile, Rows, Wish, extend, is_alike, show_reading
+from vpptwin.logs.formats.raw import (
+    Block,
+    HeldBytes,
+    RawChannel,
+    RawFile,
+    TableRows,
+    Wish,
+    extend,
+    is_alike,
+    show_reading,
+)
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.system.errors import InputError, escape_text
 
 _TYPES = {code: name for name, code in reversed(CODES.items()) if name not in ("byte", "char", "bool")}
-_MOST_S = 2**31
+_MAX_S = 2**31
 _PACKAGE = "vpptwin_msgs/msg/"
 NAMES = re.compile(r"(.*?)(?:joint_?)?names?[_.\[]?(\d+)\]?", re.IGNORECASE)
 """Columns of text that say what the signals of that number are called."""
@@ -141,20 +151,17 @@ def number_apart(names: Iterable[str]) -> list[str]:
 
 
 def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
-    """The tables of a log as channels, each with a definition of messages that would hold its rows.
+    """The tables of a log as channels, each with a definition of messages that would held its rows.
 
     Args:
         path: of the log.
         tables: of any number of topics, each in the order of its rows.
         wish: what is kept of them.
         notes: warnings, which may still grow while tables are read.
-
-    Raises:
-        InputError: if a time is none that a message can bear.
     """
     channels: dict[str, RawChannel] = {}
     fields: dict[str, Mapping[str, str]] = {}
-    first, last, number, hold = 2**63, -1, 0, Hold(wish.take)
+    first, last, number, held = 2**63, -1, 0, HeldBytes(wish.take)
     bar = show_reading(path, unit=" rows")
     for table in tables:
         bar.update(len(table.time))
@@ -172,27 +179,27 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         channel.count += count
         if not count:
             continue
-        if not (table.time.min() >= -_MOST_S * 10**9 and table.time.max() < _MOST_S * 10**9):
+        if not (table.time.min() >= -_MAX_S * 10**9 and table.time.max() < _MAX_S * 10**9):
             found = f"{path}: {table.topic} has times {table.time.min() / 1e9:.4g} to {table.time.max() / 1e9:.4g} s"
             raise InputError(found, "times within 68 years of 1970", "say which unit the time has")
         first, last = min(first, max(int(table.time.min()), 0)), max(last, int(table.time.max()), 0)
         if wish.channel(channel):
             kept = {name: table.columns[column] for column, name in fields[table.topic].items()
                     if wish.texts or not is_text(table.columns[column]) or NAMES.fullmatch(column)}  # fmt: skip
-            append_rows(channel.rows, Rows(number, table.time, kept))
-            hold.add(table.time.nbytes + sum(data.nbytes for data in kept.values()), channels.values())
+            append_rows(channel.rows, TableRows(number, table.time, kept))
+            held.add(table.time.nbytes + sum(data.nbytes for data in kept.values()), channels.values())
         number += count
     bar.close()
     return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
 
 
-def append_rows(pieces: list[Rows], rows: Rows) -> None:
+def append_rows(pieces: list[TableRows], rows: TableRows) -> None:
     """Put rows behind those held: into the last piece where they follow it, which keeps no log of gigabytes twice."""
     last = pieces[-1] if pieces else rows
     pairs = [(last.time, rows.time), *((last.columns[name], data) for name, data in rows.columns.items())]
     if last.number + len(last.time) != rows.number or not all(is_alike(*pair) for pair in pairs):
         own = {name: np.array(data) for name, data in rows.columns.items()}
-        pieces.append(Rows(rows.number, np.array(rows.time), own))
+        pieces.append(TableRows(rows.number, np.array(rows.time), own))
         return
     for held, new in pairs:
         extend(held, new)
@@ -224,7 +231,7 @@ def is_text(data: np.ndarray) -> bool:
     return bool(data.dtype.kind in "OUS")
 
 
-def pack_rows(channel: RawChannel, rows: Rows) -> Iterator[Block]:
+def pack_rows(channel: RawChannel, rows: TableRows) -> Iterator[Block]:
     """Rows of a channel as little-endian CDR, those of one length together."""
     definitions = parse_definition(channel.message_type, channel.definition)
     texts = {n: [str(t).encode() + b"\0" for t in data] for n, data in rows.columns.items() if is_text(data)}

@@ -14,11 +14,11 @@ from zstandard import ZstdDecompressor, ZstdError
 
 from vpptwin.system.errors import InputError
 
-MOST_RATIO = 100
+MAX_RATIO = 100
 """By which a log unpacks at most: flights do by 8, a simulated craft that stands still without noise by 40."""
 FREE = 1 << 25
 """What a file of any size may unpack to [bytes]."""
-MOST_CHUNK = 1 << 28
+MAX_CHUNK = 1 << 28
 """Largest chunk unpacked [bytes]: recorders write chunks of 1 to 8 MB."""
 ZSTD = b"\x28\xb5\x2f\xfd"
 """What zstd's frames begin with."""
@@ -27,12 +27,8 @@ _PIECE = 1 << 12  # bytes unpacked at once, which may become ten thousand times 
 
 @contextmanager
 def unpack_file(path: Path) -> Iterator[Path]:
-    """A file that zstd compressed as a whole, unpacked for a while.
-
-    Raises:
-        InputError: if it is damaged, or unpacks to more than a log can honestly hold.
-    """
-    most = MOST_RATIO * path.stat().st_size + FREE
+    """A file that zstd compressed as a whole, unpacked for a while."""
+    most = MAX_RATIO * path.stat().st_size + FREE
     with TemporaryDirectory() as folder, path.open("rb") as packed:
         plain, size, frame = Path(folder) / path.stem, 0, ZstdDecompressor().decompressobj()
         try:
@@ -47,7 +43,7 @@ def unpack_file(path: Path) -> Iterator[Path]:
         except ZstdError as error:
             raise InputError(f"{path} is damaged ({error})", "a whole zstd file", "copy it again") from None
         if size > most:
-            found, expected = f"{path} unpacks to more than {most} bytes", f"at most {MOST_RATIO} times its length"
+            found, expected = f"{path} unpacks to more than {most} bytes", f"at most {MAX_RATIO} times its length"
             raise InputError(found, expected, "if it is a log after all, decompress it with `zstd -d`")
         yield plain
 
@@ -60,7 +56,7 @@ def unpack_message(content: bytes) -> bytes:
     """
     if not content.startswith(ZSTD):
         return content
-    most = MOST_RATIO * len(content) + (FREE >> 10)
+    most = MAX_RATIO * len(content) + (FREE >> 10)
     data = ZstdDecompressor().stream_reader(content).read(most + 1)
     if len(data) > most:
         raise ValueError(f"a message of {len(content)} bytes unpacks to more than {most}")
@@ -72,7 +68,7 @@ class Unpacker:
 
     def __init__(self, path: Path, size: int) -> None:
         self.path, self.size = path, size
-        self.left = MOST_RATIO * size + FREE
+        self.left = MAX_RATIO * size + FREE
 
     def unpack(self, chunk: Chunk) -> bytes:
         """The records of a chunk; no more is unpacked than it claims to hold.
@@ -83,10 +79,10 @@ class Unpacker:
         """
         claimed = chunk.uncompressed_size
         self.left -= claimed
-        if self.left < 0 or claimed > MOST_CHUNK:
+        if self.left < 0 or claimed > MAX_CHUNK:
             raise InputError(
                 f"{self.path}, {self.size} bytes, holds a chunk of {len(chunk.data)} that unpacks to {claimed}",
-                f"chunks of at most {MOST_CHUNK} bytes, and at most {MOST_RATIO} times the file's length in all",
+                f"chunks of at most {MAX_CHUNK} bytes, and at most {MAX_RATIO} times the file's length in all",
                 "if it is a log after all, write the topics needed anew with `mcap filter`",
             )
         if chunk.compression == "zstd":

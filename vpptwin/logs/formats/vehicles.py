@@ -28,11 +28,7 @@ _PAGE = 528  # bytes
 
 
 def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Topics of a PX4 ULog, of large ones stretch by stretch; a topic's second instance is called TOPIC_1.
-
-    Raises:
-        InputError: if it is damaged from its beginning.
-    """
+    """Topics of a PX4 ULog, of large ones stretch by stretch; a topic's second instance is called TOPIC_1."""
     pyulog = load_extra("pyulog", path)
     corrupt, lost, empty = False, [], True
     for stretch in part_ulog(path, notes):
@@ -92,11 +88,7 @@ def join_arrays(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def read_dataflash(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Messages of an ArduPilot DataFlash log by their names; those of an instance I of several are called NAME_I.
-
-    Raises:
-        InputError: if nothing in it can be read.
-    """
+    """Messages of an ArduPilot DataFlash log by their names; those of an instance I of several are called NAME_I."""
     make = load_extra("pymavlink.DFReader", path).DFFormat
     forms = {_FMT: make(_FMT, "FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
     rest, empty, torn = b"", True, False
@@ -188,11 +180,7 @@ def widen(values: np.ndarray) -> np.ndarray:
 
 
 def read_usd(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
-    """Events of a Crazyflie's SD-card log, versions 1 and 2 of Bitcraze's documentation.
-
-    Raises:
-        InputError: if it ends early, its checksum is wrong, or its version unknown.
-    """
+    """Events of a Crazyflie's SD-card log, versions 1 and 2 of Bitcraze's documentation."""
     data = path.read_bytes()
     if len(data) < 9 or data[0] != 0xBC:
         raise InputError(f"{path} is no log of a Crazyflie's SD card", "one that begins with 0xBC", "check the file")

@@ -47,11 +47,7 @@ def read_clock(samples: Samples) -> Clock | None:
 
 
 def check_offsets(clocks: Mapping[str, Clock], path: str) -> None:
-    """Refuse topics that were recorded together but stamped by clocks set to different times.
-
-    Raises:
-        InputError: naming the two topics that are furthest apart.
-    """
+    """Refuse topics that were recorded together but stamped by clocks set to different times."""
     if len(clocks) < 2:
         return
     quick, slow = (chosen(clocks, key=lambda topic: clocks[topic].latency) for chosen in (min, max))
@@ -65,11 +61,7 @@ def check_offsets(clocks: Mapping[str, Clock], path: str) -> None:
 
 
 def check_steps(samples: Samples, path: str) -> None:
-    """Refuse a topic whose clock steps within the flight, samples in record order: stamps leap where log times do not.
-
-    Raises:
-        InputError: with the time and size of the step.
-    """
+    """Refuse a topic, in record order, whose clock steps within the flight: stamps leap where log times do not."""
     if len(samples.stamp) < 2 * STEADY or samples.log_time is samples.stamp:
         return
     stamp, logged = ((times - times[:1]) * 1e-9 for times in (samples.stamp, samples.log_time))

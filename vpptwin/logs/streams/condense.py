@@ -31,11 +31,7 @@ class Condenser:
         self.held: dict[int, tuple[float, float]] = {}
 
     def __call__(self, channels: Sequence[RawChannel]) -> None:
-        """Decode what channels hold.
-
-        Raises:
-            InputError: if messages do not decode, or numbers take more than there is room for.
-        """
+        """Decode what channels hold."""
         for channel in channels:
             if channel.blocks:
                 paths, texts = list_wanted(self.topics, channel)

@@ -43,11 +43,7 @@ class Samples:
 
 
 def read_samples(recording: Recording, route: Route) -> Samples:
-    """Read a topic of the channel table.
-
-    Raises:
-        InputError: if the messages are of another type, or do not decode.
-    """
+    """Read a topic of the channel table."""
     try:
         columns = route.choose_columns(recording.check_type(route.topic))
     except InputError as error:
@@ -99,11 +95,7 @@ def _join(parts: list[np.ndarray], order: slice | np.ndarray) -> np.ndarray:
 
 
 def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
-    """Read a joint, actuator, body or IMU out of fields; rows in which one of them is no number are no samples of it.
-
-    Raises:
-        InputError: if the log lacks the topic or a field, or a field is none of numbers.
-    """
+    """Read a joint, actuator, body or IMU out of fields; rows in which one of them is no number are no samples of it."""
     topic = recording.find_topic(route.topic)
     if topic is None:
         lacking = f"{recording.path} lacks topic {route.topic}, which {route.name} is mapped to"
@@ -157,11 +149,7 @@ def list_stamp_fields(stamp: Stamp) -> list[str]:
 
 
 def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_time: np.ndarray) -> np.ndarray:
-    """Stamps in ns, (n,).
-
-    Raises:
-        InputError: if one is no number, or beyond the 146 years that 64 bits hold either way.
-    """
+    """Stamps in ns, (n,)."""
     if stamp.path == LOG_TIME:
         return _count_ns(label, log_time, 1)
     parts = [fields[path] for path in list_stamp_fields(stamp)]
@@ -187,11 +175,7 @@ def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
 
 
 def read_spatial(recording: Recording, topic: str) -> Samples:
-    """Read a topic of poses, odometry or an IMU: vectors (n, 3), attitudes w, x, y, z (n, 4), as `SPATIAL` names them.
-
-    Raises:
-        InputError: if messages do not decode.
-    """
+    """Read a topic of poses, odometry or an IMU: vectors (n, 3), attitudes w, x, y, z (n, 4), as `SPATIAL` names them."""
     parts = list_vectors(recording.check_type(topic))
     found = read_fields(recording, topic, Stamp(), [path for paths in parts.values() for path in paths], topic)
     if not found.fields:
@@ -224,9 +208,6 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
     Returns:
         Joint or actuator name -> samples of position, velocity, effort; warnings. Columns that are absent from most
         messages, or NaN throughout, are left out.
-
-    Raises:
-        InputError: if a message has another number of values than names.
     """
     seconds, nanoseconds = list_stamp_fields(Stamp())
     parts: dict[str, list[_Part]] = {}

@@ -18,9 +18,6 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
     """Stream of a topic of the channel table, from samples in order of time, (n,) s.
 
     Warnings found are appended to `warnings`.
-
-    Raises:
-        InputError: if values are not finite, not planar, or in the wrong unit.
     """
     label = f"{path}: {samples.label}"
     values: dict[str, np.ndarray] = {}
@@ -39,11 +36,7 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
 
 
 def build_joint_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[str]) -> Stream:
-    """Stream of one joint, from samples in order of time, (n,) s. Warnings found are appended to `warnings`.
-
-    Raises:
-        InputError: if values are not finite, or beyond all measure.
-    """
+    """Stream of one joint, from samples in order of time, (n,) s. Warnings found are appended to `warnings`."""
     label, wild = f"{path}: {samples.label}", np.zeros(len(time), dtype=bool)
     for column, data in samples.fields.items():
         check_finite(label, time, column, data)

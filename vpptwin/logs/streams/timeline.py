@@ -21,9 +21,6 @@ def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[slice | np.
 
     Returns:
         Indices that sort the stamps and drop repeated ones (the first recorded stays), and warnings.
-
-    Raises:
-        InputError: if stamps are not set, or run backwards.
     """
     _refuse_unset(stamps, f"{path}: {topic}")
     if (stamps[1:] > stamps[:-1]).all():
@@ -77,11 +74,7 @@ def count_rate(stamps: np.ndarray) -> float:
 
 
 def space_stamps(label: str, stamps: np.ndarray, rate: float) -> np.ndarray:
-    """Stamps (n,) ns of messages that come at a rate [Hz], from the first on; those given are rounded.
-
-    Raises:
-        InputError: if they tell of another rate.
-    """
+    """Stamps (n,) ns of messages that come at a rate [Hz], from the first on; those given are rounded."""
     made = stamps[0] + np.rint(np.arange(len(stamps)) * (1e9 / rate)).astype(np.int64)
     steps = np.diff(stamps)
     coarse = float(steps[steps > 0].max(initial=0)) if len(steps) else 0.0
@@ -119,11 +112,7 @@ def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
 
 
 def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
-    """Refuse topics stamped by clocks that have nothing to do with each other; spans: first and last stamp [ns].
-
-    Raises:
-        InputError: naming two topics that are hours apart.
-    """
+    """Refuse topics stamped by clocks that have nothing to do with each other; spans: first and last stamp [ns]."""
     early = min(spans, key=lambda topic: spans[topic][1], default="")
     late = max(spans, key=lambda topic: spans[topic][0], default="")
     distance = (spans[late][0] - spans[early][1]) * 1e-9 if spans else 0.0
@@ -136,11 +125,7 @@ def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
 
 
 def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
-    """Refuse clocks that leap forward, before anything is laid out over the time they leap; topic -> stamps (n,) ns.
-
-    Raises:
-        InputError: naming the topic, the message and how far.
-    """
+    """Refuse clocks that leap forward, before anything is laid out over the time they leap; topic -> stamps (n,) ns."""
     span = float(max(own.max() for own in stamps.values()) - min(own.min() for own in stamps.values())) * 1e-9
     if span <= MAX_CLOCK_DISTANCE:
         return
