@@ -384,7 +384,7 @@ def test_dataflash_has_instances_and_is_read_in_stretches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stretch: int
 ) -> None:
     """Messages by instance with their types and factors, what is torn left out, whatever a stretch cuts through."""
-    monkeypatch.setattr(vehicles, "_STRETCH", stretch)
+    monkeypatch.setattr(vehicles, "_MAX_PIECE", stretch)
     log, notes = write_instances(tmp_path / "log.bin"), []  # type: ignore[var-annotated]
     tables: dict[str, list[Table]] = {}
     for table in vehicles.read_dataflash(log, "", ALL, notes):
@@ -406,7 +406,7 @@ def test_a_large_ulog_is_read_in_stretches(tmp_path: Path, monkeypatch: pytest.M
     """As it is in one piece."""
     log = write_ulog(tmp_path / "log.ulg")
     whole = read_all(log, "/servo", "angle")
-    monkeypatch.setattr(vehicles, "_STRETCH", 300)
+    monkeypatch.setattr(vehicles, "_MAX_PIECE", 300)
     assert np.array_equal(read_all(log, "/servo", "angle"), whole)
 
 

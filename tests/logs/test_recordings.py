@@ -347,7 +347,7 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     """In a line that says what to write; LOG@START-END is that part of a file, of a table, of a folder."""
     monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 10_000)
     monkeypatch.setattr("vpptwin.logs.formats.container._MAX_NOTED", 50)
-    monkeypatch.setattr("vpptwin.logs.streams.condense.ROOM", 50_000.0)
+    monkeypatch.setattr("vpptwin.logs.streams.condense.MAX_BYTES", 50_000.0)
     log = pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10**7 for k in range(1000)])
     table = tmp_path / "log.csv"
     table.write_text("time,q\n" + "".join(f"{0.01 * k:.2f},{k}\n" for k in range(3000)))

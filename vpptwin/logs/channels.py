@@ -1,4 +1,4 @@
-"""The channel table, shared by reader and writer: topics of SPEC 3, their types, how messages map to columns."""
+"""The channel table, shared by reader and writer: topics of docs/logs.md, their types, how messages map to columns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from vpptwin.logs.messages import shorten_type
 from vpptwin.system.fields import BODIES, SITES, TURNS
 
-# Axis names of a rotation -> (quaternion component, sign). SPEC 1: theta turns about -y.
+# Axis names of a rotation -> (quaternion component, sign); theta of the planar drone turns about -y.
 AXES = {f"{sign}{name}": (name, -1.0 if sign else 1.0) for name in "xyz" for sign in ("", "-")}
 
 

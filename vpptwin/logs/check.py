@@ -17,7 +17,7 @@ GYRO_STEP = 0.1  # s over which it is compared, long against delays and against 
 HUGE = 1e12  # SI units that nothing measured reaches, and of which no square or sum overflows
 RARE = 0.01  # share of messages up to which impossible values are outliers rather than a wrong unit
 SLOWEST, FASTEST = 0.6, 1.6  # rate over turning beyond which a scale is wrong: `gyro.scale` reaches from 0.7 to 1.3
-MIN_LIKENESS = 0.8  # squared correlation from which on gyro and tracker show one motion
+MIN_R_SQUARED = 0.8  # squared correlation from which on gyro and tracker show one motion
 MIN_FORCE, MAX_FORCE = 2.5, 50.0  # m/s^2, median of any flight; at rest and in hover it is 9.8
 
 
@@ -59,10 +59,7 @@ def find_wild(label: str, column: Column, values: np.ndarray) -> np.ndarray:
 
 
 def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rare messages, (n,) bool, whose quaternion is none, as trackers send them that have lost their body.
-
-    The fields, (n,) each, are those of an angle column's source; time (n,) s.
-    """
+    """Rare messages, (n,) bool, whose quaternion is none, as trackers send them that have lost their body."""
     quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
     with np.errstate(over="ignore"):  # an infinite norm is refused like any other
         norm = np.linalg.norm(quaternion, axis=1)
@@ -78,7 +75,7 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
     name = AXES[source.axis or "-y"][0]
     others = [index for index, component in enumerate("xyz") if component != name]
     sine = np.linalg.norm(quaternion[:, others], axis=1) / np.maximum(norm, 0.5)
-    tilt = 2.0 * np.arcsin(np.minimum(sine, 1.0))
+    tilt = 2.0 * np.arcsin(np.minimum(sine, 1.0))  # of the part of q = (axis sin a/2, cos a/2) off the axis
     if np.median(tilt) > MAX_TILT:
         raise InputError(
             f"{label}: the orientation is no rotation about {name}, but {np.median(tilt):.2f} rad off (median)",
@@ -120,8 +117,8 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
     turned, measured = np.diff(theta[inside]), np.diff(np.interp(time[inside], gyro[0], integral))
     if len(turned) < 3 or np.ptp(theta[inside]) < MIN_TURN:
         return
-    factor, likeness = compare_steps(turned, measured)
-    if likeness < MIN_LIKENESS:
+    factor, r_squared = compare_steps(turned, measured)
+    if r_squared < MIN_R_SQUARED:
         return
     found = f"{label}: rate is {factor:.3g} times the turning"
     advice = "convert it, for instance with `scale: 0.0174533`"
@@ -146,20 +143,20 @@ def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.n
 
 
 def compare_steps(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Factor from one sensor's steps (n,) to another's of the same motion, and how much of the other it explains."""
-    factor, likeness = _compare(one, other)
-    if likeness < MIN_LIKENESS:  # outliers, perhaps, which are dealt with later
+    """Factor from one sensor's steps (n,) to another's of the same motion by least squares, and R², 0 to 1."""
+
+    def fit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+        # y = a x through the origin: a = xy / xx, R² = (xy)² / (xx yy)
+        xy, xx, yy = float(x @ y), float(x @ x), float(y @ y)
+        return xy / (xx + 1e-300), xy * xy / (xx * yy + 1e-300)
+
+    factor, r_squared = fit(one, other)
+    if r_squared < MIN_R_SQUARED:  # outliers, perhaps, which are dealt with later
         calm = np.ones(len(one), dtype=bool)
         for step in (one, other):
             calm &= np.abs(step) <= np.quantile(np.abs(step), 1.0 - 3.0 * RARE)
-        factor, likeness = _compare(one[calm], other[calm])
-    return factor, likeness
-
-
-def _compare(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """Factor from one to the other by least squares, and how much of the other it explains, 0 to 1."""
-    product, own, others = float(one @ other), float(one @ one), float(other @ other)
-    return product / (own + 1e-300), product * product / (own * others + 1e-300)
+        factor, r_squared = fit(one[calm], other[calm])
+    return factor, r_squared
 
 
 def _any_component(bad: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ class Flight:
     Attributes:
         path: the log as it was given (docs/logs.md), the files of a list joined by plus.
         start_ns: first header stamp of the log [ns since the epoch of its clock].
-        streams: canonical topic -> stream, for the topics of SPEC 3.
+        streams: canonical topic -> stream, for the topics of the channel table.
         joints: JointState topic -> joint or actuator name -> stream of position, velocity, effort as far as recorded.
         spatial: topic of poses, odometry or an IMU -> stream of vectors (n, 3) and attitudes (n, 4), as
             `vpptwin.logs.channels.SPATIAL` names them.
@@ -76,7 +76,7 @@ class Flight:
         return max((float(stream.time[-1]) for stream in every if len(stream)), default=0.0)
 
     def require(self, *topics: str) -> None:
-        """Check that the log holds these topics: canonical ones of SPEC 3, or topics of JointState messages.
+        """Check that the log holds these topics: of the channel table, or topics of JointState messages.
 
         Raises:
             InputError: naming the missing topics and those that the log holds.

@@ -82,14 +82,7 @@ def shorten_type(name: str) -> str:
 
 
 def compose_definition(name: str) -> str:
-    """Definition of a message with those of all messages it is made of, in the form that rosbag2 embeds.
-
-    Args:
-        name: message type, e.g. `sensor_msgs/msg/Imu`.
-
-    Returns:
-        The message's own fields, then one section per dependency, separated by lines of `=`.
-    """
+    """Definition of a message type with those of all messages it is made of, parted by `=`, as rosbag2 embeds it."""
     pending, ordered = [shorten_type(name)], list[str]()
     while pending:
         current = pending.pop(0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def read_flight(
         signals: where a twin says that joints and actuators lie, `Signals.entries`.
 
     Returns:
-        All topics of SPEC 3 that have messages, and all joints of all JointState topics.
+        All topics of the channel table that have messages, and all joints of all JointState topics.
 
     Raises:
         InputError: if the log is damaged, is no ROS 2 log, or holds values that cannot be right.
@@ -52,18 +52,39 @@ def read_flight(
     take = Condenser(str(spell(path)), topics)
     recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps(), take))
     warnings: list[str] = [note for file in recording.files for note in file.notes]
-    samples = _read_table_topics(recording, topics, warnings)
-    joints = _read_joint_topics(recording, topics, warnings)
-    spatial = _read_spatial_topics(recording, topics, warnings)
+
+    def put_in_order(samples: Samples) -> Samples:
+        check_steps(samples, str(recording.path))
+        order, found = order_stamps(samples.stamp, str(recording.path), samples.label)
+        warnings.extend([warning for warning in found if warning not in warnings])
+        return samples.take(order)
+
+    read = {topic: put_in_order(samples) for topic, samples in _read_channels(recording, topics, warnings)}
+    joints: JointSamples = {}
+    spatial: dict[str, Samples] = {}
+    taken = {route.topic for route in topics.routes.values()}
+    for topic, message_type in recording.list_topics().items():
+        canonical = topics.joints.get(topic, topic)
+        if topic not in taken and is_joint_state(message_type):
+            recording.check_type(topic)
+            found, lost = read_joints(recording, topic, canonical)
+            warnings += lost
+            if found:
+                joints[canonical] = {name: put_in_order(item) for name, item in found.items()}
+        elif canonical in JOINT_TOPICS and not is_packed(message_type):
+            raise InputError(f"{recording.path}: {topic} is of type {message_type}", JOINT_STATE, "record that type")
+    for topic, message_type in recording.list_topics().items():
+        if topic not in taken and is_spatial(message_type):
+            placed = read_spatial(recording, topic)
+            if len(placed.stamp) and placed.fields:
+                spatial[topic] = put_in_order(placed)
     for route in topics.named:
-        found = read_named(recording, route, warnings)
-        if len(found.stamp):
-            ordered = _order_samples(recording, found, warnings)
-            if route.canonical.startswith(tuple(SPATIAL_COLUMNS)):
-                spatial[route.canonical] = ordered
-            else:
-                joints.setdefault(route.canonical, {})[route.name] = ordered
-    return _assemble_flight(recording, topics, samples, joints, spatial, warnings)
+        signal = read_named(recording, route, warnings)
+        if len(signal.stamp) and route.canonical.startswith(tuple(SPATIAL_COLUMNS)):
+            spatial[route.canonical] = put_in_order(signal)
+        elif len(signal.stamp):
+            joints.setdefault(route.canonical, {})[route.name] = put_in_order(signal)
+    return _assemble_flight(recording, topics, read, joints, spatial, warnings)
 
 
 def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
@@ -78,59 +99,20 @@ def expand_logs(paths: Iterable[PathLike]) -> list[Path]:
     return found
 
 
-def _read_table_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
-    """Canonical topic -> samples in order of time, for those that have messages."""
-    samples = {}
+def _read_channels(recording: Recording, topics: TopicMap, warnings: list[str]) -> Iterator[tuple[str, Samples]]:
+    """Canonical topic and samples in record order, of those of the channel table that have messages."""
     for canonical, route in topics.routes.items():
         present = recording.find_topic(route.topic)
         if present is not None and not route.origin and is_packed(recording.list_topics()[present]):
             continue  # a table that is called as a topic of ours
         if present is not None:
-            found = read_samples(recording, route)
-            if len(found.stamp):
-                samples[canonical] = _order_samples(recording, found, warnings)
+            samples = read_samples(recording, route)
+            if len(samples.stamp):
+                yield canonical, samples
             else:
                 warnings.append(f"{route.topic} has no messages")
         elif route.origin:
             warnings.append(f"{route.origin}: {canonical} is mapped to {route.topic}, which the log lacks")
-    return samples
-
-
-def _read_joint_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> JointSamples:
-    """JointState topic -> name -> samples in order of time."""
-    taken = {route.topic for route in topics.routes.values()}
-    joints: JointSamples = {}
-    for topic, message_type in recording.list_topics().items():
-        canonical = topics.joints.get(topic, topic)
-        if topic not in taken and is_joint_state(message_type):
-            recording.check_type(topic)
-            found, lost = read_joints(recording, topic, canonical)
-            warnings += lost
-            ordered = {name: _order_samples(recording, item, warnings) for name, item in found.items()}
-            if ordered:
-                joints[canonical] = ordered
-        elif canonical in JOINT_TOPICS and not is_packed(message_type):
-            raise InputError(f"{recording.path}: {topic} is of type {message_type}", JOINT_STATE, "record that type")
-    return joints
-
-
-def _read_spatial_topics(recording: Recording, topics: TopicMap, warnings: list[str]) -> dict[str, Samples]:
-    """Topic -> samples in order of time, of poses, odometry and IMUs that are none of SPEC 3."""
-    taken = {route.topic for route in topics.routes.values()}
-    spatial = {}
-    for topic, message_type in recording.list_topics().items():
-        if topic not in taken and is_spatial(message_type):
-            found = read_spatial(recording, topic)
-            if len(found.stamp) and found.fields:
-                spatial[topic] = _order_samples(recording, found, warnings)
-    return spatial
-
-
-def _order_samples(recording: Recording, samples: Samples, warnings: list[str]) -> Samples:
-    check_steps(samples, str(recording.path))
-    order, found = order_stamps(samples.stamp, str(recording.path), samples.label)
-    _add_new(warnings, found)
-    return samples.take(order)
 
 
 def _assemble_flight(
@@ -160,7 +142,7 @@ def _assemble_flight(
     pose, imu = streams.get("/mocap/pose"), streams.get("/imu/data")
     if pose is not None and imu is not None:
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
-    _add_new(warnings, _list_gaps(streams, built))
+    warnings += [warning for warning in _list_gaps(streams, built) if warning not in warnings]
     sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
     placed = {topic: build_joint_stream(item, times[id(item.stamp)], path, warnings) for topic, item in spatial.items()}
     return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed, recorded)
@@ -174,10 +156,6 @@ def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, 
             together.setdefault(sha256(stream.time.data).digest(), []).append(name)
         steady += [(escape_text(f"{topic} {', '.join(group)}"), names[group[0]]) for group in together.values()]
     return [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
-
-
-def _add_new(warnings: list[str], found: Sequence[str]) -> None:
-    warnings += [warning for warning in found if warning not in warnings]
 
 
 def _refuse_foreign(recording: Recording) -> InputError:

@@ -115,7 +115,7 @@ class TopicMap:
     """What is where.
 
     Attributes:
-        routes: canonical topic -> route, for all of SPEC 3.
+        routes: canonical topic -> route, for all of the channel table.
         joints: JointState topic in the log -> canonical name.
         named: joints and actuators out of fields.
     """
@@ -152,7 +152,7 @@ def load_topic_map(path: str | os.PathLike[str] | None, signals: SignalEntries |
     """Read a topic map; topics that it leaves out keep their names.
 
     Args:
-        path: YAML file, or None for the names of SPEC 3.
+        path: YAML file, or None for the names of the channel table.
         signals: topic -> name -> the fields that a twin names for it; what it names is none of the drone's.
 
     Raises:
@@ -206,12 +206,8 @@ def _build_joint(canonical: str, name: str, where: str, entry: SignalEntry) -> J
             expected = f"{wanted} fields{', or roll, pitch and yaw' * (column == 'attitude')}"
             raise InputError(found, expected if wanted else "none, as it is no such signal", "correct it")
         globe = [path for path in paths if set(re.findall(r"[a-z]+", path.lower())) & GEODETIC]
-        if (
-            column == "position"
-            and len(paths) == wanted == 3
-            and globe
-            and max(item.factors) == min(item.factors) == 1.0
-        ):
+        is_place = column == "position" and len(paths) == wanted == 3
+        if is_place and globe and max(item.factors) == min(item.factors) == 1.0:
             raise InputError(
                 f"{where}{name}.position: {' and '.join(globe)}, which are degrees on the globe", "x, y, z in metres",
                 "convert them to metres east and north of a place, or scale each: `scale: [m per degree, ..., 1]`",
@@ -247,12 +243,11 @@ def _build_source(where: str, channel: Channel, name: str, entry: FieldEntry) ->
         raise InputError(f"{where}", f"one of the columns {', '.join(columns)}", "correct the key")
     column = columns[name]
     paths = (entry.path,) if isinstance(entry.path, str) else tuple(entry.path)
-    scale = entry.factors
     if len(paths) not in (1, column.width):
         raise InputError(f"{where}.path: {len(paths)} fields", f"1 or {column.width}", "name one field per component")
-    if len(scale) not in (1, column.width):
+    if len(entry.factors) not in (1, column.width):
         expected, action = f"1 or {column.width}", "give one factor per component"
-        raise InputError(f"{where}.scale: {len(scale)} factors", expected, action)
+        raise InputError(f"{where}.scale: {len(entry.factors)} factors", expected, action)
     axis = entry.axis
     if axis is None and column.source.axis and paths[0].rsplit(".", 1)[-1] in ("orientation", "rotation"):
         axis = "-y"

@@ -6,14 +6,14 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 from mcap.well_known import MessageEncoding
 from mcap.writer import LIBRARY_IDENTIFIER, Writer
 
-from vpptwin.logs.formats.raw import Block, RawChannel, Wish
+from vpptwin.logs.formats.raw import RawChannel, Wish
 from vpptwin.logs.formats.tables import pack_rows
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_sources
+from vpptwin.logs.write import merge_times
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import is_same, replace_files
 from vpptwin.system.progress import open_bar
@@ -39,13 +39,13 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     try:
         out.parent.stat()  # a log goes where somebody keeps logs
         with replace_files(out.parent, [out.name]) as drafts, (drafts / out.name).open("wb") as file:
-            return write_messages(log, Writer(file))
+            return _write_messages(log, Writer(file))
     except OSError as error:
         found = f"{out} cannot be written ({error.strerror or error})"
         raise InputError(found, "a path to write a log to", "choose another") from None
 
 
-def write_messages(log: PathLike, writer: Writer) -> Recording:
+def _write_messages(log: PathLike, writer: Writer) -> Recording:
     """All messages of a log, file by file, in record order; those of a large one as they come."""
     writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
     schemas: dict[tuple[str, str], int] = {}
@@ -77,21 +77,14 @@ def write_messages(log: PathLike, writer: Writer) -> Recording:
 
 def list_messages(held: Sequence[RawChannel]) -> Iterator[tuple[int, int, bytes]]:
     """Place of the channel, log time [ns] and content of every message that channels hold, in record order."""
-    channels = list(enumerate(held))
-    yield from _merge([(place, block) for place, channel in channels for block in channel.blocks])
-    pieces = [(rows.number, place, rows) for place, channel in channels for rows in channel.rows]
+    groups = [[(place, block) for place, channel in enumerate(held) for block in channel.blocks]]
+    pieces = [(rows.number, place, rows) for place, channel in enumerate(held) for rows in channel.rows]
     for _, place, rows in sorted(pieces, key=lambda piece: piece[0]):
-        yield from _merge([(place, block) for block in pack_rows(held[place], rows)])
-
-
-def _merge(blocks: Sequence[tuple[int, Block]]) -> Iterator[tuple[int, int, bytes]]:
-    if not blocks:
-        return
-    which = np.concatenate([np.full(len(block.number), i) for i, (_, block) in enumerate(blocks)])
-    row = np.concatenate([np.arange(len(block.number)) for _, block in blocks])
-    for index in np.argsort(np.concatenate([block.number for _, block in blocks]), kind="stable"):
-        place, block = blocks[which[index]]
-        yield place, int(block.log_time[row[index]]), block.payload[row[index]].tobytes()
+        groups.append([(place, block) for block in pack_rows(held[place], rows)])
+    for blocks in groups:
+        for i, row in merge_times([block.number for _, block in blocks]):
+            place, block = blocks[i]
+            yield place, int(block.log_time[row]), block.payload[row].tobytes()
 
 
 def list_kept(recording: Recording) -> list[RawChannel]:

@@ -119,15 +119,14 @@ class FlightWriter:
             raise self._refuse(failure) from failure
 
     def _refuse(self, error: OSError) -> InputError:
-        return InputError(
-            f"{self.path} cannot be written ({error.strerror})", "a path to write a log to", "choose another"
-        )
+        found = f"{self.path} cannot be written ({error.strerror})"
+        return InputError(found, "a path to write a log to", "choose another")
 
     def write(self, topic: str, time: float, values: Mapping[str, Value], log_time: float | None = None) -> None:
         """Write one message.
 
         Args:
-            topic: one of SPEC 3, or one of them below a namespace, such as `/twin/after/mocap/pose`.
+            topic: of the channel table, or one of them below a namespace, such as `/twin/after/mocap/pose`.
             time: of the header stamp [s since time zero].
             values: column -> number or (k,), SI; optional columns left out are written as NaN.
             log_time: when it was recorded [s since time zero]; None for `time`.
@@ -137,7 +136,7 @@ class FlightWriter:
         missing = [column.name for column in channel.columns if given[column.name] is None and not column.optional]
         if missing or set(values) - set(given):
             raise ValueError(f"{topic} takes {', '.join(given)}, got {', '.join(values)}")
-        template = self._find_template(topic, channel.message_type, channel.frame_id, channel.constants)
+        template = self._find_template(topic, channel.message_type, channel)
         for column in channel.columns:
             value = given[column.name]
             unknown = math.nan if column.width == 1 else [math.nan] * column.width
@@ -160,7 +159,7 @@ class FlightWriter:
         present = tuple(column for column in JOINT_COLUMNS if names and column in joints[names[0]])
         if any(set(values) != set(present) for values in joints.values()):
             raise ValueError(f"{topic}: all names need the same of {', '.join(JOINT_COLUMNS)}")
-        template = self._find_template(topic, JOINT_STATE, "", {}, names, present)
+        template = self._find_template(topic, JOINT_STATE, None, names, present)
         for column in present:
             template.fill(column, [joints[name][column] for name in names])
         self._add(topic, JOINT_STATE, template, time, log_time)
@@ -176,21 +175,17 @@ class FlightWriter:
         self._writer.add_message(self._find_channel(topic, kind, {}), stamp, content, stamp, self._sequence[topic])
 
     def _find_template(
-        self,
-        topic: str,
-        message_type: str,
-        frame_id: str,
-        constants: Mapping[str, float],
-        names: tuple[str, ...] = (),
+        self, topic: str, message_type: str, channel: Channel | None, names: tuple[str, ...] = (),
         present: tuple[str, ...] = (),
-    ) -> _Template:
+    ) -> _Template:  # fmt: skip
         key = (topic, names, present)
         if key not in self._templates:
             definitions = parse_definition(message_type, compose_definition(message_type))
-            strings = {"header.frame_id": frame_id} | {f"name[{index}]": name for index, name in enumerate(names)}
+            frame = {"header.frame_id": channel.frame_id if channel else ""}
+            strings = frame | {f"name[{index}]": name for index, name in enumerate(names)}
             lengths = {"name": len(names)} | {column: len(names) for column in present}
             template = _Template(*compose_message(definitions, message_type, strings, lengths))
-            for path, value in constants.items():
+            for path, value in channel.constants.items() if channel else ():
                 template.fill(path, value)
             self._templates[key] = template
         return self._templates[key]
@@ -209,10 +204,10 @@ class FlightWriter:
             if message_type not in self._schemas:
                 text = compose_definition(message_type).encode()
                 self._schemas[message_type] = self._writer.register_schema(message_type, SchemaEncoding.ROS2, text)
-            if units is None:
+            if units is None and message_type == JOINT_STATE:
                 units = JOINT_COLUMNS
-                if message_type != JOINT_STATE:
-                    units = {column.name: column.unit for column in find_channel(topic).columns}
+            elif units is None:
+                units = {column.name: column.unit for column in find_channel(topic).columns}
             listed = ", ".join(f"{name} {unit}" for name, unit in units.items())
             metadata = {"offered_qos_profiles": "", "units": listed}
             self._channels[topic] = self._writer.register_channel(

@@ -13,7 +13,7 @@ from vpptwin.estimation.checks.frames import ABOUT, BEND, Reading, look_up, read
 from vpptwin.estimation.checks.sound import FASTEST, FEW, SLOWEST
 from vpptwin.estimation.series import Measurements, integrate
 from vpptwin.logs.channels import EULER
-from vpptwin.logs.check import MIN_LIKENESS, MIN_TURN, compare_steps
+from vpptwin.logs.check import MIN_R_SQUARED, MIN_TURN, compare_steps
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import FieldEntry, SignalEntry, dump_entry
@@ -198,7 +198,7 @@ def vet_rates(label: str, time: np.ndarray, turned: np.ndarray, rate: np.ndarray
     tracks = turned, integrate(rate, time), integrate(aligned, time)
     seen, told, in_axes = (np.diff(track[::stride], axis=0) for track in tracks)
     factor = float(np.linalg.norm(told - told.mean(axis=0)) / np.linalg.norm(seen - seen.mean(axis=0)))
-    if compare_steps(seen.ravel(), in_axes.ravel())[1] < MIN_LIKENESS or SLOWEST < factor < FASTEST:
+    if compare_steps(seen.ravel(), in_axes.ravel())[1] < MIN_R_SQUARED or SLOWEST < factor < FASTEST:
         return
     near = {unit: size for unit, size in UNITS.items() if abs(np.log(factor / size)) < np.log(ALIKE)}
     back = {unit: size for unit, size in UNITS.items() if abs(np.log(factor * size)) < np.log(ALIKE)}

@@ -10,7 +10,7 @@ import numpy as np
 from vpptwin.actuators.blade import compute_thrust
 from vpptwin.estimation.clean import drop_rows, tell_left_out
 from vpptwin.estimation.series import integrate
-from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_LIKENESS, compare_steps
+from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_R_SQUARED, compare_steps
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.errors import InputError
@@ -155,8 +155,8 @@ def weigh_thrust(rotor: Stream, vehicle: Vehicle, imu: Stream | None, command: S
         np.diff(np.interp(steps, time, integrate(force, time)))
         for time, force in ((command.time, thrust), (imu.time, felt))
     )
-    factor, likeness = compare_steps(made, had)
-    return factor if likeness > MIN_LIKENESS else None
+    factor, r_squared = compare_steps(made, had)
+    return factor if r_squared > MIN_R_SQUARED else None
 
 
 def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) -> None:
@@ -177,8 +177,8 @@ def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) ->
         if is_dead(pose[name]) and np.sqrt(np.mean(moved**2)) > least:
             found = f"{label}: {name} never changes, while the accelerometer shows motion"
             raise InputError(found, "positions that were measured", "look at the tracker, or correct the topic map")
-    factor, likeness = compare_steps(felt.ravel(), seen.ravel())
-    if likeness < MIN_LIKENESS or LEAST < factor < MOST:
+    factor, r_squared = compare_steps(felt.ravel(), seen.ravel())
+    if r_squared < MIN_R_SQUARED or LEAST < factor < MOST:
         return
     unit = min(UNITS, key=lambda name: abs(np.log(abs(factor) * UNITS[name])))
     near = 0.75 < factor * UNITS[unit] < 1.33
@@ -201,8 +201,8 @@ def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
         return known, [f"{label}: velocity is {velocity[0]:g} throughout while the joint moves, left out"]
     stride = max(round(BEND / float(np.median(np.diff(stream.time)))), 1)
     integral = integrate(velocity, stream.time)
-    factor, likeness = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))
-    if likeness < MIN_LIKENESS or SLOWEST < factor < FASTEST:
+    factor, r_squared = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))
+    if r_squared < MIN_R_SQUARED or SLOWEST < factor < FASTEST:
         return stream, []
     return known, [f"{label}: velocity is {factor:.3g} times the motion of position, left out"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, refuse_damaged, show_reading
 from vpptwin.logs.formats.unpack import unpack_message
 from vpptwin.system.errors import InputError, escape_text, load_extra
 
@@ -29,9 +29,8 @@ def read_bag(path: Path, wish: Wish) -> RawFile:
     except InputError:
         raise
     except Exception as error:  # the library raises of its own and whatever its unpacking does
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
         advice = "run `rosbag reindex`, or copy it again" if is_first else "run `ros2 bag reindex`, or copy it again"
-        raise InputError(f"{path} is damaged ({reason})", "a whole bag", advice) from None
+        raise refuse_damaged(path, "bag", error, advice) from None
 
 
 def _read_bag1(path: Path, wish: Wish) -> RawFile:
@@ -125,7 +124,8 @@ class _Gather:
     """Messages one by one, into channels."""
 
     def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
-        self.path, self.number, self.times, self.span, self.held_bytes = path, 0, (2**63, -1), wish.span, HeldBytes(wish.take)
+        self.path, self.number, self.times, self.span = path, 0, (2**63, -1), wish.span
+        self.held_bytes = HeldBytes(wish.take)
         self.channels = {
             key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
             for key, (topic, kind, text) in texts.items()

@@ -129,12 +129,11 @@ def guess_unit(time: np.ndarray) -> str:
     return "s"
 
 
-def count_ns(time: np.ndarray, unit: str) -> np.ndarray:
-    """Times in ns, (n,) int64."""
-    factor = NANOSECONDS[unit]
-    if time.dtype.kind in "iu":
+def count_ns(time: np.ndarray, factor: int) -> np.ndarray:
+    """Times (n,) in units of `factor` ns as whole ns, (n,) int64; those that have no room are 2^62."""
+    if time.dtype.kind != "f":
         return time.astype(np.int64) * factor
-    whole = np.floor(time)
+    whole = np.floor(time)  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
     wild = ~(np.abs(time) < 2.0**62 / factor)
     whole = np.where(wild, 0.0, whole)
     counted = whole.astype(np.int64) * factor + np.rint((np.where(wild, 0.0, time) - whole) * factor).astype(np.int64)
@@ -173,4 +172,4 @@ class TimeColumn:
             self.unit = guess_unit(time)
             if self.unit != "s":
                 notes.append(f"{self.topic}: {self.name} is taken to count {self.unit}")
-        return count_ns(time, self.unit or "s")
+        return count_ns(time, NANOSECONDS[self.unit or "s"])

@@ -133,7 +133,7 @@ def show_reading(path: Path, **options: object) -> tqdm:
     return open_bar(desc=f"read {path.name}", disable=small, **options)
 
 
-def refuse_damaged(path: Path, kind: str, error: Exception) -> InputError:
+def refuse_damaged(path: Path, kind: str, error: Exception, advice: str = "copy it again") -> InputError:
     """What to say of a file of a kind that a library cannot read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return InputError(f"{path} is damaged ({reason})", f"a whole {kind}", "copy it again")
+    return InputError(f"{path} is damaged ({reason})", f"a whole {kind}", advice)

@@ -120,10 +120,10 @@ def list_field_names(channel: RawChannel) -> frozenset[str]:
 def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: Iterable[str]) -> str:
     """Which of these fields another topic has and this one lacks: `no Roll, which is in /ATT`; "" for none."""
     told: dict[str, list[str]] = {}
-    own = list_field_names(channel)
+    known = list_field_names(channel)
     for path in paths:
         names = {re.split(r"[.\[]", name)[0] for name in list_names(path)}
-        for other in channels if not names & own else ():
+        for other in channels if not names & known else ():
             if names & list_field_names(other):
                 told.setdefault(other.topic, []).append(path)
     return "; ".join(
@@ -198,8 +198,8 @@ def append_rows(pieces: list[TableRows], rows: TableRows) -> None:
     last = pieces[-1] if pieces else rows
     pairs = [(last.time, rows.time), *((last.columns[name], data) for name, data in rows.columns.items())]
     if last.number + len(last.time) != rows.number or not all(is_alike(*pair) for pair in pairs):
-        own = {name: np.array(data) for name, data in rows.columns.items()}
-        pieces.append(TableRows(rows.number, np.array(rows.time), own))
+        columns = {name: np.array(data) for name, data in rows.columns.items()}
+        pieces.append(TableRows(rows.number, np.array(rows.time), columns))
         return
     for held, new in pairs:
         extend(held, new)
@@ -240,7 +240,7 @@ def pack_rows(channel: RawChannel, rows: TableRows) -> Iterator[Block]:
     one = lengths[:1], np.zeros(len(rows.time), int)
     shapes, which = np.unique(lengths, axis=0, return_inverse=True) if texts else one
     for index, shape in enumerate(shapes):
-        own = np.flatnonzero(which.reshape(-1) == index)
+        members = np.flatnonzero(which.reshape(-1) == index)
         sizes = dict(zip(texts, shape.tolist()))
         counters: dict[int, int] = {}
 
@@ -249,17 +249,19 @@ def pack_rows(channel: RawChannel, rows: TableRows) -> Iterator[Block]:
             return c[offset]
 
         layout = arrange_fields(definitions, channel.message_type, choose)
-        payload = np.zeros((len(own), layout.size), dtype=np.uint8)
+        payload = np.zeros((len(members), layout.size), dtype=np.uint8)
         payload[:, 1] = LITTLE_ENDIAN
         for offset, size in counters.items():
             payload[:, offset : offset + 4] = np.frombuffer(np.array(size, "<u4").tobytes(), np.uint8)
         for path, (offset, length) in layout.strings.items():
             if path in texts:
-                data = b"".join(texts[path][row] for row in own)
-                payload[:, offset : offset + length] = np.frombuffer(data, np.uint8).reshape(len(own), length)
+                data = b"".join(texts[path][row] for row in members)
+                payload[:, offset : offset + length] = np.frombuffer(data, np.uint8).reshape(len(members), length)
         parts = {"header.stamp.sec": rows.time // 10**9, "header.stamp.nanosec": rows.time % 10**9}
         for path, values in (parts | {n: data for n, data in rows.columns.items() if n not in texts}).items():
             leaf = layout.leaves[path]
-            raw = np.ascontiguousarray(values[own].astype(f"<{leaf.code}").reshape(len(own), -1)).view(np.uint8)
+            raw = np.ascontiguousarray(values[members].astype(f"<{leaf.code}").reshape(len(members), -1)).view(np.uint8)
             payload[:, leaf.offset : leaf.offset + raw.shape[1]] = raw
-        yield Block((rows.number + own).astype(np.uint64), np.maximum(rows.time[own], 0).astype(np.uint64), payload)
+        yield Block(
+            (rows.number + members).astype(np.uint64), np.maximum(rows.time[members], 0).astype(np.uint64), payload
+        )

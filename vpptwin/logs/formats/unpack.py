@@ -12,6 +12,7 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.records import Chunk
 from zstandard import ZstdDecompressor, ZstdError
 
+from vpptwin.logs.formats.raw import refuse_damaged
 from vpptwin.system.errors import InputError
 
 MAX_RATIO = 100
@@ -41,7 +42,7 @@ def unpack_file(path: Path) -> Iterator[Path]:
             if size <= most and not frame.eof:
                 raise ZstdError("it ends early")
         except ZstdError as error:
-            raise InputError(f"{path} is damaged ({error})", "a whole zstd file", "copy it again") from None
+            raise refuse_damaged(path, "zstd file", error) from None
         if size > most:
             found, expected = f"{path} unpacks to more than {most} bytes", f"at most {MAX_RATIO} times its length"
             raise InputError(found, expected, "if it is a log after all, decompress it with `zstd -d`")
@@ -68,7 +69,7 @@ class Unpacker:
 
     def __init__(self, path: Path, size: int) -> None:
         self.path, self.size = path, size
-        self.left = MAX_RATIO * size + FREE
+        self.remaining = MAX_RATIO * size + FREE
 
     def unpack(self, chunk: Chunk) -> bytes:
         """The records of a chunk; no more is unpacked than it claims to hold.
@@ -78,8 +79,8 @@ class Unpacker:
             ValueError: if it holds something else than it claims.
         """
         claimed = chunk.uncompressed_size
-        self.left -= claimed
-        if self.left < 0 or claimed > MAX_CHUNK:
+        self.remaining -= claimed
+        if self.remaining < 0 or claimed > MAX_CHUNK:
             raise InputError(
                 f"{self.path}, {self.size} bytes, holds a chunk of {len(chunk.data)} that unpacks to {claimed}",
                 f"chunks of at most {MAX_CHUNK} bytes, and at most {MAX_RATIO} times the file's length in all",

@@ -20,7 +20,7 @@ from vpptwin.system.errors import InputError, load_extra
 _CODES = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4",
           "d": "f8", "e": "f2"}  # fmt: skip
 """Numbers as Python's struct writes them → as NumPy does."""
-_STRETCH = 1 << 26  # bytes of a large log that are taken apart at once
+_MAX_PIECE = 1 << 26  # bytes of a large log that are taken apart at once
 _ULOG_HEAD = 16  # bytes before the first message
 _HEAD = b"\xa3\x95"  # of a message of DataFlash
 _FMT = 128  # the message that describes others
@@ -42,7 +42,12 @@ def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[
         for data in log.data_list:
             empty = False
             name = f"{data.name}_{data.multi_id}" if data.multi_id else data.name
-            columns = join_arrays({key: values for key, values in data.data.items() if not key.startswith("_padding")})
+            parts: dict[str, list[np.ndarray]] = {}  # of NAME[0], NAME[1], which are one column (n, k)
+            for key, values in data.data.items():
+                if not key.startswith("_padding"):
+                    parts.setdefault(re.sub(r"\[\d+\]$", "", key), []).append(values)
+            joined = {key: np.stack(held, axis=1) if len(held) > 1 else held[0] for key, held in parts.items()}
+            columns = {key: v if v.dtype.kind in "iufb" else v.astype(str) for key, v in joined.items()}
             yield Table(f"/{name}", data.data["timestamp"].astype(np.int64) * 1000, columns, {"timestamp": "us"})
     if empty:
         raise InputError(f"{path}: a ULog without samples", "one that was logged in flight", "check the log")
@@ -60,7 +65,7 @@ def part_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
     total = path.stat().st_size
     with path.open("rb") as file:
         formats, subscribed, data = file.read(_ULOG_HEAD), b"", b""
-        while piece := file.read(_STRETCH):
+        while piece := file.read(_MAX_PIECE):
             head, data, place = formats + subscribed, data + piece, 0
             while place + 3 <= len(data):
                 end = place + 3 + data[place] + 256 * data[place + 1]
@@ -78,22 +83,13 @@ def part_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
         notes.append(f"{path.name} ends within a message: what is before it is used")
 
 
-def join_arrays(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Columns NAME[0], NAME[1] as one of (n, k)."""
-    joined: dict[str, list[np.ndarray]] = {}
-    for name, values in columns.items():
-        joined.setdefault(re.sub(r"\[\d+\]$", "", name), []).append(values)
-    arrays = {name: np.stack(parts, axis=1) if len(parts) > 1 else parts[0] for name, parts in joined.items()}
-    return {name: v if v.dtype.kind in "iufb" else v.astype(str) for name, v in arrays.items()}
-
-
 def read_dataflash(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
     """Messages of an ArduPilot DataFlash log by their names; those of an instance I of several are called NAME_I."""
     make = load_extra("pymavlink.DFReader", path).DFFormat
     forms = {_FMT: make(_FMT, "FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
     rest, empty, torn = b"", True, False
     with path.open("rb") as file:
-        while piece := file.read(_STRETCH):
+        while piece := file.read(_MAX_PIECE):
             data = rest + piece
             try:
                 starts, end, lost = find_messages(data, forms, make)
@@ -157,21 +153,21 @@ def read_messages(form: Any, raw: np.ndarray) -> Iterator[Table]:  # noqa: ANN40
     kind = np.dtype([(f"f{i}", kind) for i, kind in enumerate(kinds)])
     if "TimeUS" not in form.columns or kind.itemsize != raw.shape[1] or len(kinds) != len(form.columns):
         return  # formats, units and other descriptions of the log itself
-    rows = np.ascontiguousarray(raw).view(kind)[:, 0]
+    records = np.ascontiguousarray(raw).view(kind)[:, 0]
     columns = {}
     for i, (name, factor) in enumerate(zip(form.columns, form.msg_mults)):
-        values = rows[f"f{i}"]
+        values = records[f"f{i}"]
         if values.dtype.kind == "S":
             texts = [text.partition(b"\0")[0].decode("latin-1") for text in values.tolist()]
             columns[name] = np.array(texts, dtype=object)
         else:
             columns[name] = values / (1.0 / factor) if factor else widen(values)
-    which = columns.get(form.instance_field, np.zeros(len(rows), int))
+    which = columns.get(form.instance_field, np.zeros(len(records), int))
     for instance in np.unique(which.astype(str) if which.dtype == object else which):
-        own = which == instance
+        rows = which == instance
         name = f"{form.name}_{instance}" if instance else form.name
-        time = columns["TimeUS"][own].astype(np.int64) * 1000
-        yield Table(f"/{name}", time, {n: values[own] for n, values in columns.items()}, {"TimeUS": "us"})
+        time = columns["TimeUS"][rows].astype(np.int64) * 1000
+        yield Table(f"/{name}", time, {n: values[rows] for n, values in columns.items()}, {"TimeUS": "us"})
 
 
 def widen(values: np.ndarray) -> np.ndarray:

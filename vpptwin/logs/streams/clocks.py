@@ -43,6 +43,7 @@ def read_clock(samples: Samples) -> Clock | None:
     blocks = np.array_split(np.arange(len(late)), BLOCKS)
     quickest = [rows[np.argmin(late[rows])] for rows in blocks]
     drift = -float(np.polyfit(since[quickest], late[quickest], 1)[0])
+    # sigma = MAD / 0.6745 of a normal distribution (Rousseeuw & Croux 1993)
     return Clock(latency, float(np.median(np.abs(late - latency)) / 0.6745), drift)
 
 

@@ -17,9 +17,9 @@ from vpptwin.logs.topic_map import TopicMap, slash
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import Stamp
 
-ROOM = 1e9
-"""What the numbers of one flight may take [bytes], with `BESIDE`."""
-BESIDE = 16
+MAX_BYTES = 1e9
+"""What the numbers of one flight may take [bytes], with `SAMPLE_BYTES`."""
+SAMPLE_BYTES = 16
 """What every sample takes beside its numbers: times in s, and whatever is made of a column for a moment [bytes]."""
 
 
@@ -38,16 +38,16 @@ class Condenser:
                 fresh = RawChannel(**{**vars(channel), "batches": []})
                 try:
                     for batch in decode_channel(fresh, paths, texts):
-                        append_batch(channel.batches, batch)
+                        _append_batch(channel.batches, batch)
                 except DecodeError as error:
                     raise refuse_messages(self.path, channel, paths, error) from None
                 channel.blocks = []
             self.held[id(channel)] = measure(channel)
         needed, seconds = (max(values) if i else sum(values) for i, values in enumerate(zip(*self.held.values())))
-        if needed > ROOM:
+        if needed > MAX_BYTES:
             raise InputError(
                 f"{self.path}: the numbers that are wanted of {seconds:.0f} s of it take {needed / 1e9:.1f} GB",
-                f"at most {ROOM / 1e9:.1f} GB a flight",
+                f"at most {MAX_BYTES / 1e9:.1f} GB a flight",
                 f"give a stretch of it, such as {self.path}@0-{0.5 * seconds:.0f} (seconds)",
             )
 
@@ -58,11 +58,11 @@ def measure(channel: RawChannel) -> tuple[float, float]:
     stamped += [(b.log_time.view(np.int64), {"": b.number, **b.values}) for b in channel.batches]
     if not stamped:
         return 0.0, 0.0
-    size = sum(t.nbytes + BESIDE * len(t) + sum(data.nbytes for data in held.values()) for t, held in stamped)
+    size = sum(t.nbytes + SAMPLE_BYTES * len(t) + sum(data.nbytes for data in held.values()) for t, held in stamped)
     return float(size), float(max(t[-1] for t, _ in stamped) - min(t[0] for t, _ in stamped)) / 1e9
 
 
-def append_batch(batches: list[Batch], new: Batch) -> None:
+def _append_batch(batches: list[Batch], new: Batch) -> None:
     """Put messages behind those of their shape."""
     for held in batches:
         pairs = [(held.number, new.number), (held.log_time, new.log_time)]
@@ -77,14 +77,13 @@ def append_batch(batches: list[Batch], new: Batch) -> None:
 
 def list_wanted(topics: TopicMap, channel: RawChannel) -> tuple[list[str], tuple[str, ...]]:
     """The numbers, and the lists of names, that a flight takes of a channel's messages."""
-    paths = dict.fromkeys(list_stamp_fields(Stamp())) if is_joint_state(channel.message_type) else {}
+    paths: dict[str, None] = {}
     texts: tuple[str, ...] = ()
     if is_joint_state(channel.message_type):
-        texts = ("name",)
-        paths |= dict.fromkeys(JOINT_COLUMNS)
+        texts, paths = ("name",), dict.fromkeys([*list_stamp_fields(Stamp()), *JOINT_COLUMNS])
     elif is_spatial(channel.message_type):
-        paths = dict.fromkeys(list_stamp_fields(Stamp()))
-        paths |= dict.fromkeys(path for vector in list_vectors(channel.message_type).values() for path in vector)
+        vectors = list_vectors(channel.message_type).values()
+        paths = dict.fromkeys([*list_stamp_fields(Stamp()), *(path for vector in vectors for path in vector)])
     for route in topics.list_routes():
         if slash(route.topic) == slash(channel.topic):
             sources = route.list_sources(channel.message_type)

@@ -20,20 +20,16 @@ def list_fields(source: Source) -> list[str]:
 
 
 def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Column from message fields.
-
-    Args:
-        source: what the column is made from.
-        fields: path -> (n,) or (n, k).
-
-    Returns:
-        (n,), or (n, k) if there are several components. Angles are in [-pi, pi] before scale and offset.
-    """
+    """Column, (n,) or (n, k), from message fields likewise; angles are in [-pi, pi] before scale and offset."""
     if source.axis is None:
         parts = [np.asarray(fields[path], dtype=float) for path in source.paths]
         values = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
     else:
-        values = read_angle(np.stack([fields[path] for path in list_fields(source)], axis=-1), source.axis)
+        name, sign = AXES[source.axis]
+        quaternion = np.stack([fields[path] for path in list_fields(source)], axis=-1)
+        sine, cosine = sign * quaternion[:, _COMPONENTS.index(name)], quaternion[:, 3]
+        upper = np.where(cosine < 0, -1.0, 1.0)  # a quaternion and its negative are one rotation
+        values = 2.0 * np.arctan2(sine * upper, cosine * upper)  # q = (axis sin theta/2, cos theta/2)
     scale = np.asarray(source.scale if len(source.scale) > 1 else source.scale[0])
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused like any other
         if source.voltage:
@@ -45,32 +41,8 @@ def convert_column(source: Source, fields: Mapping[str, np.ndarray]) -> np.ndarr
         return values + source.offset if source.offset else values
 
 
-def read_angle(quaternion: np.ndarray, axis: str) -> np.ndarray:
-    """Angle of a rotation about an axis.
-
-    Args:
-        quaternion: (n, 4) components x, y, z, w, of any norm but zero.
-        axis: one of AXES.
-
-    Returns:
-        (n,) rad in [-pi, pi].
-    """
-    name, sign = AXES[axis]
-    sine, cosine = sign * quaternion[:, _COMPONENTS.index(name)], quaternion[:, 3]
-    upper = np.where(cosine < 0, -1.0, 1.0)  # a quaternion and its negative are one rotation
-    return 2.0 * np.arctan2(sine * upper, cosine * upper)
-
-
 def split_column(column: Column, value: Value) -> dict[str, float | np.ndarray]:
-    """Message fields that hold one sample of a column, the inverse of `convert_column` for one message.
-
-    Args:
-        column: of the channel table.
-        value: number, or (k,).
-
-    Returns:
-        Path -> number or (k,).
-    """
+    """Message fields, path -> number or (k,), of one sample of a column: the inverse of `convert_column`."""
     source = column.source
     raw = (np.asarray(value, dtype=float) - source.offset) / np.asarray(source.scale[0])
     if source.axis is None:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from vpptwin.logs.channels import EULER, JOINT_COLUMNS, SPATIAL, Column, is_joint_state
+from vpptwin.logs.formats.headings import count_ns
 from vpptwin.logs.formats.layout import STAMP
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
@@ -18,7 +19,7 @@ from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
 from vpptwin.system.errors import InputError, escape_text
 from vpptwin.system.fields import NANOSECONDS, Stamp
 
-MOST_NS = 2.0**62
+MAX_STAMP_NS = 2.0**62
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def _join(parts: list[np.ndarray], order: slice | np.ndarray) -> np.ndarray:
 
 
 def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> Samples:
-    """Read a joint, actuator, body or IMU out of fields; rows in which one of them is no number are no samples of it."""
+    """Read a joint, actuator, body or IMU out of fields; rows in which one of them is no number are left out."""
     topic = recording.find_topic(route.topic)
     if topic is None:
         lacking = f"{recording.path} lacks topic {route.topic}, which {route.name} is mapped to"
@@ -103,9 +104,11 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
         raise InputError(lacking, f"one of {listed}", "correct the map, or add the file that has it: FILE+FILE")
     label = f"{route.canonical} {escape_text(route.name)}"
     paths = [path for source in route.sources.values() for path in list_fields(source)]
-    called = {} if recording.is_table(topic) or not set(paths) <= set(JOINT_COLUMNS) else read_called(recording, topic)
-    found = called.get(route.name) or read_fields(recording, topic, route.stamp, paths, label)
-    found = replace(found, label=label)
+    may_be_joint = not recording.is_table(topic) and set(paths) <= set(JOINT_COLUMNS)
+    found = None
+    if may_be_joint and is_joint_state(recording.check_type(topic)):
+        found = read_joints(recording, topic, topic)[0].get(route.name)
+    found = replace(found or read_fields(recording, topic, route.stamp, paths, label), label=label)
     if not len(found.stamp):
         return found
     for path in (path for path in paths if path not in found.fields):
@@ -128,13 +131,9 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     return replace(found, fields=values).take(~empty if empty.any() else slice(None))
 
 
-def read_called(recording: Recording, topic: str) -> dict[str, Samples]:
-    """Joints and actuators of a topic by their names, if it is one of JointState."""
-    return read_joints(recording, topic, topic)[0] if is_joint_state(recording.check_type(topic)) else {}
-
-
 def turn_by_angles(angles: np.ndarray) -> np.ndarray:
     """Unit quaternions w, x, y, z, (n, 4), of roll, pitch and yaw, (n, 3) rad."""
+    # q = q_z(yaw) q_y(pitch) q_x(roll), each (cos a/2, axis sin a/2) (Diebel 2006, eq. 290).
     half = 0.5 * angles.T
     (cr, cp, cy), (sr, sp, sy) = np.cos(half), np.sin(half)
     w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
@@ -160,22 +159,19 @@ def _read_stamps(label: str, stamp: Stamp, fields: dict[str, np.ndarray], log_ti
 
 def _count_ns(label: str, values: np.ndarray, factor: int) -> np.ndarray:
     """Values (n,) in units of `factor` ns as whole ns."""
-    if values.dtype.kind != "f" and max(abs(int(values.min())), abs(int(values.max()))) < MOST_NS / factor:
-        return values.astype(np.int64) * factor
-    wrong = ~(np.abs(values.astype(float)) < MOST_NS / factor)
+    if values.dtype.kind != "f" and max(abs(int(values.min())), abs(int(values.max()))) < MAX_STAMP_NS / factor:
+        return count_ns(values, factor)
+    wrong = ~(np.abs(values.astype(float)) < MAX_STAMP_NS / factor)
     if wrong.any():
         found = (
             f"{label}: {np.count_nonzero(wrong)} of {len(values)} stamps are no time, such as {values[wrong][0]:.4g}"
         )
         raise InputError(found, "stamps within 146 years of zero", "correct the program that stamps them")
-    if values.dtype.kind != "f":
-        return values.astype(np.int64) * factor
-    whole = np.floor(values)  # seconds and fraction apart, or a double loses the nanoseconds of today's dates
-    return whole.astype(np.int64) * factor + np.rint((values - whole) * factor).astype(np.int64)
+    return count_ns(values, factor)
 
 
 def read_spatial(recording: Recording, topic: str) -> Samples:
-    """Read a topic of poses, odometry or an IMU: vectors (n, 3), attitudes w, x, y, z (n, 4), as `SPATIAL` names them."""
+    """Read a topic of poses, odometry or an IMU: vectors (n, 3), attitudes w, x, y, z (n, 4), as `SPATIAL` has them."""
     parts = list_vectors(recording.check_type(topic))
     found = read_fields(recording, topic, Stamp(), [path for paths in parts.values() for path in paths], topic)
     if not found.fields:
@@ -192,16 +188,6 @@ def list_vectors(message_type: str) -> dict[str, list[str]]:
     return {name: [f"{path}.{c}" for c in ("wxyz" if name == "attitude" else "xyz")] for name, path in columns.items()}
 
 
-@dataclass
-class _Part:
-    """Samples of one joint from messages of one shape."""
-
-    number: np.ndarray
-    stamp: np.ndarray
-    log_time: np.ndarray
-    values: dict[str, np.ndarray]
-
-
 def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[str, Samples], list[str]]:
     """Read all joints of one JointState topic, which labels call by its canonical name.
 
@@ -210,7 +196,7 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
         messages, or NaN throughout, are left out.
     """
     seconds, nanoseconds = list_stamp_fields(Stamp())
-    parts: dict[str, list[_Part]] = {}
+    parts: dict[str, list[tuple[np.ndarray, Samples]]] = {}
     for batch in recording.decode(topic, (seconds, nanoseconds, *JOINT_COLUMNS), texts=("name",)):
         names = batch.texts["name"]
         stamp = _read_stamps(f"{recording.path}: {topic}", Stamp(), batch.values, batch.log_time)
@@ -228,35 +214,35 @@ def read_joints(recording: Recording, topic: str, canonical: str) -> tuple[dict[
                 for column, width in widths.items()
                 if width
             }
-            parts.setdefault(name, []).append(_Part(batch.number, stamp, batch.log_time.view(np.int64), values))
+            part = Samples(name, stamp, batch.log_time.view(np.int64), values)
+            parts.setdefault(name, []).append((batch.number, part))
     warnings: list[str] = []
     times: _Times = {}
-    joined = {
-        name: _join_parts(f"{canonical} {escape_text(name)}", items, warnings, times) for name, items in parts.items()
-    }
+    labels = {name: f"{canonical} {escape_text(name)}" for name in parts}
+    joined = {name: _join_parts(labels[name], items, warnings, times) for name, items in parts.items()}
     return {name: samples for name, samples in joined.items() if len(samples.stamp)}, warnings
 
 
 _Times = dict[tuple[int, ...], tuple[slice | np.ndarray, np.ndarray, np.ndarray]]
 
 
-def _join_parts(label: str, parts: list[_Part], warnings: list[str], times: _Times) -> Samples:
-    """Samples of one joint; joints that come in the same messages share order, stamps and log times: `times`."""
-    total = sum(len(part.stamp) for part in parts)
-    counts = {column: sum(len(p.stamp) for p in parts if column in p.values) for column in JOINT_COLUMNS}
+def _join_parts(label: str, parts: list[tuple[np.ndarray, Samples]], warnings: list[str], times: _Times) -> Samples:
+    """Samples of one joint, of parts with their record numbers; joints of the same messages share `times`."""
+    total = sum(len(part.stamp) for _, part in parts)
+    counts = {column: sum(len(p.stamp) for _, p in parts if column in p.fields) for column in JOINT_COLUMNS}
     kept = [column for column, count in counts.items() if count > total / 2]
-    usable = [part for part in parts if kept and all(column in part.values for column in kept)]
-    if sum(len(part.stamp) for part in usable) < total:
-        lost = total - sum(len(part.stamp) for part in usable)
+    usable = [(number, p) for number, p in parts if kept and all(column in p.fields for column in kept)]
+    lost = total - sum(len(part.stamp) for _, part in usable)
+    if lost:
         warnings.append(f"{lost} of {total} messages on {label} lack {' or '.join(kept) or 'values'}, left out")
     if not usable:
         return Samples(label, np.zeros(0, np.int64), np.zeros(0, np.int64), {})
-    key = tuple(id(part.number) for part in usable)
+    key = tuple(id(number) for number, _ in usable)
     if key not in times:
-        order = find_order([part.number for part in usable])
-        times[key] = order, _join([p.stamp for p in usable], order), _join([p.log_time for p in usable], order)
+        order = find_order([number for number, _ in usable])
+        times[key] = order, _join([p.stamp for _, p in usable], order), _join([p.log_time for _, p in usable], order)
     order, stamp, log_time = times[key]
-    values = {column: _join([part.values[column] for part in usable], order) for column in kept}
+    values = {column: _join([part.fields[column] for _, part in usable], order) for column in kept}
     values = {column: data for column, data in values.items() if not np.isnan(data).all()}
     count = len(stamp) if values else 0
     return Samples(label, stamp[:count], log_time[:count], values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from vpptwin.logs.channels import Column
 from vpptwin.logs.check import check_finite, find_broken, find_huge, find_wild
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.streams.convert import convert_column, list_fields
@@ -15,10 +14,7 @@ _PIECE = 1 << 20
 
 
 def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[str]) -> Stream:
-    """Stream of a topic of the channel table, from samples in order of time, (n,) s.
-
-    Warnings found are appended to `warnings`.
-    """
+    """Stream of a topic of the channel table, from samples in order of time, (n,) s; adds to `warnings`."""
     label = f"{path}: {samples.label}"
     values: dict[str, np.ndarray] = {}
     wild = np.zeros(len(time), dtype=bool)
@@ -27,8 +23,18 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
         if column.optional and all(np.isnan(data).all() for data in fields.values()):
             warnings.append(f"{column.name} on {samples.label} is NaN throughout, left out")
             continue
-        values[column.name], bad = _build_column(label, time, column, fields)
-        wild |= bad
+        for field, data in fields.items():
+            check_finite(label, time, field, data)
+        if column.source.axis is not None:
+            wild |= find_broken(label, time, column.source, fields)
+        values[column.name] = made = convert_column(column.source, fields)
+        if made.shape != ((len(time),) if column.width == 1 else (len(time), column.width)):
+            raise InputError(
+                f"{label}: {', '.join(column.source.paths)} has {made.size // len(time)} values per message",
+                f"{column.width} for {column.name}",
+                "name single fields or array elements in the topic map",
+            )
+        wild |= find_wild(label, column, made) | find_huge(label, time, column.name, made)
     stream = leave_out(Stream(time, values), wild, samples.label, warnings)
     if "theta" in stream.values:
         stream.values["theta"] = np.unwrap(stream.values["theta"])
@@ -36,7 +42,7 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
 
 
 def build_joint_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[str]) -> Stream:
-    """Stream of one joint, from samples in order of time, (n,) s. Warnings found are appended to `warnings`."""
+    """Stream of one joint, from samples in order of time, (n,) s; adds to `warnings`."""
     label, wild = f"{path}: {samples.label}", np.zeros(len(time), dtype=bool)
     for column, data in samples.fields.items():
         check_finite(label, time, column, data)
@@ -62,23 +68,3 @@ def measure_time(stamp: np.ndarray, start_ns: int) -> np.ndarray:
     for i in range(0, len(stamp), _PIECE):  # logs of gigabytes leave no room for the differences
         time[i : i + _PIECE] = (stamp[i : i + _PIECE] - start_ns) / 1e9  # which rounds right: 1000000 ns is 0.001
     return time
-
-
-def _build_column(
-    label: str, time: np.ndarray, column: Column, fields: dict[str, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """A column's values, and which of its messages are outliers, (n,) bool."""
-    for field, data in fields.items():
-        check_finite(label, time, field, data)
-    bad = np.zeros(len(time), dtype=bool)
-    if column.source.axis is not None:
-        bad = find_broken(label, time, column.source, fields)
-    values = convert_column(column.source, fields)
-    expected = (len(time),) if column.width == 1 else (len(time), column.width)
-    if values.shape != expected:
-        raise InputError(
-            f"{label}: {', '.join(column.source.paths)} has {values.size // len(time)} values per message",
-            f"{column.width} for {column.name}",
-            "name single fields or array elements in the topic map",
-        )
-    return values, bad | find_wild(label, column, values) | find_huge(label, time, column.name, values)

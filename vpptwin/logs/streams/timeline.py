@@ -10,19 +10,19 @@ from vpptwin.system.errors import InputError
 
 MAX_LATE = 0.5  # s, how late a message may come and still be sorted in
 MAX_CLOCK_DISTANCE = 3600.0  # s between two topics of one recording
-SLOW = 3.0  # s from message to message, without a gap, from which the unit is doubted
+MAX_PERIOD = 3.0  # s from message to message, without a gap, from which the unit is doubted
 MIN_RATE = 10.0  # messages per s, all topics together, that a log of more than that has; else someone set a clock
 GAP_PERIODS = 5.0  # a gap is longer than this many median periods
 _STAMP_ADVICE = "stamp each message with the time at which it was measured or commanded"
 
 
 def order_stamps(stamps: np.ndarray, path: str, topic: str) -> tuple[slice | np.ndarray, tuple[str, ...]]:
-    """Order messages by their stamps, (n,) ns in record order.
-
-    Returns:
-        Indices that sort the stamps and drop repeated ones (the first recorded stays), and warnings.
-    """
-    _refuse_unset(stamps, f"{path}: {topic}")
+    """Indices that sort stamps, (n,) ns in record order, and drop repeated ones (the first stays), and warnings."""
+    unset = int(np.count_nonzero(stamps == 0))
+    # Among small stamps a zero is the start of a simulated clock, not a stamp left unset.
+    if unset and (2 * unset > len(stamps) or stamps[stamps != 0].min() > MAX_CLOCK_DISTANCE * 1e9):
+        found = f"{path}: {topic}: {unset} of {len(stamps)} messages have no header stamp (zero)"
+        raise InputError(found, "header.stamp set", _STAMP_ADVICE)
     if (stamps[1:] > stamps[:-1]).all():
         return slice(None), ()
     check_order(stamps, path, topic)
@@ -87,14 +87,6 @@ def space_stamps(label: str, stamps: np.ndarray, rate: float) -> np.ndarray:
     return made
 
 
-def _refuse_unset(stamps: np.ndarray, label: str) -> None:
-    unset = int(np.count_nonzero(stamps == 0))
-    # Among small stamps a zero is the start of a simulated clock, not a stamp left unset.
-    if unset and (2 * unset > len(stamps) or stamps[stamps != 0].min() > MAX_CLOCK_DISTANCE * 1e9):
-        found = f"{label}: {unset} of {len(stamps)} messages have no header stamp (zero)"
-        raise InputError(found, "header.stamp set", _STAMP_ADVICE)
-
-
 def describe_gaps(time: np.ndarray, label: str) -> tuple[str, ...]:
     """Warn of gaps in a stream that should come at a constant rate; time (n,) s, increasing."""
     if len(time) < 3:
@@ -126,20 +118,20 @@ def check_clocks(spans: dict[str, tuple[int, int]], path: str) -> None:
 
 def check_leaps(stamps: Mapping[str, np.ndarray], path: str) -> None:
     """Refuse clocks that leap forward, before anything is laid out over the time they leap; topic -> stamps (n,) ns."""
-    span = float(max(own.max() for own in stamps.values()) - min(own.min() for own in stamps.values())) * 1e-9
+    span = float(max(part.max() for part in stamps.values()) - min(part.min() for part in stamps.values())) * 1e-9
     if span <= MAX_CLOCK_DISTANCE:
         return
     count = sum(map(len, stamps.values()))
-    apart = list({id(own): own for own in stamps.values()}.values())  # topics share theirs
+    apart = list({id(part): part for part in stamps.values()}.values())  # topics share theirs
     every = apart[0] if len(apart) == 1 else np.sort(np.concatenate(apart))
     steps = np.diff(every)
     if steps.max() <= MAX_CLOCK_DISTANCE * 1e9 and count >= MIN_RATE * span:
         return
     after = every[np.argmax(steps) + 1]
-    topic = next(name for name, own in stamps.items() if after in own)
+    topic = next(name for name, part in stamps.items() if after in part)
     index = int(np.searchsorted(stamps[topic], after))
     usual = float(np.median(steps)) * 1e-9
-    if usual > SLOW and steps.max() <= GAP_PERIODS * usual * 1e9:
+    if usual > MAX_PERIOD and steps.max() <= GAP_PERIODS * usual * 1e9:
         raise InputError(
             f"{path}: {count} messages over {span:.4g} s, one of {topic} every {usual:.4g} s",
             f"at least {MIN_RATE:g} messages a second",
