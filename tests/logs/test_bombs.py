@@ -67,9 +67,7 @@ BOMBS: dict[str, Callable[[], list[Chunk]]] = {
     "zstd that claims little": lambda: [Chunk("zstd", pack_zeros(2 * GIB, "zstd"), 0, 0, 0, 1 << 20)],
     "lz4 that claims little": lambda: [Chunk("lz4", pack_zeros(2 * GIB, "lz4"), 0, 0, 0, 1 << 20)],
     "many": lambda: 100 * [Chunk("zstd", pack_zeros(1 << 26, "zstd"), 0, 0, 0, 1 << 26)],
-    "messages": lambda: [
-        Chunk("zstd", zstandard.compress(MESSAGE * 10**7), 0, 0, 0, len(MESSAGE) * 10**7),
-    ],
+    "messages": lambda: [Chunk("zstd", zstandard.compress(MESSAGE * 10**7), 0, 0, 0, len(MESSAGE) * 10**7)],
 }
 
 

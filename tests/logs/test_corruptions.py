@@ -126,11 +126,7 @@ BLEMISHES: dict[str, tuple[Spoil, str, float]] = {
     "early end": (lambda r, g: corrupt.cut(r, STATE, 5.0, 9.0), "/rotor/state ends 3.0 s early", 1e-9),
     "no telemetry": (lambda r, g: corrupt.remove(r, STATE), "no /rotor/state: rotors are taken to turn at", 1e-9),
     "no imu": (lambda r, g: corrupt.remove(r, IMU), "no /imu/data: rates and forces come from /mocap/pose", 1e-9),
-    "no accelerometer": (
-        lambda r, g: corrupt.scale(r, IMU, 0.0, "ax", "az"),
-        "no accelerometer on /imu/data",
-        1e-9,
-    ),
+    "no accelerometer": (lambda r, g: corrupt.scale(r, IMU, 0.0, "ax", "az"), "no accelerometer on /imu/data", 1e-9),
     "wild quaternions": (
         lambda r, g: corrupt.change(r, POSE, zero_quaternion(r.topics[POSE])),
         "1 of 799 messages on /mocap/pose hold impossible values, left out, first at 2.",
@@ -158,8 +154,7 @@ def test_blemishes_change_little(recording: Recording, clean: Measurements, meas
 
 
 @pytest.mark.parametrize(
-    ("topic", "lost"),
-    [(COMMAND, (3.0, 3.7)), (POSE, (3.2, 4.0)), (IMU, (2.9, 4.0)), (STATE, (2.8, 3.9))],
+    ("topic", "lost"), [(COMMAND, (3.0, 3.7)), (POSE, (3.2, 4.0)), (IMU, (2.9, 4.0)), (STATE, (2.8, 3.9))]
 )
 def test_windows_in_gaps_are_left_out(
     recording: Recording, clean: Measurements, measure: Callable, topic: str, lost: tuple[float, float]

@@ -85,20 +85,6 @@ def find_broken(label: str, time: np.ndarray, source: Source, fields: Mapping[st
     return broken
 
 
-def check_accelerometer(label: str, force: np.ndarray) -> None:
-    """Refuse specific forces (n,) in another unit or without gravity: in flight and at rest the median is gravity's."""
-    median = float(np.median(force))
-    if MIN_FORCE < median < MAX_FORCE:
-        return
-    if 0.5 < median < 1.5:
-        found, action = "looks like multiples of g", "convert it with `scale: 9.80665` in a topic map"
-    elif median <= MIN_FORCE:
-        found, action = "looks like acceleration without gravity", "record the raw specific force"
-    else:
-        found, action = "looks like milli-g or cm/s^2", "convert it with `scale` in a topic map"
-    raise InputError(f"{label}: the acceleration's median is {median:.3g} and {found}", "m/s^2, 9.8 at rest", action)
-
-
 def check_gyro(label: str, pose: tuple[np.ndarray, np.ndarray], gyro: tuple[np.ndarray, np.ndarray]) -> None:
     """Refuse a gyro in degrees per second, of the wrong sign or scale, by comparing its integral with the angle seen.
 

@@ -124,10 +124,7 @@ def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
     text = str(given)
     if text == "-":
         raise InputError("- as a log", "a file, as logs are read more than once", "write it to a file first")
-    for mark, wanted in (
-        ("@", "LOG@START-END in seconds, one of them at least"),
-        ("#", "FOLDER#EPISODE of LeRobot"),
-    ):
+    for mark, wanted in (("@", "LOG@START-END in seconds, one of them at least"), ("#", "FOLDER#EPISODE of LeRobot")):
         log_name, _, rest = text.rpartition(mark)
         if log_name and os.path.exists(log_name):
             raise InputError(f"{mark}{rest} of {log_name}", wanted, f"correct it, or give {log_name}")

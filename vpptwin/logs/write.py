@@ -22,6 +22,7 @@ from vpptwin.logs.channels import CHANNELS, JOINT_COLUMNS, JOINT_STATE, Channel
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.formats.decode import find_leaf
 from vpptwin.logs.formats.layout import MessageLayout, compose_message, parse_definition
+from vpptwin.logs.formats.raw import RawChannel
 from vpptwin.logs.messages import compose_definition
 from vpptwin.logs.streams.convert import Value, split_column
 from vpptwin.system.errors import InputError
@@ -84,8 +85,8 @@ class FlightWriter:
         """
         self.path = Path(path)
         self.start_ns = start_ns
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[str | int, int] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
         self._templates: dict[tuple[str, tuple[str, ...], tuple[str, ...]], _Template] = {}
         self._sequence: dict[str, int] = {}
         self._encoders: dict[str, Callable[[Mapping[str, object]], bytes]] = {}
@@ -100,7 +101,7 @@ class FlightWriter:
         self._writer = Writer(file)
         self._writer.start(profile="ros2", library=f"vpptwin {LIBRARY_IDENTIFIER}")
         if metadata:
-            self._writer.add_metadata("vpptwin", dict(metadata))
+            self.add_metadata(metadata)
 
     def __enter__(self) -> Self:
         """Return the writer."""
@@ -119,7 +120,7 @@ class FlightWriter:
             raise self._refuse(failure) from failure
 
     def _refuse(self, error: OSError) -> InputError:
-        found = f"{self.path} cannot be written ({error.strerror})"
+        found = f"{self.path} cannot be written ({error.strerror or error})"
         return InputError(found, "a path to write a log to", "choose another")
 
     def write(self, topic: str, time: float, values: Mapping[str, Value], log_time: float | None = None) -> None:
@@ -174,6 +175,25 @@ class FlightWriter:
         content = self._encoders[kind](message.fields)
         self._writer.add_message(self._find_channel(topic, kind, {}), stamp, content, stamp, self._sequence[topic])
 
+    def write_raw(self, channel: RawChannel, time: int, content: bytes) -> None:
+        """Write a message of a channel as it was recorded at a log time [ns]."""
+        key = id(channel)  # of several with one topic
+        if key not in self._channels:
+            schema = self._find_schema(channel.message_type, channel.definition, channel.schema_encoding)
+            metadata = {"offered_qos_profiles": ""}
+            self._channels[key] = self._writer.register_channel(channel.topic, channel.encoding, schema, metadata)
+        self._writer.add_message(self._channels[key], time, content, time)
+
+    def _find_schema(self, message_type: str, definition: str, encoding: str = SchemaEncoding.ROS2) -> int:
+        key = message_type, definition
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(message_type, encoding, definition.encode())
+        return self._schemas[key]
+
+    def add_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Store in the file as metadata record `vpptwin`."""
+        self._writer.add_metadata("vpptwin", dict(metadata))
+
     def _find_template(
         self, topic: str, message_type: str, channel: Channel | None, names: tuple[str, ...] = (),
         present: tuple[str, ...] = (),
@@ -201,18 +221,14 @@ class FlightWriter:
 
     def _find_channel(self, topic: str, message_type: str, units: Mapping[str, str] | None = None) -> int:
         if topic not in self._channels:
-            if message_type not in self._schemas:
-                text = compose_definition(message_type).encode()
-                self._schemas[message_type] = self._writer.register_schema(message_type, SchemaEncoding.ROS2, text)
             if units is None and message_type == JOINT_STATE:
                 units = JOINT_COLUMNS
             elif units is None:
                 units = {column.name: column.unit for column in find_channel(topic).columns}
             listed = ", ".join(f"{name} {unit}" for name, unit in units.items())
             metadata = {"offered_qos_profiles": "", "units": listed}
-            self._channels[topic] = self._writer.register_channel(
-                topic, MessageEncoding.CDR, self._schemas[message_type], metadata
-            )
+            schema = self._find_schema(message_type, compose_definition(message_type))
+            self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.CDR, schema, metadata)
         return self._channels[topic]
 
 
@@ -264,7 +280,7 @@ def write_flight(
 
 
 def merge_times(times: Sequence[np.ndarray]) -> Iterator[tuple[int, int]]:
-    """Place among `times` and row of every sample, in order of time [s]."""
+    """Place among `times` and row of every sample, in order of time [s], or of whatever counts them."""
     if not times:
         return
     which = np.concatenate([np.full(len(time), index) for index, time in enumerate(times)])

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from vpptwin.logs.formats.csv_form import (
     part_list,
     part_rows,
     sniff,
-)  # fmt: skip
+)
 from vpptwin.logs.formats.headings import find_times
 from vpptwin.logs.formats.raw import Wish, refuse_damaged
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
@@ -101,16 +102,17 @@ class Cells:
         """Column → its place."""
         return {name: place for place, name in enumerate(self.form.names)}
 
-    def find_line(self, row: int) -> int:
-        """Number of the line in which a row of values lies."""
+    def list_lines(self) -> Iterator[tuple[int, list[str]]]:
+        """Number of the line in which each row of values ends, and its cells."""
         with open_bytes(self.path) as file:
             text = io.TextIOWrapper(file, self.form.encoding, "replace", newline=None)
-            filled = 0
-            for line, cells in part_rows(self.path, text, self.form.delimiter):
-                filled += bool(cells) and line > self.form.skip
-                if filled > row:
-                    break
-            return line
+            for line, row in part_rows(self.path, text, self.form.delimiter):
+                if line > self.form.skip and row:
+                    yield line, row
+
+    def find_line(self, row: int) -> int:
+        """Number of the line in which a row of values lies."""
+        return [line for line, _ in islice(self.list_lines(), row + 1)][-1]
 
     def drop(self, name: str, wrong: np.ndarray, column: Any, number: int, expected: str) -> None:  # noqa: ANN401
         """Note cells that are `wrong`, (n,) bool, in rows behind `number` others."""
@@ -213,21 +215,17 @@ def blame_line(cells: Cells, types: dict[str, str], error: Exception) -> Excepti
     """Which line it was that did not convert, of the columns with these types."""
     path, form = cells.path, cells.form
     kinds = [(place, name, types[name]) for place, name in enumerate(form.names) if types.get(name) in _FORMS]
-    with open_bytes(path) as file:
-        text = io.TextIOWrapper(file, form.encoding, "replace", newline=None)
-        for line, row in part_rows(path, text, form.delimiter):
-            if line <= form.skip or not row:
+    for line, row in cells.list_lines():
+        if len(row) != len(form.names):
+            expected = f"{len(form.names)} cells a line, each with a number where the first has one"
+            return InputError(f"{path}, line {line}: {len(row)} cells", expected, "complete or remove the line")
+        for place, name, kind in kinds:
+            plain = row[place].strip().replace(form.decimal, ".")
+            good = NUMBER.fullmatch(plain) or plain in NULLS
+            if good if kind == "double" else _FORMS[kind][1].fullmatch(plain):
                 continue
-            if len(row) != len(form.names):
-                expected = f"{len(form.names)} cells a line, each with a number where the first has one"
-                return InputError(f"{path}, line {line}: {len(row)} cells", expected, "complete or remove the line")
-            for place, name, kind in kinds:
-                plain = row[place].strip().replace(form.decimal, ".")
-                good = NUMBER.fullmatch(plain) or plain in NULLS
-                if good if kind == "double" else _FORMS[kind][1].fullmatch(plain):
-                    continue
-                found, expected = f"{path}, line {line}: {row[place]!r} as {name}", _FORMS[kind][0]
-                return CellError(name, InputError(found, f"{expected}, as in the lines before", "correct the line"))
+            found, expected = f"{path}, line {line}: {row[place]!r} as {name}", _FORMS[kind][0]
+            return CellError(name, InputError(found, f"{expected}, as in the lines before", "correct the line"))
     return InputError(f"{path}: {error}", "a CSV file", "correct it")
 
 

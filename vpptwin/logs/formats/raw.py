@@ -84,15 +84,14 @@ class RawFile:
     notes: list[str] = field(default_factory=list)
 
 
-def is_alike(held: np.ndarray, new: np.ndarray) -> bool:
-    """Whether one array can be continued by another."""
-    return held.dtype == new.dtype and held.shape[1:] == new.shape[1:]
-
-
-def extend(held: np.ndarray, new: np.ndarray) -> None:
-    """Put numbers behind those held, in place: logs of gigabytes leave no room for both and their sum."""
-    held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
-    held[-len(new) :] = new
+def extend_all(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Put numbers behind those held, in place, if all are of their kind: logs of gigabytes leave no room for both."""
+    if any(held.dtype != new.dtype or held.shape[1:] != new.shape[1:] for held, new in pairs):
+        return False
+    for held, new in pairs:
+        held.resize((len(held) + len(new), *held.shape[1:]), refcheck=False)
+        held[-len(new) :] = new
+    return True
 
 
 Take = Callable[[Sequence[RawChannel]], None]

@@ -12,18 +12,8 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
-from vpptwin.logs.formats.layout import CODES, LITTLE_ENDIAN, LayoutError, arrange_fields, parse_definition
-from vpptwin.logs.formats.raw import (
-    Block,
-    HeldBytes,
-    RawChannel,
-    RawFile,
-    TableRows,
-    Wish,
-    extend,
-    is_alike,
-    show_reading,
-)
+from vpptwin.logs.formats.layout import CODES, LayoutError, compose_message, parse_definition
+from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, TableRows, Wish, extend_all, show_reading
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.system.errors import InputError, escape_text
 
@@ -186,23 +176,15 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
         if wish.channel(channel):
             kept = {name: table.columns[column] for column, name in fields[table.topic].items()
                     if wish.texts or not is_text(table.columns[column]) or NAMES.fullmatch(column)}  # fmt: skip
-            append_rows(channel.rows, TableRows(number, table.time, kept))
+            piece = channel.rows[-1] if channel.rows else None
+            pairs = [(piece.time, table.time), *((piece.columns[n], data) for n, data in kept.items())] if piece else []
+            if piece is None or piece.number + len(piece.time) != number or not extend_all(pairs):
+                columns = {name: np.array(data) for name, data in kept.items()}
+                channel.rows.append(TableRows(number, np.array(table.time), columns))
             held.add(table.time.nbytes + sum(data.nbytes for data in kept.values()), channels.values())
         number += count
     bar.close()
     return RawFile(path, "ros2", list(channels.values()), (first, last), notes)
-
-
-def append_rows(pieces: list[TableRows], rows: TableRows) -> None:
-    """Put rows behind those held: into the last piece where they follow it, which keeps no log of gigabytes twice."""
-    last = pieces[-1] if pieces else rows
-    pairs = [(last.time, rows.time), *((last.columns[name], data) for name, data in rows.columns.items())]
-    if last.number + len(last.time) != rows.number or not all(is_alike(*pair) for pair in pairs):
-        columns = {name: np.array(data) for name, data in rows.columns.items()}
-        pieces.append(TableRows(rows.number, np.array(rows.time), columns))
-        return
-    for held, new in pairs:
-        extend(held, new)
 
 
 def _name_type(topic: str) -> str:
@@ -241,18 +223,9 @@ def pack_rows(channel: RawChannel, rows: TableRows) -> Iterator[Block]:
     shapes, which = np.unique(lengths, axis=0, return_inverse=True) if texts else one
     for index, shape in enumerate(shapes):
         members = np.flatnonzero(which.reshape(-1) == index)
-        sizes = dict(zip(texts, shape.tolist()))
-        counters: dict[int, int] = {}
-
-        def choose(path: str, offset: int, of_string: bool, s: dict = sizes, c: dict = counters) -> int:
-            c[offset] = s.get(path, 1)
-            return c[offset]
-
-        layout = arrange_fields(definitions, channel.message_type, choose)
-        payload = np.zeros((len(members), layout.size), dtype=np.uint8)
-        payload[:, 1] = LITTLE_ENDIAN
-        for offset, size in counters.items():
-            payload[:, offset : offset + 4] = np.frombuffer(np.array(size, "<u4").tobytes(), np.uint8)
+        blanks = {path: " " * (size - 1) for path, size in zip(texts, shape.tolist())}
+        message, layout = compose_message(definitions, channel.message_type, blanks, {})
+        payload = np.tile(np.frombuffer(message, np.uint8), (len(members), 1))
         for path, (offset, length) in layout.strings.items():
             if path in texts:
                 data = b"".join(texts[path][row] for row in members)

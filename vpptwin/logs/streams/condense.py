@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.logs.channels import JOINT_COLUMNS, is_joint_state, is_spatial
 from vpptwin.logs.formats.decode import DecodeError, decode_channel
-from vpptwin.logs.formats.raw import Batch, RawChannel, extend, is_alike
+from vpptwin.logs.formats.raw import Batch, RawChannel, extend_all
 from vpptwin.logs.formats.tables import find_field
 from vpptwin.logs.recording import refuse_messages
 from vpptwin.logs.streams.convert import list_fields
@@ -37,8 +37,16 @@ class Condenser:
                 paths, texts = list_wanted(self.topics, channel)
                 fresh = RawChannel(**{**vars(channel), "batches": []})
                 try:
-                    for batch in decode_channel(fresh, paths, texts):
-                        _append_batch(channel.batches, batch)
+                    for new in decode_channel(fresh, paths, texts):
+                        for held in channel.batches:
+                            pairs = [(held.number, new.number), (held.log_time, new.log_time)]
+                            pairs += [(held.values[path], values) for path, values in new.values.items()]
+                            if held.texts == new.texts and extend_all(pairs):
+                                break
+                        else:
+                            values = {path: np.array(data) for path, data in new.values.items()}
+                            fields = np.array(new.number), np.array(new.log_time), values, new.texts
+                            channel.batches.append(Batch(*fields))
                 except DecodeError as error:
                     raise refuse_messages(self.path, channel, paths, error) from None
                 channel.blocks = []
@@ -60,19 +68,6 @@ def measure(channel: RawChannel) -> tuple[float, float]:
         return 0.0, 0.0
     size = sum(t.nbytes + SAMPLE_BYTES * len(t) + sum(data.nbytes for data in held.values()) for t, held in stamped)
     return float(size), float(max(t[-1] for t, _ in stamped) - min(t[0] for t, _ in stamped)) / 1e9
-
-
-def _append_batch(batches: list[Batch], new: Batch) -> None:
-    """Put messages behind those of their shape."""
-    for held in batches:
-        pairs = [(held.number, new.number), (held.log_time, new.log_time)]
-        pairs += [(held.values[path], values) for path, values in new.values.items()]
-        if held.texts == new.texts and all(is_alike(*pair) for pair in pairs):
-            for pair in pairs:
-                extend(*pair)
-            return
-    own = {path: np.array(values) for path, values in new.values.items()}
-    batches.append(Batch(np.array(new.number), np.array(new.log_time), own, new.texts))
 
 
 def list_wanted(topics: TopicMap, channel: RawChannel) -> tuple[list[str], tuple[str, ...]]:

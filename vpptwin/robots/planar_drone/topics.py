@@ -11,7 +11,7 @@ from vpptwin.estimation.checks.sound import vet_flight
 from vpptwin.estimation.clean import clean_imu, clean_poses, clean_rotors
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.series import Lag, Measurements, Series
-from vpptwin.logs.check import check_accelerometer
+from vpptwin.logs.check import MAX_FORCE, MIN_FORCE
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.streams.clocks import refuse_step
 from vpptwin.robots.planar_drone.craft import PlanarDrone
@@ -184,3 +184,17 @@ def list_unseen(spec: TwinSpec, topic: str) -> str:
     """The effects that show in one topic alone, as part of a sentence."""
     hidden = [effect.id for effect in spec.catalogue if set(effect.shows) == {topic}]
     return f", {' and '.join(hidden)} can't be seen" if hidden else ""
+
+
+def check_accelerometer(label: str, force: np.ndarray) -> None:
+    """Refuse specific forces (n,) in another unit or without gravity: in flight and at rest the median is gravity's."""
+    median = float(np.median(force))
+    if MIN_FORCE < median < MAX_FORCE:
+        return
+    if 0.5 < median < 1.5:
+        found, action = "looks like multiples of g", "convert it with `scale: 9.80665` in a topic map"
+    elif median <= MIN_FORCE:
+        found, action = "looks like acceleration without gravity", "record the raw specific force"
+    else:
+        found, action = "looks like milli-g or cm/s^2", "convert it with `scale` in a topic map"
+    raise InputError(f"{label}: the acceleration's median is {median:.3g} and {found}", "m/s^2, 9.8 at rest", action)
