@@ -16,7 +16,7 @@ from vpptwin.estimation.checks.frames import ANGLES, QUATERNIONS, Reading, look_
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
-from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.logs.streams.samples import euler_to_quaternion
 from vpptwin.system.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
 from vpptwin.twin.robot.manifold import multiply_attitudes, read_angles, rotate, turn_to_world
@@ -195,7 +195,7 @@ def test_what_hardly_turns_is_not_judged(spec: TwinSpec) -> None:
     pose = flown.spatial["/pose"]
     yaw = np.column_stack([0.0 * pose.time, 0.0 * pose.time, np.sin(pose.time)])
     rate = np.column_stack([0.0 * yaw[:, :2], np.cos(pose.time)])
-    spatial = {"/pose": Stream(pose.time, pose.values | {"attitude": turn_by_angles(yaw)}),
+    spatial = {"/pose": Stream(pose.time, pose.values | {"attitude": euler_to_quaternion(yaw)}),
                "/imu": Stream(pose.time, {"rate": rate})}  # fmt: skip
     bare = spec.with_robot(signals=spec.robot.signals.model_copy(update={"actuators": {}}))
     assert read_measurements(bare, replace(flown, spatial=spatial)).attitudes

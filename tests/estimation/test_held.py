@@ -11,7 +11,7 @@ from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.checks.held import find_held
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.logs.streams.samples import euler_to_quaternion
 from vpptwin.report.compare import score_twin
 from vpptwin.system.errors import InputError
 from vpptwin.twin import TwinSpec, load_twin
@@ -36,7 +36,7 @@ def make_spec(
 def make_log(time: np.ndarray, place: np.ndarray, yaw: np.ndarray | None = None, noise: float = 5e-4) -> Flight:
     """Its odometry, noisy."""
     rng, yaw = np.random.default_rng(1), 0.0 * time if yaw is None else yaw
-    attitude = turn_by_angles(np.column_stack([0.0 * yaw, 0.0 * yaw, yaw + noise * rng.standard_normal(len(yaw))]))
+    attitude = euler_to_quaternion(np.column_stack([0.0 * yaw, 0.0 * yaw, yaw + noise * rng.standard_normal(len(yaw))]))
     pose = {"position": place + noise * rng.standard_normal(place.shape), "attitude": attitude}
     wheel = {"wheel": Stream(time, {"position": 20.0 * place[:, 0]})}
     inputs = {"motor": Stream(time, {"effort": np.sin(time)})}

@@ -11,7 +11,7 @@ import numpy as np
 
 from vpptwin.estimation.checks.held import tell_held
 from vpptwin.logs.channels import EULER, SPATIAL
-from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.logs.streams.samples import euler_to_quaternion
 from vpptwin.logs.topic_map import GEODETIC
 from vpptwin.mapping.alike import compare_slope, resample
 from vpptwin.mapping.guess import CLOSE, SLOPE, Guess, guess_signals
@@ -118,7 +118,7 @@ def take(guess: Guess, told: Sequence[Told], wanted: Sequence[str] = ()) -> None
 def turn_signals(angles: Sequence[Signal], size: float) -> list[Signal]:
     """The quaternion x, y, z, w of roll, pitch and yaw in a unit of that size [rad], at the times of roll."""
     known = np.stack([np.interp(angles[0].time, s.time, size * s.values) for s in angles], axis=1)
-    return [replace(angles[0], values=column) for column in np.roll(turn_by_angles(known), -1, axis=1).T]
+    return [replace(angles[0], values=column) for column in np.roll(euler_to_quaternion(known), -1, axis=1).T]
 
 
 def stack_pose(body: Guess) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vpptwin.estimation.series import integrate
 from vpptwin.logs.check import MIN_TURN
-from vpptwin.logs.streams.samples import turn_by_angles
+from vpptwin.logs.streams.samples import euler_to_quaternion
 from vpptwin.system.fields import FRAMES
 from vpptwin.twin.robot.manifold import conjugate, difference_attitudes, follow_sign, read_angles, turn_to_world
 
@@ -179,7 +179,7 @@ def read_attitude(reading: Reading, attitude: np.ndarray) -> np.ndarray:
     """Attitudes w, x, y, z, (n, 4), as given, read so."""
     if len(reading.order) == attitude.shape[1]:
         return reading.read(attitude)
-    return turn_by_angles(reading.read(read_angles(attitude)))
+    return euler_to_quaternion(reading.read(read_angles(attitude)))
 
 
 def sum_turns(attitude: np.ndarray, base: np.ndarray = UPRIGHT) -> dict[str, np.ndarray]:

@@ -1,1 +1,1 @@
-"""Files of many formats, taken apart into channels and tables before anything is interpreted."""
+"""Files of many formats (`readers`), taken apart into channels and tables before anything is interpreted."""

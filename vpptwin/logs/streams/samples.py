@@ -115,7 +115,7 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
         raise InputError(f"{recording.path}: {topic} has no {path} of {route.name!r}", "it", "name another field")
     values = {column: convert_column(source, found.fields) for column, source in route.sources.items()}
     if "attitude" in values and len(route.sources["attitude"].paths) == len(EULER):
-        values["attitude"] = turn_by_angles(values["attitude"])
+        values["attitude"] = euler_to_quaternion(values["attitude"])
     for column, data in values.items():
         if data.ndim != 1 and len(route.sources[column].paths) == 1:
             path = route.sources[column].paths[0]
@@ -131,7 +131,7 @@ def read_named(recording: Recording, route: JointRoute, warnings: list[str]) -> 
     return replace(found, fields=values).take(~empty if empty.any() else slice(None))
 
 
-def turn_by_angles(angles: np.ndarray) -> np.ndarray:
+def euler_to_quaternion(angles: np.ndarray) -> np.ndarray:
     """Unit quaternions w, x, y, z, (n, 4), of roll, pitch and yaw, (n, 3) rad."""
     # q = q_z(yaw) q_y(pitch) q_x(roll), each (cos a/2, axis sin a/2) (Diebel 2006, eq. 290).
     half = 0.5 * angles.T
