@@ -1,4 +1,4 @@
-"""Bags for the tests, written by mcap-ros2-support's own writer: nothing of vpptwin.logs but its definitions."""
+"""Bags for the tests, written by mcap-ros2-support's own writer: with nothing of vpptwin but its definitions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType
+from mcap.writer import Writer as RawWriter
 from mcap_ros2.writer import Writer
 
+from vpptwin.logs import read_flight
 from vpptwin.logs.messages import compose_definition
+from vpptwin.system.errors import InputError
 
 EPOCH = 1_700_000_000 * 10**9  # ns
 POSE, IMU, ROTOR_STATE, ROTOR_COMMAND, RATE_THRUST, JOINTS = (
@@ -30,7 +34,7 @@ def stamp_header(stamp_ns: int, frame: str = "world") -> Message:
 
 
 def make_pose(stamp_ns: int, x: float = 0.1, z: float = 1.0, theta: float = 0.0) -> Message:
-    """PoseStamped at x, z [m], turned by theta [rad] about -y (SPEC 1)."""
+    """PoseStamped at x, z [m], turned by theta [rad] about -y (docs/logs.md)."""
     orientation = {"x": 0.0, "y": -np.sin(theta / 2), "z": 0.0, "w": np.cos(theta / 2)}
     return {
         "header": stamp_header(stamp_ns),
@@ -90,3 +94,35 @@ def make_poses(count: int, period: int = 10**7, change: Callable[[int, Message],
 def pose_bag(path: Path, stamps_ns: Iterable[int]) -> Path:
     """Write a bag of poses with these stamps, in this order, x = 0.01 times the place in the order."""
     return Bag(path).add("/mocap/pose", POSE, [make_pose(s, x=0.01 * i) for i, s in enumerate(stamps_ns)]).write()
+
+
+def write_payloads(
+    path: Path, payloads: Iterable[bytes], topic: str = "/mocap/pose", kind: str = POSE, profile: str = "ros2",
+    encoding: str = "cdr", schema: str = "ros2msg",
+) -> Path:  # fmt: skip
+    """Write an MCAP of one channel whose messages, 10 ms apart, hold these bytes."""
+    with path.open("wb") as file:
+        writer = RawWriter(file)
+        writer.start(profile)
+        number = writer.register_schema(kind, schema, compose_definition(kind).encode())
+        channel = writer.register_channel(topic, encoding, number)
+        for index, payload in enumerate(payloads):
+            writer.add_message(channel, EPOCH + index * 10**7, payload, EPOCH + index * 10**7)
+        writer.finish()
+    return path
+
+
+def refuse(
+    path: Path | list[Path], *parts: str, topics: Path | None = None, read: Callable[..., object] = read_flight
+) -> None:
+    """Require that reading fails with one short line that holds these parts, and says what to do."""
+    with pytest.raises(InputError) as caught:
+        read(path, topics) if topics is not None else read(path)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert len(line) < 1000
+    assert caught.value.found
+    assert caught.value.expected
+    assert caught.value.action
+    for part in parts:
+        assert part in line

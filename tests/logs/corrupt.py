@@ -20,6 +20,17 @@ def change(recording: Recording, name: str, topic: Topic) -> Recording:
     return replace(recording, topics={**recording.topics, name: topic})
 
 
+def edit(recording: Recording, name: str, **columns: np.ndarray) -> Recording:
+    """The recording with other columns of one topic."""
+    topic = recording.topics[name]
+    return change(recording, name, replace(topic, columns={**topic.columns, **columns}))
+
+
+def copy_columns(topic: Topic) -> dict[str, np.ndarray]:
+    """A topic's columns, to be written into."""
+    return {column: np.array(data, dtype=float) for column, data in topic.columns.items()}
+
+
 def take(topic: Topic, rows: np.ndarray) -> Topic:
     """Some of a topic's messages, by index or mask."""
     columns = {name: np.asarray(values)[rows] for name, values in topic.columns.items()}
@@ -80,37 +91,63 @@ def spike(
     topic = recording.topics[name]
     bad = rng.random(len(topic.time)) < share
     which = rng.choice(list(columns), len(bad))
-    values = {column: np.array(data, dtype=float) for column, data in topic.columns.items()}
+    values = copy_columns(topic)
     for column, size in columns.items():
         rows = np.flatnonzero(bad & (which == column))
         values[column][rows] += size * rng.uniform(0.5, 1.0, len(rows)) * rng.choice([-1.0, 1.0], len(rows))
-    return change(recording, name, replace(topic, columns=values)), bad
+    return edit(recording, name, **values), bad
 
 
 def swap(recording: Recording, begin: float, end: float, x: float, z: float, angle: float) -> Recording:
     """The tracker follows another body from begin to end [s], beside and turned against the right one [m, rad]."""
     topic = recording.topics[POSE]
     rows = (topic.time >= begin) & (topic.time < end)
-    values = {column: np.array(data, dtype=float) for column, data in topic.columns.items()}
+    values = copy_columns(topic)
     half = np.arctan2(-values["qy"][rows], values["qw"][rows]) + 0.5 * angle
     values["x"][rows] += x
     values["z"][rows] += z
     values["qy"][rows], values["qw"][rows] = -np.sin(half), np.cos(half)
-    return change(recording, POSE, replace(topic, columns=values))
+    return edit(recording, POSE, **values)
 
 
 def freeze(recording: Recording, begin: float, end: float) -> Recording:
     """The tracker repeats one pose from begin to end [s]."""
     topic = recording.topics[POSE]
     rows = np.flatnonzero((topic.time >= begin) & (topic.time < end))
-    values = {column: np.array(data, dtype=float) for column, data in topic.columns.items()}
+    values = copy_columns(topic)
     for data in values.values():
         data[rows] = data[rows[0]]
-    return change(recording, POSE, replace(topic, columns=values))
+    return edit(recording, POSE, **values)
 
 
 def scale(recording: Recording, name: str, factor: float, *columns: str) -> Recording:
     """Columns in another unit."""
     topic = recording.topics[name]
-    scaled = {column: factor * np.asarray(topic.columns[column]) for column in columns}
-    return change(recording, name, replace(topic, columns={**topic.columns, **scaled}))
+    return edit(recording, name, **{column: factor * np.asarray(topic.columns[column]) for column in columns})
+
+
+def hold(recording: Recording, name: str, *columns: str, begin: int = 0, end: int | None = None) -> Recording:
+    """Columns of a topic that repeat one value from one message to another."""
+    held = {column: np.array(recording.topics[name].columns[column]) for column in columns}
+    for values in held.values():
+        values[begin:end] = values[begin + 10]
+    return edit(recording, name, **held)
+
+
+def copy_column(recording: Recording, name: str, source: str, target: str) -> Recording:
+    """One column in the place of another."""
+    return edit(recording, name, **{target: recording.topics[name].columns[source]})
+
+
+def set_clock(recording: Recording, name: str, at: float, by: float) -> Recording:
+    """The clock that stamps a topic is set ahead at a time [s] by some [s]."""
+    topic = recording.topics[name]
+    return change(recording, name, move(topic, np.where(topic.time > at, by, 0.0)))
+
+
+def put(recording: Recording, name: str, row: int, **values: float) -> Recording:
+    """Other values in one message of a topic."""
+    columns = copy_columns(recording.topics[name])
+    for column, value in values.items():
+        columns[column][row] = value
+    return edit(recording, name, **columns)

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
-from mcap.writer import Writer as PlainWriter
 
 from tests.logs.bags import (
     EPOCH,
@@ -25,27 +24,16 @@ from tests.logs.bags import (
     make_imu,
     make_pose,
     make_poses,
+    refuse,
     stamp_header,
-)
+    write_payloads,
+)  # fmt: skip
 from vpptwin.logs import FlightWriter, read_flight
 from vpptwin.logs.messages import compose_definition
 from vpptwin.system.errors import InputError
 
 MS = 10**6  # ns
 STRING = "std_msgs/msg/String"
-
-
-def refuse(path: Path | list[Path], *parts: str) -> None:
-    """Require that reading fails with one line that holds these parts."""
-    with pytest.raises(InputError) as caught:
-        read_flight(path)
-    line = str(caught.value)
-    assert "\n" not in line
-    assert caught.value.found
-    assert caught.value.expected
-    assert caught.value.action
-    for part in parts:
-        assert part in line
 
 
 @pytest.mark.parametrize(
@@ -88,14 +76,9 @@ def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_a_truncated_log_says_what_is_readable(tmp_path: Path, whole: Path) -> None:
     """A log cut at 60 % is refused, with the number of messages before the cut and the tool that saves them."""
     path, content = tmp_path / "cut.mcap", whole.read_bytes()
-    path.write_bytes(content[: len(content) * 6 // 10])
-    refuse(
-        path,
-        "ends",
-        f"of {len(content) * 6 // 10}, ",
-        " before it are readable",
-        "mcap recover cut.mcap -o recovered.mcap",
-    )
+    size = len(content) * 6 // 10
+    path.write_bytes(content[:size])
+    refuse(path, "ends", f"of {size}, ", " before it are readable", "mcap recover cut.mcap -o recovered.mcap")
     with pytest.raises(InputError, match=r"(\d+) messages over [12]\.\d s before") as caught:
         read_flight(path)
     assert 100 < int(caught.value.found.split(" messages")[0].split()[-1]) < 300
@@ -139,13 +122,8 @@ def test_damaged_bytes_never_crash(whole: Path, data: st.DataObject, tmp_path_fa
 )
 def test_other_encodings_are_refused(tmp_path: Path, profile: str, encoding: str, schema: str, part: str) -> None:
     """MCAP holds many things; what is not ROS 2's CDR with embedded definitions is named."""
-    with (tmp_path / "log.mcap").open("wb") as file:
-        writer = PlainWriter(file)
-        writer.start(profile)
-        kind = writer.register_schema(POSE, schema, compose_definition(POSE).encode())
-        writer.add_message(writer.register_channel("/mocap/pose", encoding, kind), EPOCH, b"{}", EPOCH)
-        writer.finish()
-    refuse(tmp_path / "log.mcap", part)
+    path = tmp_path / "log.mcap"
+    refuse(write_payloads(path, [b"{}"], profile=profile, encoding=encoding, schema=schema), part)
 
 
 def spoil_pose(index: int, value: float, *path: str) -> Callable[[int, Message], None]:
@@ -161,20 +139,15 @@ def spoil_pose(index: int, value: float, *path: str) -> Callable[[int, Message],
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        (
-            spoil_pose(97, np.nan, "position", "x"),
-            ["/mocap/pose: pose.position.x is NaN in 3 of 100 messages, first at 0.970 s"],
-        ),
-        (spoil_pose(99, np.inf, "position", "z"), ["pose.position.z is an infinity in 1 of 100", "0.990 s"]),
-        (spoil_pose(0, np.nan, "orientation", "w"), ["pose.orientation.w is NaN in 100 of 100"]),
-        (spoil_pose(0, 980.0, "position", "z"), ["z reaches 980", "looks like millimetres", "expected m"]),
-        (spoil_pose(0, 0.0, "orientation", "w"), ["100 of 100 messages is no unit quaternion, norm 0"]),
-        (spoil_pose(50, 0.5, "orientation", "x"), ["50 of 100 messages is no unit quaternion, norm 1.12"]),
-    ],
-)
+@pytest.mark.parametrize(("change", "parts"), [
+    (spoil_pose(97, np.nan, "position", "x"),
+     ["/mocap/pose: pose.position.x is NaN in 3 of 100 messages, first at 0.970 s"]),
+    (spoil_pose(99, np.inf, "position", "z"), ["pose.position.z is an infinity in 1 of 100", "0.990 s"]),
+    (spoil_pose(0, np.nan, "orientation", "w"), ["pose.orientation.w is NaN in 100 of 100"]),
+    (spoil_pose(0, 980.0, "position", "z"), ["z reaches 980", "looks like millimetres", "expected m"]),
+    (spoil_pose(0, 0.0, "orientation", "w"), ["100 of 100 messages is no unit quaternion, norm 0"]),
+    (spoil_pose(50, 0.5, "orientation", "x"), ["50 of 100 messages is no unit quaternion, norm 1.12"]),
+])  # fmt: skip
 def test_poses_that_cannot_be_right_are_refused(
     tmp_path: Path, change: Callable[[int, Message], None], parts: list[str]
 ) -> None:
@@ -198,37 +171,16 @@ def stamped(count: int, **values: object) -> list[Message]:
     return [{"header": stamp_header(EPOCH + k * MS), **values} for k in range(count)]
 
 
-@pytest.mark.parametrize(
-    ("topic", "kind", "values", "part"),
-    [
-        (
-            "/rotor/state",
-            ROTOR_STATE,
-            {"speed": [4500.0] * 2, "current": [3.0] * 2},
-            "speed reaches 4500 and looks like rpm",
-        ),
-        ("/rotor/state", ROTOR_STATE, {"speed": [np.nan, 1.0], "current": [3.0] * 2}, "speed is NaN in 9 of 9"),
-        (
-            "/rotor/command",
-            ROTOR_COMMAND,
-            {"blade_pitch": [9.0, 8.0], "throttle": [0.4] * 2},
-            "9 and looks like degrees",
-        ),
-        (
-            "/rotor/command",
-            ROTOR_COMMAND,
-            {"blade_pitch": [0.1] * 2, "throttle": [40.0] * 2},
-            "40 and looks like percent",
-        ),
-        (
-            "/cmd/rate_thrust",
-            RATE_THRUST,
-            {"thrust": 5.0, "rate": -600.0},
-            "rate reaches 600 and looks like degrees per second",
-        ),
-        ("/joint_states", JOINTS, {"name": ["a", "b"], "position": [1.0]}, "has 1 values of position for 2 names"),
-    ],
-)
+@pytest.mark.parametrize(("topic", "kind", "values", "part"), [
+    ("/rotor/state", ROTOR_STATE, {"speed": [4500.0] * 2, "current": [3.0] * 2},
+     "speed reaches 4500 and looks like rpm"),
+    ("/rotor/state", ROTOR_STATE, {"speed": [np.nan, 1.0], "current": [3.0] * 2}, "speed is NaN in 9 of 9"),
+    ("/rotor/command", ROTOR_COMMAND, {"blade_pitch": [9.0, 8.0], "throttle": [0.4] * 2}, "9 and looks like degrees"),
+    ("/rotor/command", ROTOR_COMMAND, {"blade_pitch": [0.1] * 2, "throttle": [40.0] * 2}, "40 and looks like percent"),
+    ("/cmd/rate_thrust", RATE_THRUST, {"thrust": 5.0, "rate": -600.0},
+     "rate reaches 600 and looks like degrees per second"),
+    ("/joint_states", JOINTS, {"name": ["a", "b"], "position": [1.0]}, "has 1 values of position for 2 names"),
+])  # fmt: skip
 def test_other_values_that_cannot_be_right_are_refused(
     tmp_path: Path, topic: str, kind: str, values: Message, part: str
 ) -> None:
@@ -252,8 +204,7 @@ def test_numbers_beyond_all_measure_are_left_out_or_refused(tmp_path: Path, valu
     assert (
         "2 of 200 messages on /joint_states arm hold impossible values, left out, first at 0.010 s" in flight.warnings
     )
-    with pytest.raises(InputError, match=f"{column} reaches 1e.*, beyond 1e.12 in 100 of 200 messages, first at 0.010"):
-        read_flight(tmp_path / "many.mcap")
+    refuse(tmp_path / "many.mcap", f"{column} reaches ", ", beyond 1e+12 in 100 of 200 messages, first at 0.010")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from proving.drone.recording import Recording, write_mcap
 from tests.logs import corrupt
-from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE
+from tests.logs.corrupt import COMMAND, IMU, POLICY, POSE, STATE, copy_column, hold, scale, set_clock
 from vpptwin.diagnosis.evidence.flights import list_starts
 from vpptwin.diagnosis.judgement.diagnose import open_held_out
 from vpptwin.estimation.gaps import usable_starts
@@ -126,21 +126,12 @@ BLEMISHES: dict[str, tuple[Spoil, str, float]] = {
     "early end": (lambda r, g: corrupt.cut(r, STATE, 5.0, 9.0), "/rotor/state ends 3.0 s early", 1e-9),
     "no telemetry": (lambda r, g: corrupt.remove(r, STATE), "no /rotor/state: rotors are taken to turn at", 1e-9),
     "no imu": (lambda r, g: corrupt.remove(r, IMU), "no /imu/data: rates and forces come from /mocap/pose", 1e-9),
-    "no accelerometer": (lambda r, g: corrupt.scale(r, IMU, 0.0, "ax", "az"), "no accelerometer on /imu/data", 1e-9),
-    "wild quaternions": (
-        lambda r, g: corrupt.change(r, POSE, zero_quaternion(r.topics[POSE])),
-        "1 of 799 messages on /mocap/pose hold impossible values, left out, first at 2.",
-        8.0,
+    "no accelerometer": (lambda r, g: scale(r, IMU, 0.0, "ax", "az"), "no accelerometer on /imu/data", 1e-9),
+    "wild quaternions": (  # the tracker loses its body once and sends zeros, far away
+        lambda r, g: corrupt.put(r, POSE, 200, qy=0.0, qw=0.0, x=1e4),
+        "1 of 799 messages on /mocap/pose hold impossible values, left out, first at 2.", 8.0,
     ),
-}
-
-
-def zero_quaternion(topic: corrupt.Topic) -> corrupt.Topic:
-    """The tracker loses its body once and sends zeros, far away."""
-    columns = {name: np.array(values, dtype=float) for name, values in topic.columns.items()}
-    for name, value in (("qy", 0.0), ("qw", 0.0), ("x", 1e4)):
-        columns[name][200] = value
-    return corrupt.Topic(topic.kind, topic.frame, topic.time, topic.latency, columns)
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BLEMISHES)
@@ -225,111 +216,31 @@ def test_a_twin_scores_alike_on_a_spoilt_log(recording: Recording, clean: Measur
     assert scores[1] == pytest.approx(scores[0], rel=0.25)
 
 
-def not_a_number(recording: Recording) -> Recording:
-    """One pose with an unknown x."""
-    topic = recording.topics[POSE]
-    x = np.array(topic.columns["x"])
-    x[300] = np.nan
-    return corrupt.change(
-        recording, POSE, corrupt.Topic(topic.kind, topic.frame, topic.time, topic.latency, {**topic.columns, "x": x})
-    )
-
-
-def shift_all(recording: Recording) -> Recording:
-    """Poses stamped and recorded 0.8 s late."""
-    topic = recording.topics[POSE]
-    return corrupt.change(
-        recording, POSE, corrupt.Topic(topic.kind, topic.frame, topic.time + 0.8, topic.latency, topic.columns)
-    )
-
-
-def hold(recording: Recording, name: str, *columns: str, begin: int = 0, end: int | None = None) -> Recording:
-    """Columns of a topic that repeat one value from one message to another."""
-    topic = recording.topics[name]
-    held = {column: np.array(topic.columns[column]) for column in columns}
-    for values in held.values():
-        values[begin:end] = values[begin + 10]
-    return corrupt.change(recording, name, replace(topic, columns={**topic.columns, **held}))
-
-
-def copy_column(recording: Recording, name: str, source: str, target: str) -> Recording:
-    """One column in the place of another."""
-    topic = recording.topics[name]
-    columns = {**topic.columns, target: topic.columns[source]}
-    return corrupt.change(recording, name, replace(topic, columns=columns))
-
-
-def clip(recording: Recording, limit: float) -> Recording:
-    """A gyro of so small a range [rad/s]."""
-    topic = recording.topics[IMU]
-    columns = {**topic.columns, "wy": np.clip(topic.columns["wy"], -limit, limit)}
-    return corrupt.change(recording, IMU, replace(topic, columns=columns))
-
-
-def set_clock(recording: Recording, name: str, at: float, by: float) -> Recording:
-    """The clock that stamps a topic is set ahead at a time [s] by some [s]."""
-    topic = recording.topics[name]
-    return corrupt.change(recording, name, corrupt.move(topic, np.where(topic.time > at, by, 0.0)))
-
-
 NO_FORCE = "no accelerometer on /imu/data"
 FORCE, ROTORS = ("specific_force",), ("rotor_speed", "current")
 UNSOUND: dict[str, tuple[Spoil, tuple[str, ...], tuple[str, ...]]] = {
-    "dead IMU": (
-        lambda r, g: hold(r, IMU, "wy", "ax", "az"),
-        ("throughout while the craft turns", "no /imu/data"),
-        ("velocities", *FORCE),
-    ),
+    "dead IMU": (lambda r, g: hold(r, IMU, "wy", "ax", "az"), ("throughout while the craft turns", "no /imu/data"),
+                 ("velocities", *FORCE)),
     "dead gyro": (lambda r, g: hold(r, IMU, "wy"), ("the IMU is left out",), ("velocities", *FORCE)),
-    "dead accelerometer": (
-        lambda r, g: hold(r, IMU, "ax", "az"),
-        ("accel_x and accel_z never changes", NO_FORCE),
-        FORCE,
-    ),
+    "dead accelerometer": (lambda r, g: hold(r, IMU, "ax", "az"), ("accel_x and accel_z never changes", NO_FORCE),
+                           FORCE),
     "one dead axis": (lambda r, g: hold(r, IMU, "az"), ("accel_z never changes", NO_FORCE), FORCE),
     "doubled axis": (lambda r, g: copy_column(r, IMU, "ax", "az"), ("are one and the same", NO_FORCE), FORCE),
-    "upside down": (
-        lambda r, g: corrupt.scale(r, IMU, -1.0, "az"),
-        ("shows -0.99 times gravity upwards", NO_FORCE),
-        FORCE,
-    ),
-    "half of the force": (
-        lambda r, g: corrupt.scale(r, IMU, 0.5, "ax", "az"),
-        ("shows 0.5 times gravity", NO_FORCE),
-        FORCE,
-    ),
-    "no rotor state": (
-        lambda r, g: corrupt.scale(r, STATE, 0.0, "speed_1", "speed_2"),
-        ("a rotor speed is 0 times the governed 471", "rotors are taken to turn at"),
-        ROTORS,
-    ),
-    "half of the speed": (
-        lambda r, g: corrupt.scale(r, STATE, 0.5, "speed_1", "speed_2"),
-        ("0.5 times the governed 471",),
-        ROTORS,
-    ),
-    "turns per second": (
-        lambda r, g: corrupt.scale(r, STATE, 1 / 6.283, "speed_1"),
-        ("0.16 times the governed",),
-        ROTORS,
-    ),
-    "doubled speed": (
-        lambda r, g: copy_column(r, STATE, "speed_1", "speed_2"),
-        ("both rotor speeds are one and the same",),
-        ROTORS,
-    ),
-    "no currents": (
-        lambda r, g: corrupt.scale(r, STATE, 0.0, "current_1", "current_2"),
-        ("a motor current never changes",),
-        ("current",),
-    ),
-    "no throttle": (lambda r, g: corrupt.scale(r, COMMAND, 0.0, "throttle_1", "throttle_2"), (), ("throttle",)),
-    "dead commands": (
-        lambda r, g: hold(r, COMMAND, "blade_pitch_1", "blade_pitch_2"),
-        ("blade pitch never changes", "is reconstructed from"),
-        ("throttle",),
-    ),
-}
+    "upside down": (lambda r, g: scale(r, IMU, -1.0, "az"), ("shows -0.99 times gravity upwards", NO_FORCE), FORCE),
+    "half of the force": (lambda r, g: scale(r, IMU, 0.5, "ax", "az"), ("shows 0.5 times gravity", NO_FORCE), FORCE),
+    "no rotor state": (lambda r, g: scale(r, STATE, 0.0, "speed_1", "speed_2"),
+                       ("a rotor speed is 0 times the governed 471", "rotors are taken to turn at"), ROTORS),
+    "half of the speed": (lambda r, g: scale(r, STATE, 0.5, "speed_1", "speed_2"), ("0.5 times the governed 471",),
+                          ROTORS),
+    "turns per second": (lambda r, g: scale(r, STATE, 1 / 6.283, "speed_1"), ("0.16 times the governed",), ROTORS),
+    "doubled speed": (lambda r, g: copy_column(r, STATE, "speed_1", "speed_2"),
+                      ("both rotor speeds are one and the same",), ROTORS),
+    "no currents": (lambda r, g: scale(r, STATE, 0.0, "current_1", "current_2"), ("a motor current never changes",),
+                    ("current",)),
+    "no throttle": (lambda r, g: scale(r, COMMAND, 0.0, "throttle_1", "throttle_2"), (), ("throttle",)),
+    "dead commands": (lambda r, g: hold(r, COMMAND, "blade_pitch_1", "blade_pitch_2"),
+                      ("blade pitch never changes", "is reconstructed from"), ("throttle",)),
+}  # fmt: skip
 """Channels that cannot be believed, what warnings say, and what of the measurements is left out for it."""
 
 
@@ -355,7 +266,8 @@ def test_samples_that_are_stuck_or_clipped_are_left_out(
     measured, warnings = measure(hold(recording, IMU, "wy", "ax", "az", begin=2000, end=3000))
     assert any("1000 of 8001 samples repeat a value to the last digit, left out" in line for line in warnings)
     assert not ((measured.velocities[2].time > 2.0) & (measured.velocities[2].time < 2.999)).any()
-    measured, warnings = measure(clip(recording, 6.0))
+    clipped = np.clip(recording.topics[IMU].columns["wy"], -6.0, 6.0)
+    measured, warnings = measure(corrupt.edit(recording, IMU, wy=clipped))
     assert any("samples are clipped, left out" in line for line in warnings)
     assert np.abs(measured.velocities[2].value).max() < 6.0
     fast = np.abs(clean.velocities[2].value) > 6.1
@@ -365,43 +277,40 @@ def test_samples_that_are_stuck_or_clipped_are_left_out(
 def test_clean_channels_stay(recording: Recording, clean: Measurements) -> None:
     """Nothing of a sound flight is left out, whatever it does."""
     assert len(clean.velocities[2].time) == len(recording.topics[IMU].time)
-    assert clean.specific_force is not None
-    assert clean.rotor_speed is not None
-    assert clean.current is not None
-    assert clean.throttle is not None
+    held = (clean.specific_force, clean.rotor_speed, clean.current, clean.throttle)
+    assert all(series is not None for series in held)
 
 
 REFUSED: dict[str, tuple[Callable[[Recording], Recording], str]] = {
-    "NaN": (not_a_number, "pose.position.x is NaN in 1 of 799 messages"),
-    "millimetres": (lambda r: corrupt.scale(r, POSE, 1e3, "x", "z"), "x reaches [0-9.]+ and looks like millimetres"),
-    "g": (lambda r: corrupt.scale(r, IMU, 1 / 9.81, "ax", "az"), "median is [01].* and looks like multiples of g"),
-    "milli-g": (lambda r: corrupt.scale(r, IMU, 1e3 / 9.81, "ax", "az"), "looks like milli-g"),
-    "no gravity": (lambda r: corrupt.scale(r, IMU, 0.03, "ax", "az"), "looks like acceleration without gravity"),
-    "degrees per second": (lambda r: corrupt.scale(r, IMU, 57.3, "wy"), "degrees per second"),
-    "wrong sign": (lambda r: corrupt.scale(r, IMU, -1.0, "wy"), "rate runs against the turning"),
-    "blade pitch in degrees": (lambda r: corrupt.scale(r, COMMAND, 57.3, "blade_pitch_1"), "looks like degrees"),
-    "rpm": (lambda r: corrupt.scale(r, STATE, 9.55, "speed_1", "speed_2"), "looks like rpm"),
+    "NaN": (lambda r: corrupt.put(r, POSE, 300, x=np.nan), "pose.position.x is NaN in 1 of 799 messages"),
+    "millimetres": (lambda r: scale(r, POSE, 1e3, "x", "z"), "x reaches [0-9.]+ and looks like millimetres"),
+    "g": (lambda r: scale(r, IMU, 1 / 9.81, "ax", "az"), "median is [01].* and looks like multiples of g"),
+    "milli-g": (lambda r: scale(r, IMU, 1e3 / 9.81, "ax", "az"), "looks like milli-g"),
+    "no gravity": (lambda r: scale(r, IMU, 0.03, "ax", "az"), "looks like acceleration without gravity"),
+    "degrees per second": (lambda r: scale(r, IMU, 57.3, "wy"), "degrees per second"),
+    "wrong sign": (lambda r: scale(r, IMU, -1.0, "wy"), "rate runs against the turning"),
+    "blade pitch in degrees": (lambda r: scale(r, COMMAND, 57.3, "blade_pitch_1"), "looks like degrees"),
+    "rpm": (lambda r: scale(r, STATE, 9.55, "speed_1", "speed_2"), "looks like rpm"),
     "another epoch": (lambda r: corrupt.offset(r, POSE, -2.0), "/mocap/pose is stamped 2.01 s earlier than"),
-    "a shifted stamp": (shift_all, "/mocap/pose shows every turn 0.80 s after /imu/data does"),
-    "twice the rate": (lambda r: corrupt.scale(r, IMU, 2.0, "wy"), r"rate is 2 times the turning .*`scale: 0.5`"),
-    "half of the rate": (lambda r: corrupt.scale(r, IMU, 0.5, "wy"), r"rate is 0.5 times the turning .*`scale: 2`"),
-    "feet": (lambda r: corrupt.scale(r, POSE, 3.2808, "x", "z"), r"3.28 times as far .* feet; .*`scale: 0.3048`"),
-    "half metres": (lambda r: corrupt.scale(r, POSE, 2.0, "x", "z"), r"2 times as far as the accelerometer shows; "),
-    "inches": (lambda r: corrupt.scale(r, POSE, 39.37, "x", "z"), "looks like millimetres, centimetres or inches"),
-    "centimetres": (lambda r: corrupt.scale(r, POSE, 100.0, "x", "z"), "millimetres, centimetres or inches"),
-    "inches of little": (lambda r: corrupt.scale(r, POSE, 20.0, "x", "z"), "times as far as the accelerometer shows"),
+    "a shifted stamp": (lambda r: corrupt.change(r, POSE, replace(r.topics[POSE], time=r.topics[POSE].time + 0.8)),
+                        "/mocap/pose shows every turn 0.80 s after /imu/data does"),
+    "twice the rate": (lambda r: scale(r, IMU, 2.0, "wy"), r"rate is 2 times the turning .*`scale: 0.5`"),
+    "half of the rate": (lambda r: scale(r, IMU, 0.5, "wy"), r"rate is 0.5 times the turning .*`scale: 2`"),
+    "feet": (lambda r: scale(r, POSE, 3.2808, "x", "z"), r"3.28 times as far .* feet; .*`scale: 0.3048`"),
+    "half metres": (lambda r: scale(r, POSE, 2.0, "x", "z"), r"2 times as far as the accelerometer shows; "),
+    "inches": (lambda r: scale(r, POSE, 39.37, "x", "z"), "looks like millimetres, centimetres or inches"),
+    "centimetres": (lambda r: scale(r, POSE, 100.0, "x", "z"), "millimetres, centimetres or inches"),
+    "inches of little": (lambda r: scale(r, POSE, 20.0, "x", "z"), "times as far as the accelerometer shows"),
     "one axis twice": (lambda r: copy_column(r, POSE, "x", "z"), "x and z are one and the same"),
     "a dead axis": (lambda r: hold(r, POSE, "x"), "x never changes, while the accelerometer shows motion"),
-    "a clock set ahead": (
-        lambda r: set_clock(r, POSE, 3.0, 0.3),
-        r"clock of /mocap/pose steps by \+0.30 s .* about 3.0 s into the log",
-    ),
+    "a clock set ahead": (lambda r: set_clock(r, POSE, 3.0, 0.3),
+                          r"clock of /mocap/pose steps by \+0.30 s .* about 3.0 s into the log"),
     "a clock set back": (lambda r: set_clock(r, POSE, 3.0, -0.3), r"clock of /mocap/pose steps by -0.30 s"),
     "the other clock": (lambda r: set_clock(r, IMU, 5.0, 0.1), r"clock of /imu/data steps by \+0.10 s"),
     "no poses": (lambda r: corrupt.remove(r, POSE), "no messages on /mocap/pose"),
     "no commands": (lambda r: corrupt.remove(r, COMMAND, POLICY), "no messages on /rotor/command"),
     "no gyro, no commands": (lambda r: corrupt.remove(r, COMMAND, IMU), "/imu/data to reconstruct it from"),
-}
+}  # fmt: skip
 """Logs from which nothing right could be read, and the line that says so."""
 
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from tests.logs.bags import refuse
 from tests.logs.test_foreign import write_lerobot
 from vpptwin.logs.spelling import list_flights
 from vpptwin.mapping.survey import survey
-from vpptwin.system.errors import InputError
 
 INFO, INDEX, DATA = "meta/info.json", "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
 
@@ -25,12 +25,9 @@ def change(folder: Path, **changes: Any) -> None:  # noqa: ANN401
     (folder / INFO).write_text(json.dumps(about | changes))
 
 
-def refuse(folder: Path) -> str:
-    """The line that refuses to look at a data set's flights."""
-    with pytest.raises(InputError) as caught:
-        list(map(survey, list_flights(folder)))
-    assert len(str(caught.value)) < 1000
-    return str(caught.value)
+def survey_all(folder: Path) -> None:
+    """Look at all of a data set's flights."""
+    list(map(survey, list_flights(folder)))
 
 
 @pytest.mark.parametrize(
@@ -43,10 +40,7 @@ def test_names_of_files_are_filled_in_by_known_numbers_alone(tmp_path: Path, tem
     """Neither Python's formatting, nor a file elsewhere, whatever `data_path` says."""
     folder = write_lerobot(tmp_path / "set")
     change(folder, data_path=template)
-    line = refuse(folder)
-    assert "meta/info.json: data_path" in line
-    assert "expected a file in the folder" in line
-    assert "class 'int'" not in line
+    refuse(folder, f"meta/info.json: data_path {template!r}", "expected a file in the folder", read=survey_all)
 
 
 def test_old_data_sets_are_found_by_their_template(tmp_path: Path) -> None:
@@ -67,7 +61,7 @@ def test_no_more_episodes_than_rows(tmp_path: Path, total: int) -> None:
     """Each has one at least."""
     folder = write_lerobot(tmp_path / "set")
     change(folder, total_episodes=total)
-    assert f"says {total} episodes; expected at most 50, by the files below data" in refuse(folder)
+    refuse(folder, f"says {total} episodes; expected at most 50, by the files below data", read=survey_all)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +77,7 @@ def test_keys_of_another_kind_are_named(tmp_path: Path, changes: dict[str, objec
     """Lists for objects, text for numbers, nothing at all."""
     folder = write_lerobot(tmp_path / "set")
     change(folder, **changes)
-    assert part in refuse(folder)
+    refuse(folder, part, read=survey_all)
 
 
 @pytest.mark.parametrize(
@@ -95,17 +89,20 @@ def test_json_is_read_within_bounds(tmp_path: Path, text: str, part: str) -> Non
     """However deep and long it is."""
     folder = write_lerobot(tmp_path / "set")
     (folder / INFO).write_text(text)
-    assert part in refuse(folder)
+    refuse(folder, part, read=survey_all)
 
 
 @pytest.mark.parametrize("number", [-1, 10**7, "0", "../..", 0.5, None, [0], True])
 def test_places_in_the_index_are_small_numbers(tmp_path: Path, number: object) -> None:
     """What else stands there is refused, not put into a name."""
     folder = write_lerobot(tmp_path / "set")
-    parquet.write_table(
-        pa.table({"episode_index": [0, 1], "data/chunk_index": [number] * 2, "data/file_index": [0, 0]}), folder / INDEX
+    index = {"episode_index": [0, 1], "data/chunk_index": [number] * 2, "data/file_index": [0, 0]}
+    parquet.write_table(pa.table(index), folder / INDEX)
+    refuse(
+        folder,
+        "data/chunk_index and data/file_index of episode 0; expected numbers of a chunk and a file",
+        read=survey_all,
     )
-    assert "data/chunk_index and data/file_index of episode 0; expected numbers of a chunk and a file" in refuse(folder)
 
 
 @pytest.mark.parametrize("kind", ["pipe", "folder", "loop", "device"])
@@ -123,7 +120,7 @@ def test_only_regular_files_are_opened(tmp_path: Path, file: str, kind: str) -> 
     if file == INDEX:
         assert [survey(flight)[0].files[0].channels[0].count for flight in list_flights(folder)] == [30, 20]
     else:
-        assert ("holds data, meta" if file == INFO else "expected at most 0") in refuse(folder)
+        refuse(folder, "holds data, meta" if file == INFO else "expected at most 0", read=survey_all)
 
 
 @pytest.mark.parametrize("value", ["x", [1.0, 2.0], {"a": 1.0}, None])
@@ -134,12 +131,11 @@ def test_columns_of_another_kind_are_refused(tmp_path: Path, column: str, value:
     rows = parquet.read_table(folder / DATA)
     place = rows.schema.get_field_index(column)
     parquet.write_table(rows.set_column(place, column, pa.array([value] * 50)), folder / DATA)
-    assert "set" in refuse(folder)
+    refuse(folder, "set", read=survey_all)
 
 
 @pytest.mark.parametrize("number", ["²", "9" * 20, "9" * 5000, "-1", "1.5"])
 def test_odd_numbers_of_episodes_are_no_files(tmp_path: Path, number: str) -> None:
     """FOLDER#NUMBER with what is no number of an episode."""
     folder = write_lerobot(tmp_path / "set")
-    with pytest.raises(InputError, match="expected FOLDER#EPISODE of LeRobot"):
-        survey(Path(f"{folder}#{number}"))
+    refuse(Path(f"{folder}#{number}"), "expected FOLDER#EPISODE of LeRobot", read=survey)

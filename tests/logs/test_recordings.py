@@ -240,7 +240,7 @@ def test_demo_flights_are_read(path: Path) -> None:
     assert flight.duration > 5.0
     pose, imu = flight.streams["/mocap/pose"], flight.streams["/imu/data"]
     turned = np.interp(pose.time, imu.time[1:], np.cumsum(imu["rate"][1:] * np.diff(imu.time)))
-    assert np.corrcoef(turned, pose["theta"])[0, 1] > 0.9  # SPEC 1: the gyro turns as the angle does
+    assert np.corrcoef(turned, pose["theta"])[0, 1] > 0.9  # the gyro turns as the angle does
     assert 8.0 < np.median(np.hypot(imu["accel_x"], imu["accel_z"])) < 12.0
 
 

@@ -64,14 +64,8 @@ def test_values_come_back_bit_equal(topic: str, data: st.DataObject) -> None:
 @given(data=st.data())
 def test_joints_come_back_bit_equal(data: st.DataObject) -> None:
     """Joints of any name, with any of position, velocity and effort, are read as they were written."""
-    names = data.draw(
-        st.lists(
-            st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9),
-            min_size=1,
-            max_size=4,
-            unique=True,
-        )
-    )
+    text = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
+    names = data.draw(st.lists(text, min_size=1, max_size=4, unique=True))
     columns = data.draw(st.lists(st.sampled_from(["position", "velocity", "effort"]), min_size=1, unique=True))
     stamps = data.draw(NANOSECONDS)
     value = st.floats(-HUGE, HUGE)
@@ -92,23 +86,20 @@ def make_flight(path: Path) -> None:
     """Write one message of every topic and of two joints."""
     with FlightWriter(path, start_ns=5 * 10**9, metadata={"seed": "7"}) as writer:
         for topic, channel in CHANNELS.items():
-            writer.write(
-                topic, 0.25, {c.name: 0.5 if c.width == 1 else (0.5, -0.25) for c in channel.columns}, log_time=0.5
-            )
+            values = {c.name: 0.5 if c.width == 1 else (0.5, -0.25) for c in channel.columns}
+            writer.write(topic, 0.25, values, log_time=0.5)
         writer.write_joints("/joint_states", 0.25, {"a": {"position": 1.0}, "b": {"position": 2.0}})
 
 
 def test_files_open_with_the_reference_reader(tmp_path: Path) -> None:
-    """mcap-ros2-support reads every message by the definitions embedded, with SPEC 1's signs and ROS's conventions."""
+    """mcap-ros2-support reads every message by the definitions embedded, with our signs and ROS's conventions."""
     make_flight(tmp_path / "log.mcap")
     with (tmp_path / "log.mcap").open("rb") as file:
         decoded = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
     messages = {m.channel.topic: m.decoded_message for m in decoded}
     assert set(messages) == {*CHANNELS, "/joint_states"}
-    assert {(m.message.log_time, m.message.publish_time) for m in decoded} == {
-        (5_500_000_000, 5_250_000_000),
-        (5_250_000_000,) * 2,
-    }
+    times = {(m.message.log_time, m.message.publish_time) for m in decoded}
+    assert times == {(5_500_000_000, 5_250_000_000), (5_250_000_000, 5_250_000_000)}
     imu, pose = messages["/imu/data"], messages["/mocap/pose"].pose
     assert (imu.header.stamp.sec, imu.header.stamp.nanosec) == (5, 250_000_000)
     assert imu.angular_velocity.y == -0.5  # q = -omega_y
@@ -169,17 +160,15 @@ def test_an_unwritable_path_is_refused(tmp_path: Path, target: str) -> None:
 def test_wrong_columns_are_refused(tmp_path: Path) -> None:
     """A message with a column missing or misspelt is an error of the program."""
     with FlightWriter(tmp_path / "log.mcap") as writer:
-        with pytest.raises(ValueError, match="takes thrust, rate"):
-            writer.write("/cmd/rate_thrust", 0.0, {"thrust": 1.0})
-        with pytest.raises(ValueError, match="takes thrust, rate"):
-            writer.write("/cmd/rate_thrust", 0.0, {"thrust": 1.0, "rate": 0.0, "yaw": 0.0})
+        for values in ({"thrust": 1.0}, {"thrust": 1.0, "rate": 0.0, "yaw": 0.0}):
+            with pytest.raises(ValueError, match="takes thrust, rate"):
+                writer.write("/cmd/rate_thrust", 0.0, values)
 
 
 def test_turns_are_counted(tmp_path: Path) -> None:
     """Three turns come back as three turns, though a quaternion knows none."""
     time = np.arange(600) / 100
     theta = np.linspace(0.0, 6 * np.pi, len(time))
-    write_flight(
-        tmp_path / "log.mcap", {"/mocap/pose": Stream(time, {"x": 0 * time, "z": 1 + 0 * time, "theta": theta})}
-    )
+    stream = Stream(time, {"x": 0 * time, "z": 1 + 0 * time, "theta": theta})
+    write_flight(tmp_path / "log.mcap", {"/mocap/pose": stream})
     assert np.allclose(read_flight(tmp_path / "log.mcap").streams["/mocap/pose"]["theta"], theta, atol=1e-12)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, make_imu, make_pose, make_poses, stamp_header
+from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, make_imu, make_pose, make_poses, refuse, stamp_header
 from vpptwin.logs import read_flight
 from vpptwin.logs.messages import compose_definition
 from vpptwin.system.errors import InputError
@@ -35,9 +35,8 @@ def test_a_topic_is_renamed(tmp_path: Path) -> None:
 
 def test_fields_are_scaled_and_turned(tmp_path: Path) -> None:
     """Path, scale and offset of a column; the columns that the map leaves out are read as usual."""
-    log = (
-        Bag(tmp_path / "log.mcap").add("/mavros/imu", IMU, [make_imu(EPOCH + k * MS, rate=k) for k in range(3)]).write()
-    )
+    messages = [make_imu(EPOCH + k * MS, rate=k) for k in range(3)]
+    log = Bag(tmp_path / "log.mcap").add("/mavros/imu", IMU, messages).write()
     text = "/imu/data: {topic: /mavros/imu, fields: {rate: {path: angular_velocity.y, scale: 2, offset: 0.5}}}"
     imu = read_flight(log, write_map(tmp_path, text)).streams["/imu/data"]
     assert imu["rate"].tolist() == [0.5, -1.5, -3.5]  # angular_velocity.y = -k
@@ -46,15 +45,11 @@ def test_fields_are_scaled_and_turned(tmp_path: Path) -> None:
 
 def test_millimetres_are_read_through_a_map(tmp_path: Path) -> None:
     """The refusal of millimetres can be answered as it advises."""
-    log = (
-        Bag(tmp_path / "log.mcap")
-        .add("/mocap/pose", POSE, [make_pose(EPOCH + k * MS, 100.0, 900.0) for k in range(3)])
-        .write()
-    )
+    poses = [make_pose(EPOCH + k * MS, 100.0, 900.0) for k in range(3)]
+    log = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, poses).write()
     scale = "{path: pose.position.%s, scale: 0.001}"
     text = f"/mocap/pose: {{topic: /mocap/pose, fields: {{x: {scale % 'x'}, z: {scale % 'z'}}}}}"
-    with pytest.raises(InputError, match="millimetres"):
-        read_flight(log)
+    refuse(log, "millimetres")
     pose = read_flight(log, write_map(tmp_path, text)).streams["/mocap/pose"]
     assert np.allclose(pose["x"], 0.1)
     assert np.allclose(pose["z"], 0.9)
@@ -78,9 +73,8 @@ def test_a_rotation_about_another_axis_is_read(tmp_path: Path) -> None:
 
 def test_another_type_is_read_field_by_field(tmp_path: Path) -> None:
     """A type of which we know nothing: integers, arrays, one field per rotor, a count of microseconds as stamp."""
-    reports = [
-        {"timestamp": 10**15 + k * 1000, "rpm": [1500.0 + k, 0, 3000.0, 0], "left": 10, "right": 20} for k in range(4)
-    ]
+    reports = [{"timestamp": 10**15 + k * 1000, "rpm": [1500.0 + k, 0, 3000.0, 0], "left": 10, "right": 20}
+               for k in range(4)]  # fmt: skip
     log = Bag(tmp_path / "log.mcap").add("/esc", ESC, reports, ESC_TEXT).write()
     text = """
 /rotor/state:
@@ -114,9 +108,8 @@ def test_a_scalar_angle_is_unwrapped(tmp_path: Path) -> None:
     """An angle given as a number counts turns too."""
     angle = np.linspace(0.0, 8.0, 50)
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    points = [
-        {"header": stamp_header(EPOCH + k * MS), "point": {"x": 0.0, "y": w, "z": 0.0}} for k, w in enumerate(wrapped)
-    ]
+    points = [{"header": stamp_header(EPOCH + k * MS), "point": {"x": 0.0, "y": w, "z": 0.0}}
+              for k, w in enumerate(wrapped)]  # fmt: skip
     log = Bag(tmp_path / "log.mcap").add("/tracker", POINT, points, POINT_TEXT).write()
     text = "/mocap/pose: {topic: /tracker, fields: {x: point.x, z: point.z, theta: point.y}}"
     assert np.allclose(read_flight(log, write_map(tmp_path, text)).streams["/mocap/pose"]["theta"], angle)
@@ -170,41 +163,25 @@ def test_a_mapped_topic_is_not_read_twice(tmp_path: Path) -> None:
 )
 def test_mistakes_in_a_map_name_the_key(tmp_path: Path, text: str, part: str) -> None:
     """Every mistake is told on one line with the file and the key."""
-    with pytest.raises(InputError) as caught:
-        read_flight(tmp_path / "unread.mcap", write_map(tmp_path, text))
-    assert part in str(caught.value)
-    assert "map.yaml" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refuse(tmp_path / "unread.mcap", part, "map.yaml", topics=write_map(tmp_path, text))
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        (
-            "/mocap/pose: /imu",
-            "/imu is of type sensor_msgs/msg/Imu; expected geometry_msgs/msg/PoseStamped for /mocap/pose",
-        ),
-        (
-            "/mocap/pose: {topic: /imu, fields: {x: linear_acceleration.x}}",
-            "say in a topic map where z, theta of /mocap/pose",
-        ),
-        ("/imu/data: {topic: /imu, fields: {rate: gyro.y}}", "/imu (sensor_msgs/msg/Imu) has no numeric field gyro.y"),
-        (
-            "/imu/data: {topic: /imu, fields: {rate: orientation_covariance}}",
-            "orientation_covariance has 9 values per message",
-        ),
-        ("/imu/data: {topic: /imu, stamp: angular_velocity}", "no numeric field angular_velocity.sec"),
-    ],
-)
+@pytest.mark.parametrize(("text", "part"), [
+    ("/mocap/pose: /imu",
+     "/imu is of type sensor_msgs/msg/Imu; expected geometry_msgs/msg/PoseStamped for /mocap/pose"),
+    ("/mocap/pose: {topic: /imu, fields: {x: linear_acceleration.x}}",
+     "say in a topic map where z, theta of /mocap/pose"),
+    ("/imu/data: {topic: /imu, fields: {rate: gyro.y}}", "/imu (sensor_msgs/msg/Imu) has no numeric field gyro.y"),
+    ("/imu/data: {topic: /imu, fields: {rate: orientation_covariance}}",
+     "orientation_covariance has 9 values per message"),
+    ("/imu/data: {topic: /imu, stamp: angular_velocity}", "no numeric field angular_velocity.sec"),
+])  # fmt: skip
 def test_maps_that_do_not_fit_the_log_are_refused(tmp_path: Path, text: str, part: str) -> None:
     """A map that asks for what the messages do not hold is told so by field."""
     log = Bag(tmp_path / "log.mcap").add("/imu", IMU, [make_imu(EPOCH + k * MS) for k in range(3)]).write()
-    with pytest.raises(InputError) as caught:
-        read_flight(log, write_map(tmp_path, text))
-    assert part in str(caught.value)
+    refuse(log, part, topics=write_map(tmp_path, text))
 
 
 def test_a_missing_map_is_refused(tmp_path: Path) -> None:
     """A topic map that does not exist is refused before the log is read."""
-    with pytest.raises(InputError, match="no topic map"):
-        read_flight(tmp_path / "log.mcap", tmp_path / "map.yaml")
+    refuse(tmp_path / "log.mcap", "no topic map", topics=tmp_path / "map.yaml")
