@@ -15,6 +15,7 @@ from tests.logs.bags import refuse
 from tests.logs.test_foreign import write_lerobot
 from vpptwin.logs.spelling import list_flights
 from vpptwin.mapping.survey import survey
+from vpptwin.system.errors import InputError
 
 INFO, INDEX, DATA = "meta/info.json", "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
 
@@ -138,4 +139,5 @@ def test_columns_of_another_kind_are_refused(tmp_path: Path, column: str, value:
 def test_odd_numbers_of_episodes_are_no_files(tmp_path: Path, number: str) -> None:
     """FOLDER#NUMBER with what is no number of an episode."""
     folder = write_lerobot(tmp_path / "set")
-    refuse(Path(f"{folder}#{number}"), "expected FOLDER#EPISODE of LeRobot", read=survey)
+    with pytest.raises(InputError, match="expected FOLDER#EPISODE of LeRobot"):
+        survey(Path(f"{folder}#{number}"))
