@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from vpptwin.logs.formats.arrays import refuse_tests
 from vpptwin.logs.formats.headings import find_times, part_units
 from vpptwin.logs.formats.raw import Wish, refuse_damaged
-from vpptwin.logs.formats.structures import refuse_tests
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
 from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError, load_extra
