@@ -10,6 +10,7 @@ import numpy as np
 from vpptwin.estimation.initial import HORIZON
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.logs.flight import Flight, Stream
+from vpptwin.robots.planar_drone.topics import dead_reckon
 from vpptwin.twin import Twin, TwinSpec
 
 GRAVITY = 9.81
@@ -72,7 +73,10 @@ class Sensors:
             specific_force = Series("specific force", "m/s²", fast, force, ACCEL_STD)
         command = Series("blade pitch", "rad", fast, np.zeros((len(fast), 2)), 0.0)
         start, end = max(slow[0], fast[0]), min(slow[-1], fast[-1])
-        return Measurements("made by hand", positions, velocities, specific_force, command, None, (0, 1, 2), start, end)
+        return Measurements(
+            "made by hand", positions, velocities, specific_force, command, None, (0, 1, 2), start, end,
+            dead_reckon=dead_reckon,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from proving.torque_arm import Truth, swing_arm, write_arm
 from tests.diagnosis.rigs import CARTS, record
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.estimation.checks.efforts import judge_efforts
+from vpptwin.estimation.checks.units import judge_efforts
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.read import read_flight
@@ -116,7 +116,7 @@ def test_a_scale_that_is_given_counts(tmp_path: Path) -> None:
     (far,) = judge_efforts(spec, [read_measurements(spec, flight)])
     assert far.scale == pytest.approx(1.0, rel=0.05)
     assert far.factor == pytest.approx(20.0, rel=0.05)
-    assert far.tell().startswith("the effort of motor looks like current: force is 19.6 times it (r = 0.99")
+    assert str(far).startswith("the effort of motor looks like current: force is 19.6 times it (r = 0.99")
 
 
 def test_inspect_doubts_it_with_the_scale(tmp_path: Path) -> None:

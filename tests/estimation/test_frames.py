@@ -12,8 +12,9 @@ import yaml
 from scipy.signal import savgol_filter
 
 from proving.quadrotor import fly, write_twin
-from vpptwin.estimation.checks.frames import ANGLES, QUATERNIONS, Reading, look_up, tell_rates
+from vpptwin.estimation.checks.orientation import ANGLES, QUATERNIONS, Convention, find_convention
 from vpptwin.estimation.measurements import Measurements, read_measurements
+from vpptwin.estimation.series import interpolate
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.logs.streams.samples import euler_to_quaternion
@@ -24,7 +25,7 @@ from vpptwin.twin.robot.manifold import multiply_attitudes, read_angles, rotate,
 COLUMNS = {"attitude": ["a", "b", "c", "d"], "rate": ["gx", "gy", "gz"]}
 
 
-def name(reading: Reading) -> str:
+def name(reading: Convention) -> str:
     """Short, for a test's."""
     return "".join("wxyz"[i] if sign > 0.0 else f"-{'wxyz'[i]}" for i, sign in zip(reading.order, reading.signs))
 
@@ -44,7 +45,7 @@ def log(columns: Mapping[str, np.ndarray], seed: int = 3, rates: bool = True) ->
     return replace(flown, spatial={"/pose": pose, **({"/imu": imu} if rates else {})})
 
 
-def misorder(attitude: np.ndarray, reading: Reading) -> np.ndarray:
+def misorder(attitude: np.ndarray, reading: Convention) -> np.ndarray:
     """Attitudes as a log has them that must be read so."""
     logged = np.empty_like(attitude)
     logged[:, reading.order] = attitude * reading.signs
@@ -56,7 +57,7 @@ def mend(folder: Path, flown: Flight, error: InputError | None, entries: Mapping
     pose, imu = flown.spatial["/pose"], flown.spatial["/imu"]
     columns = {"time": pose.time} | dict(zip(("x", "y", "z"), pose["position"].T, strict=True))
     columns |= dict(zip(COLUMNS["attitude"], pose["attitude"].T, strict=False))
-    columns |= dict(zip(COLUMNS["rate"], look_up(pose.time, imu.time, imu["rate"]).T, strict=True))
+    columns |= dict(zip(COLUMNS["rate"], interpolate(pose.time, imu.time, imu["rate"]).T, strict=True))
     columns |= {f"m{i}": flown.joints["/motors"][f"m{i}"]["effort"][::5] for i in range(1, 5)}
     table = np.column_stack(list(columns.values()))
     np.savetxt(folder / "flight.csv", table, delimiter=",", header=",".join(columns), comments="")
@@ -88,7 +89,7 @@ def check_mended(folder: Path, flown: Flight, entries: Mapping[str, object] = {}
 
 
 @pytest.mark.parametrize("reading", QUATERNIONS, ids=name)
-def test_quaternions_in_another_order_or_sense_are_refused(tmp_path: Path, reading: Reading) -> None:
+def test_quaternions_in_another_order_or_sense_are_refused(tmp_path: Path, reading: Convention) -> None:
     """Whichever cyclic order and sense, by the gyro or the motors' push; the line in the message mends it."""
     flown = log({})
     attitude = flown.spatial["/pose"]["attitude"]
@@ -97,7 +98,7 @@ def test_quaternions_in_another_order_or_sense_are_refused(tmp_path: Path, readi
 
 
 @pytest.mark.parametrize("reading", QUATERNIONS, ids=name)
-def test_without_a_gyro_what_pushes_tells_the_order(spec: TwinSpec, reading: Reading) -> None:
+def test_without_a_gyro_what_pushes_tells_the_order(spec: TwinSpec, reading: Convention) -> None:
     """A craft goes where its motors push it."""
     bare = spec.with_robot(signals=spec.robot.signals.model_copy(update={"sites": {}}))
     attitude = log({}).spatial["/pose"]["attitude"]
@@ -107,7 +108,7 @@ def test_without_a_gyro_what_pushes_tells_the_order(spec: TwinSpec, reading: Rea
 
 
 @pytest.mark.parametrize("reading", QUATERNIONS[:4], ids=name)
-def test_without_motors_an_accelerometer_tells_the_order(spec: TwinSpec, reading: Reading) -> None:
+def test_without_motors_an_accelerometer_tells_the_order(spec: TwinSpec, reading: Convention) -> None:
     """What it feels is what bends the track, and the weight; a gyro that shows nothing but noise does not say no."""
     flown = log({})
     pose = flown.spatial["/pose"]
@@ -140,15 +141,15 @@ def test_a_brick_that_tumbles_about_an_axis_has_its_rates_in_the_world() -> None
     rng, time, turned = np.random.default_rng(2), step * np.arange(2500)[::5], np.array(track)[::5]
     seen = rotate(turned, 2e-3 * rng.standard_normal((500, 3)))
     body = np.array(rates)[::5] + 0.01 * rng.standard_normal((500, 3))
-    assert tell_rates(time, seen, time, body) is None
-    found = tell_rates(time, seen, time, turn_to_world(turned, body))
+    assert find_convention((time, seen), (time, body)) is None
+    found = find_convention((time, seen), (time, turn_to_world(turned, body)))
     assert found is not None
     assert (found.of, found.frame) == ("frame", "world")
-    assert tell_rates(time, seen, time, turn_to_world(turned, body), "world") is None
+    assert find_convention((time, seen), (time, turn_to_world(turned, body)), "world") is None
 
 
 @pytest.mark.parametrize("reading", [each for each in ANGLES if np.prod(each.signs) < 0.0], ids=name)
-def test_angles_of_the_other_sign_are_refused(tmp_path: Path, reading: Reading) -> None:
+def test_angles_of_the_other_sign_are_refused(tmp_path: Path, reading: Convention) -> None:
     """Pitch of a Crazyflie has it: roll, pitch, yaw as logged turn otherwise than the gyro."""
     angles = reading.read(read_angles(log({}).spatial["/pose"]["attitude"]))
     check_mended(tmp_path, log({"attitude": angles}), {"attitude": ["a", "b", "c"]})
@@ -159,7 +160,7 @@ def test_rates_about_other_axes_are_refused_and_can_be_mapped(tmp_path: Path, fr
     """Those of motion capture about the world's axes, and slopes of roll, pitch and yaw; said rightly they do."""
     flown = log({}, 5)
     pose, imu = flown.spatial["/pose"], flown.spatial["/imu"]
-    attitude = look_up(imu.time, pose.time, pose["attitude"])
+    attitude = interpolate(imu.time, pose.time, pose["attitude"])
     rate = turn_to_world(attitude, imu["rate"])
     if frame == "euler":
         (roll, pitch, _), (x, y, z) = read_angles(attitude).T, imu["rate"].T
@@ -173,9 +174,9 @@ def test_rates_about_other_axes_are_refused_and_can_be_mapped(tmp_path: Path, fr
 
 
 @pytest.mark.parametrize(
-    "wrong", [Reading("rate", (0, 1, 2), (1.0, -1.0, 1.0)), Reading("rate", (1, 0, 2), 3 * (1.0,))]
+    "wrong", [Convention("rate", (0, 1, 2), (1.0, -1.0, 1.0)), Convention("rate", (1, 0, 2), 3 * (1.0,))]
 )
-def test_a_mirrored_gyro_is_refused(tmp_path: Path, wrong: Reading) -> None:
+def test_a_mirrored_gyro_is_refused(tmp_path: Path, wrong: Convention) -> None:
     """An axis turned round, or two swapped: no mount does that."""
     check_mended(tmp_path, log({"rate": wrong.read(log({}).spatial["/imu"]["rate"])}))
 
@@ -267,7 +268,7 @@ def test_a_body_may_have_rates_of_its_own(tmp_path: Path) -> None:
     """Without an IMU in the model, about the world's axes, as motion capture has them."""
     flown = log({})
     pose, imu = flown.spatial["/pose"], flown.spatial["/imu"]
-    rate = turn_to_world(look_up(imu.time, pose.time, pose["attitude"]), imu["rate"])
+    rate = turn_to_world(interpolate(imu.time, pose.time, pose["attitude"]), imu["rate"])
     mend_as = {"rate": {"path": COLUMNS["rate"], "frame": "world"}}
     mend(tmp_path, replace(flown, spatial={"/pose": pose, "/imu": Stream(imu.time, {"rate": rate})}), None, mend_as)
     content = yaml.safe_load((tmp_path / "twin.yaml").read_text())

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from vpptwin.estimation.ground import OFF, find_flown
+from vpptwin.estimation.checks.support import CLEARANCE, find_flown
 from vpptwin.estimation.series import Series
 
 FREE = '<body><freejoint/><geom size="0.1"{}/></body>'
@@ -28,10 +28,10 @@ def find(body: str, height: np.ndarray) -> tuple[float, float, list[str]]:
 
 @pytest.mark.parametrize("body", [FREE.format(BARE), SLIDE.format("")], ids=["free", "slide"])
 def test_standing_is_left_out(body: str) -> None:
-    """From when it is `OFF` above where it stood to when it is that near again, and a line says so."""
+    """From when it is `CLEARANCE` above where it stood to when it is that near again, and a line says so."""
     start, end, told = find(body, CLIMB)
-    assert start == pytest.approx(3.0 + OFF / 0.5, abs=0.02)
-    assert end == pytest.approx(8.0 - OFF / 1.0, abs=0.02)
+    assert start == pytest.approx(3.0 + CLEARANCE / 0.5, abs=0.02)
+    assert end == pytest.approx(8.0 - CLEARANCE / 1.0, abs=0.02)
     span = f"the first {start:.1f} s and the last {10.0 - end:.1f} s"
     assert told == [f"{span} are left out: it is still there, and the MJCF has nothing to stand on"]
 
@@ -56,7 +56,7 @@ def test_who_comes_by_where_it_started_flies_on() -> None:
     """Still for a second in a hover, then up and down by it for the rest: no more than the first climb is left out."""
     swing = 1.0 + np.where(TIME > 1.0, 0.3 * np.sin(1.5 * (TIME - 1.0)), 0.0)
     start, end, _ = find(FREE.format(BARE), swing)
-    assert start == pytest.approx(1.0 + np.arcsin(OFF / 0.3) / 1.5, abs=0.03)
+    assert start == pytest.approx(1.0 + np.arcsin(CLEARANCE / 0.3) / 1.5, abs=0.03)
     assert end == 10.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.estimation.checks.held import find_held
+from vpptwin.estimation.checks.support import find_held
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.streams.samples import euler_to_quaternion

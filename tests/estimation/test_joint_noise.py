@@ -8,7 +8,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from vpptwin.estimation.checks.misread import vet_rates
+from vpptwin.estimation.checks.units import vet_rates
 from vpptwin.estimation.joints import POSITION_SHARE, compare_streams, read_track
 from vpptwin.estimation.noise import estimate_noise, find_count
 from vpptwin.estimation.series import align_rates, integrate

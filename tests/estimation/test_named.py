@@ -10,8 +10,8 @@ import mujoco_menagerie
 import pytest
 
 from vpptwin.cli.main import main
+from vpptwin.mapping.inspect import list_entries
 from vpptwin.mapping.models import find_model
-from vpptwin.mapping.named import list_entries
 from vpptwin.system.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ from pyarrow import parquet
 from benchmarks.guesses import write_model
 from tests.estimation.test_guess import write_log
 from vpptwin.cli.main import main
-from vpptwin.estimation.checks.normalised import Position, find_ends, tell_normalised
+from vpptwin.estimation.checks.units import LoggedPosition, find_ends, find_normalised
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs import read_flight
 from vpptwin.logs.transcribe import transcribe
@@ -127,14 +127,16 @@ def test_only_what_is_held_at_its_ends_looks_like_it(
     values: np.ndarray, limits: tuple[float, float], found: bool
 ) -> None:
     """Nothing else that angles in degrees do."""
-    assert bool(tell_normalised([Position("arm", values, limits)])) == found
+    assert bool(find_normalised([LoggedPosition("arm", values, limits)])) == found
 
 
 def test_one_end_within_the_limits_is_not_enough() -> None:
     """A target that is held at 100 degrees may be one; two joints that are held there are not."""
-    held = Position("arm", np.minimum(drive(130.0), 100.0) * np.where(drive(130.0) < 0.0, 0.5, 1.0), (-180.0, 180.0))
+    held = LoggedPosition(
+        "arm", np.minimum(drive(130.0), 100.0) * np.where(drive(130.0) < 0.0, 0.5, 1.0), (-180.0, 180.0)
+    )
     ends = find_ends(held)
     assert ends is not None
     assert ends.at == (100.0,)
-    assert not tell_normalised([held])
-    assert len(tell_normalised([held, held._replace(name="wrist")])) == 2
+    assert not find_normalised([held])
+    assert len(find_normalised([held, held._replace(name="wrist")])) == 2

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vpptwin.estimation.clean import clean_series
-from vpptwin.estimation.outliers import find_frozen, find_spikes, find_strays, wrap_angle
+from vpptwin.estimation.outliers import clean_series, find_frozen, find_spikes, find_strays, wrap_angle
 from vpptwin.estimation.series import Series
 
 TIME = np.arange(0.0, 4.0, 0.01)

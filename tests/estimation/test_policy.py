@@ -7,7 +7,7 @@ import pytest
 
 from vpptwin.actuators.layer import command_from_policy, constants_dtype, layer_dtype
 from vpptwin.actuators.numbers import record_vehicle
-from vpptwin.robots.planar_drone.policy import lay_grid, reconstruct_commands
+from vpptwin.robots.planar_drone.topics import lay_grid, reconstruct_commands
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
 VEHICLE = load_vehicle()

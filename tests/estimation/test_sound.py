@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.made_up import FLIP
-from vpptwin.estimation.checks.sound import find_clipped, find_stuck, is_noisy, vet_joint, vet_rotors
+from vpptwin.estimation.checks.units import vet_joint
 from vpptwin.estimation.series import Series
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.read import read_flight
 from vpptwin.robots.planar_drone.lag import find_step
+from vpptwin.robots.planar_drone.vetting import find_clipped, find_stuck, is_noisy, vet_rotors
 from vpptwin.twin import load_twin
 
 LENGTH = 24.0

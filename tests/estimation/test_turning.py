@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from proving.quadrotor import MJCF, fly
-from vpptwin.estimation.checks.frames import QUATERNIONS, Reading, look_up
+from vpptwin.estimation.checks.orientation import QUATERNIONS, Convention
 from vpptwin.estimation.measurements import read_measurements
+from vpptwin.estimation.series import interpolate
 from vpptwin.logs.read import read_flight
 from vpptwin.mapping.guess import Guess
 from vpptwin.mapping.inspect import inspect_logs
@@ -20,7 +21,7 @@ from vpptwin.twin.robot.manifold import turn_to_world
 
 FLOWN = fly({}, 10.0, 3)
 POSE, IMU = FLOWN.spatial["/pose"], FLOWN.spatial["/imu"]
-RATE = look_up(POSE.time, IMU.time, IMU["rate"])
+RATE = interpolate(POSE.time, IMU.time, IMU["rate"])
 MOTORS = {name: stream["effort"][::5] for name, stream in FLOWN.joints["/motors"].items()}
 
 
@@ -57,7 +58,7 @@ def name_numbers(values: np.ndarray, *names: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("reading", [QUATERNIONS[i] for i in (0, 2, 3)], ids=["last", "back", "first"])
-def test_names_that_contradict_the_gyro_are_asked_about(tmp_path: Path, reading: Reading) -> None:
+def test_names_that_contradict_the_gyro_are_asked_about(tmp_path: Path, reading: Convention) -> None:
     """The twin has the order and sense in which it turns as the gyro, and says so in a doubt."""
     logged = np.empty_like(POSE["attitude"])
     logged[:, reading.order] = POSE["attitude"] * reading.signs

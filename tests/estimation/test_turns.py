@@ -13,8 +13,8 @@ import pytest
 
 from tests.estimation.test_sound import swing
 from vpptwin.diagnosis.judgement.diagnose import diagnose
-from vpptwin.estimation.checks.sound import vet_joint
 from vpptwin.estimation.checks.turns import TURN, find_wraps, measure_counter, unwrap_turns
+from vpptwin.estimation.checks.units import vet_joint
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.read import read_flight

@@ -74,7 +74,7 @@ def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[s
         return twins
     if list(twins) != ["nominal"]:
         raise InputError(f"--twin {twins[0]} and --model {options.model}", "one of them", "leave one out")
-    from vpptwin.mapping.named import make_twin
+    from vpptwin.mapping.inspect import make_twin
 
     return [str(make_twin(options.logs, options.model))]
 

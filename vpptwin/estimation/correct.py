@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.estimation.series import Measurements, Series
 from vpptwin.twin.robot.manifold import rotate
 from vpptwin.twin.sensors import PERFECT, Constants, find_age, turn_rates
 

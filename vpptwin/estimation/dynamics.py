@@ -13,13 +13,19 @@ from vpptwin.estimation.gaps import LOOK_BACK, usable_starts
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.series import Measurements
 from vpptwin.estimation.windows import average_held
+from vpptwin.twin.robot.actuation import JOINT
 from vpptwin.twin.robot.manifold import difference_poses
 from vpptwin.twin.spec import TwinSpec
 
 REACH = 0.025
 """Accelerations are differences of velocities so long before and after an instant [s]."""
-MOST = 1200
+MAX_ROWS = 1200
 """Instants that are looked at, over all logs."""
+
+
+def find_driven_joint(model: mujoco.MjModel, actuator: int) -> int | None:
+    """The joint that an actuator acts on itself; None where its transmission is another."""
+    return int(model.actuator_trnid[actuator, 0]) if model.actuator_trntype[actuator] == JOINT else None
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,7 @@ class Forces:
 
 def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: float = 0.0) -> Forces:
     """Inverse dynamics of the twin's MJCF, none of its effects on, along every log; inputs act `late` [s]."""
-    parts = [measure_log(spec, log, i, MOST // len(measurements), late) for i, log in enumerate(measurements)]
+    parts = [measure_log(spec, log, i, MAX_ROWS // len(measurements), late) for i, log in enumerate(measurements)]
     return Forces(*(np.concatenate(rows) for rows in zip(*parts)))
 
 

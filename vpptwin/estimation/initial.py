@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.series import Measurements, Series, integrate
+from vpptwin.estimation.series import Displacement, Measurements, Series
 from vpptwin.twin.robot.manifold import (
     conjugate,
     difference_attitudes,
@@ -30,10 +29,10 @@ SMOOTH = 0.3
 """The same along a track, ever less of them [s]: what rings magnifies every jolt."""
 LEAST = 0.01
 """Of the weight there of the farthest, where there are hardly any."""
-SLOPE_STD = 0.3
-"""Prior on a leftover acceleration [m/s²] once the accelerometer has been integrated."""
 DRIFT_STD = 0.1
-"""Prior on a leftover angular acceleration [rad/s²] once the gyro has been integrated."""
+"""Prior on a leftover angular acceleration [rad/s²] once a gyro has been integrated."""
+RATE_SPAN = 0.01
+"""A rate is the end of a line through so much of the gyro [s]."""
 FREE = 1e6
 """Prior wide enough to leave a coefficient to the data."""
 
@@ -43,13 +42,13 @@ def estimate_states(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate poses and velocities at `times`.
 
-    On the drone gyro and accelerometer carry the state between motion-capture samples, so that a few of those pin it
+    Where gyro and accelerometer carry the state between samples (`Measurements.dead_reckon`), a few of those pin it
     down; elsewhere a local polynomial is fitted to positions and, where logged, velocities.
 
     Args:
         measurements: one flight.
         times: (K,) s.
-        model: whose state it is; its gravity turns specific force into acceleration.
+        model: whose state it is.
         causal: use nothing later than each instant.
         until: along a track, (K,) s: nothing later than this is used, in the place of `causal`, and what was measured
             farther away counts less, so that none comes in or goes out with a jolt.
@@ -60,7 +59,7 @@ def estimate_states(
     track = until is not None
     until = known_until(times, causal) if until is None else until
     pose, velocity = follow_log(measurements, times, model)
-    displacement = integrate_inertial(measurements, -float(model.opt.gravity[2]))
+    displacement = {} if measurements.dead_reckon is None else measurements.dead_reckon(measurements, model)
     turning = [first + axis for first in measurements.attitudes for axis in range(3)]
     for dof, series in measurements.positions.items():
         if dof in turning:
@@ -73,8 +72,8 @@ def estimate_states(
         gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
         found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, until)
         pose[:, place : place + 4], velocity[:, first : first + 3] = found
-    if 2 in displacement:
-        velocity[:, 2] = fit_end(measurements.velocities[2], times, 0.01, until)
+    for dof in displacement.keys() & measurements.velocities.keys():  # a rate that is measured itself
+        velocity[:, dof] = fit_end(measurements.velocities[dof], times, RATE_SPAN, until)
     return pose, velocity
 
 
@@ -101,55 +100,6 @@ def follow_log(measurements: Measurements, times: np.ndarray, model: mujoco.MjMo
 def known_until(times: np.ndarray, causal: bool) -> np.ndarray:
     """Until when measurements may be used for estimates at `times` (K,) [s]."""
     return times if causal else np.full(len(times), np.inf)
-
-
-@dataclass(frozen=True)
-class Displacement:
-    """How far gyro and accelerometer say that a degree of freedom has moved.
-
-    Attributes:
-        time: of the samples, (n,) s.
-        value, slope, curvature: displacement and its derivatives, (n,).
-        prior: standard deviation of the acceleration that is left over.
-    """
-
-    time: np.ndarray
-    value: np.ndarray
-    slope: np.ndarray
-    curvature: np.ndarray
-    prior: float
-
-    def read(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and slope at any times, continued from the last sample before each: no look ahead."""
-        last = np.maximum(np.searchsorted(self.time, times, side="right") - 1, 0)
-        late = times - self.time[last]
-        slope = self.slope[last] + self.curvature[last] * late
-        return self.value[last] + 0.5 * (self.slope[last] + slope) * late, slope
-
-
-def integrate_inertial(measurements: Measurements, gravity: float) -> dict[int, Displacement]:
-    """Displacement of each degree of freedom that gyro and accelerometer see."""
-    force = measurements.specific_force
-    if force is None or 2 not in measurements.velocities:
-        return {}
-    gyro, angle = measurements.velocities[2], measurements.positions[2]
-    time = force.time
-    rate = np.interp(time, gyro.time, gyro.value)
-    turned = Displacement(time, integrate(rate, time), rate, np.zeros_like(time), DRIFT_STD)
-    offset = angle.value - turned.read(angle.time)[0]
-    summed = np.cumsum(np.concatenate([np.full(20, offset[0]), offset]))
-    smooth = (summed[20:] - summed[:-20]) / 20.0
-    theta = turned.value + smooth[np.maximum(np.searchsorted(angle.time, time, side="right") - 1, 0)]
-    body_x, body_z = force.value[:, 0], force.value[:, 1]
-    result = {2: turned}
-    for dof, acceleration in (
-        (0, body_x * np.cos(theta) - body_z * np.sin(theta)),
-        (1, body_x * np.sin(theta) + body_z * np.cos(theta) - gravity),
-    ):
-        speed = integrate(acceleration, time)
-        moved = integrate(speed, time)
-        result[dof] = Displacement(time, moved, speed, acceleration, SLOPE_STD)
-    return result
 
 
 def select_samples(
@@ -307,7 +257,7 @@ def fit_attitude(
         place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)[:, :2].T
     pose = rotate(multiply_attitudes(at, turned[base]), place)
     if gyro:
-        return pose, np.stack([fit_end(series, times, 0.01, until) for series in gyro], axis=1)
+        return pose, np.stack([fit_end(series, times, RATE_SPAN, until) for series in gyro], axis=1)
     return pose, speed - 0.5 * np.cross(place, speed)
 
 

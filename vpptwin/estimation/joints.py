@@ -7,21 +7,27 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.checks.frames import look_up, turn_rates_to_body
-from vpptwin.estimation.checks.held import find_held
-from vpptwin.estimation.checks.misread import find_entry, turn_from_site, vet_pushes, vet_rates, vet_turns
-from vpptwin.estimation.checks.normalised import vet_travel
-from vpptwin.estimation.checks.sound import vet_joint
+from vpptwin.estimation.checks.orientation import (
+    RateSource,
+    find_rate_source,
+    find_spatial,
+    turn_from_site,
+    turn_rates_to_body,
+    vet_pushes,
+    vet_turns,
+)
+from vpptwin.estimation.checks.support import find_flown, find_held
 from vpptwin.estimation.checks.turns import TURN, follow_turns, measure_counter, unwrap_turns
-from vpptwin.estimation.clean import clean_series
+from vpptwin.estimation.checks.units import vet_joint, vet_rates, vet_travel
+from vpptwin.estimation.dynamics import find_driven_joint
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
-from vpptwin.estimation.ground import find_flown
 from vpptwin.estimation.initial import choose_span
 from vpptwin.estimation.noise import MIN_SAMPLES, estimate_noise, find_spread
-from vpptwin.estimation.series import Measurements, Series, align_rates, integrate
+from vpptwin.estimation.outliers import clean_series
+from vpptwin.estimation.series import Measurements, Series, align_rates, integrate, interpolate
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.system.errors import InputError
-from vpptwin.twin.robot.actuation import INTEGRATES, JOINT, integrate_input, tell_control
+from vpptwin.twin.robot.actuation import INTEGRATES, integrate_input, tell_control
 from vpptwin.twin.robot.manifold import BALL, FREE, difference_attitudes, follow_sign, multiply_attitudes, turn_to_world
 from vpptwin.twin.robot.model import HINGE, is_indifferent
 from vpptwin.twin.robot.signals import Tracked, find_base, turn_from_parent
@@ -45,30 +51,30 @@ DRIFT = 1.0
 def read_joints(spec: TwinSpec, flight: Flight) -> Measurements:
     """Measurements of another rig: the joint states, poses and control inputs that the twin's `signals` name."""
     signals, kinds = spec.robot.signals, spec.model.jnt_type
-    found = Found(warnings=vet_travel(spec.model, signals, flight))
+    read = Collected(warnings=vet_travel(spec.model, signals, flight))
     for each in spec.robot.tracked:
         if kinds[each.joint] in (FREE, BALL):
-            read_body(spec, flight, each, found)
+            read_body(spec, flight, each, read)
         else:
-            read_joint(spec, flight, each, found)
-        found.lead([int(dof) for dof in spec.robot.driven if spec.model.dof_jntid[dof] == each.joint])
-    command = read_efforts(spec, flight, signals.actuators, found)
-    spans = found.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
+            read_joint(spec, flight, each, read)
+        read.lead([int(dof) for dof in spec.robot.driven if spec.model.dof_jntid[dof] == each.joint])
+    command = read_efforts(spec, flight, signals.actuators, read)
+    spans = read.spans | ({"commands": (float(command.time[0]), float(command.time[-1]))} if signals.actuators else {})
     start, end = max(first for first, _ in spans.values()), min(last for _, last in spans.values())
-    start, end, told = find_flown(spec.model, found.positions, start, end)
+    start, end, warnings = find_flown(spec.model, read.positions, start, end)
     measurements = Measurements(
-        flight.name, found.positions, found.velocities, None, command, None, (), start, end, found.driven,
-        attitudes=found.attitudes,
+        flight.name, read.positions, read.velocities, None, command, None, (), start, end, read.driven,
+        attitudes=read.attitudes,
     )  # fmt: skip
     for each in spec.robot.tracked:
         if kinds[each.joint] == FREE and not each.led:
             vet_pushes(spec, flight, each, measurements)
-    told += [f"{line}; no force is found of that" for _, line in find_held(spec, measurements)]
-    return replace(measurements, warnings=(*found.warnings, *told, *tell_cut(spans), *tell_gaps(measurements)))
+    warnings += [f"{line}; no force is found of that" for _, line in find_held(spec, measurements)]
+    return replace(measurements, warnings=(*read.warnings, *warnings, *tell_cut(spans), *tell_gaps(measurements)))
 
 
 @dataclass
-class Found:
+class Collected:
     """What was read so far, as `Measurements` has it, and from when to when each stream goes [s]."""
 
     positions: dict[int, Series] = field(default_factory=dict)
@@ -83,8 +89,8 @@ class Found:
         """Position and velocity of a degree of freedom, without their spikes."""
         for kept, series, what in zip((self.positions, self.velocities), tracks, ("position", "velocity")):
             if series is not None:
-                kept[dof], told = clean_series(series, f"{label}: {what}")
-                self.warnings += told
+                kept[dof], warnings = clean_series(series, f"{label}: {what}")
+                self.warnings += warnings
 
     def lead(self, dofs: list[int]) -> None:
         """Have degrees of freedom follow what was read of them, those of a body smoothed by as much as its noise."""
@@ -99,7 +105,7 @@ class Found:
 
 
 def smooth_series(series: Series) -> Series:
-    """A series (n,) or (n, k) on splines as smooth as leaves beside them the noise that each column shows."""
+    """A series (n,) or (n, k) on smoothing splines whose residual is the noise that each column shows: Σ r² = n σ²."""
     from scipy.interpolate import splev, splrep  # which few rigs wait for
 
     time, columns = series.time, series.value.reshape(len(series.time), -1).T
@@ -107,7 +113,7 @@ def smooth_series(series: Series) -> Series:
     return replace(series, value=np.stack(smooth, axis=1).reshape(series.value.shape))
 
 
-def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
+def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, read: Collected) -> None:
     """Position and, where logged, velocity of a hinge or slide.
 
     Raises:
@@ -115,25 +121,26 @@ def read_joint(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -
     """
     joint, topic = tracked.name, tracked.topic
     dof, label = int(spec.model.jnt_dofadr[tracked.joint]), f"{topic} {joint}"
+    rotary = bool(spec.robot.rotary[dof])
     logged = find_joint(flight, topic, joint)
-    whole, told = straighten_joint(spec.model, tracked, logged)
+    whole, unwrapped = straighten_joint(spec.model, tracked, logged)
     stream, unsound = vet_joint(whole, label)
-    found.warnings += [*told, *unsound]
+    read.warnings += [*unwrapped, *unsound]
     if whole is not logged and "position" in logged.values:
-        found.turned[dof] = TURN if spec.robot.rotary[dof] else measure_counter(logged.time, logged["position"])
+        read.turned[dof] = TURN if rotary else measure_counter(logged.time, logged["position"])
     if "position" not in stream.values:
         raise InputError(
             f"{flight.path}: {topic} has no position of joint {joint!r}",
             "it: velocities alone do for wheels only",
             "record it",
         )
-    found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
-    position, velocity = read_track(stream, joint, bool(spec.robot.rotary[dof]))
+    read.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
+    position, velocity = read_track(stream, joint, rotary)
     if "position" not in logged.values and velocity is not None:
         position = replace(position, std=DRIFT * velocity.std)
-    found.add(dof, (position, velocity), label)
-    span = choose_span(found.positions[dof], found.velocities.get(dof))
-    found.positions[dof] = replace(found.positions[dof], span=span)
+    read.add(dof, (position, velocity), label)
+    span = choose_span(read.positions[dof], read.velocities.get(dof))
+    read.positions[dof] = replace(read.positions[dof], span=span)
 
 
 def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series | None]:
@@ -154,7 +161,7 @@ def read_track(stream: Stream, name: str, rotary: bool) -> tuple[Series, Series 
     )
 
 
-def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) -> None:
+def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, read: Collected) -> None:
     """Attitude, of a free body also position, and their rates, from its pose and from an IMU on it.
 
     Raises:
@@ -162,114 +169,76 @@ def read_body(spec: TwinSpec, flight: Flight, tracked: Tracked, found: Found) ->
     """
     model, joint, label = spec.model, tracked.joint, f"{tracked.topic} {tracked.name}"
     free = int(model.jnt_type[joint]) == FREE
-    stream = find_spatial(flight, tracked.topic, *["position"] * free, "attitude")
-    dof, attitude = int(model.jnt_dofadr[joint]), follow_sign(stream["attitude"])
-    found.spans[label] = (float(stream.time[0]), float(stream.time[-1]))
-    gyro = read_gyro(spec, flight, joint, found)
-    rates = read_rates(spec, flight, tracked, Stream(stream.time, stream.values | {"attitude": attitude}), gyro)
+    pose = find_spatial(flight, tracked.topic, *["position"] * free, "attitude")
+    time, dof, attitude = pose.time, int(model.jnt_dofadr[joint]), follow_sign(pose["attitude"])
+    pose = Stream(time, pose.values | {"attitude": attitude})
+    read.spans[label] = (float(time[0]), float(time[-1]))
+    source = find_rate_source(spec, flight, tracked, pose)
+    imu = source if source is not None and source.imu else None
+    if imu is not None:
+        clock = imu.stream.time
+        read.spans[f"{spec.robot.signals.sites[imu.name]} {imu.name}"] = (float(clock[0]), float(clock[-1]))
+    rates = None if source is None else read_rates(spec, flight, tracked, pose, source)
     linear = {}
     if free:
-        linear["position"] = stream["position"]
-        if "velocity" in stream.values:  # of a body in its own axes, as Odometry has it
-            linear["velocity"] = turn_to_world(attitude, stream["velocity"])
+        linear["position"] = pose["position"]
+        if "velocity" in pose.values:  # of a body in its own axes, as Odometry has it
+            linear["velocity"] = turn_to_world(attitude, pose["velocity"])
     else:
         attitude = turn_from_parent(model, tracked, attitude)
     steps = difference_attitudes(attitude[:-1], attitude[1:])
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     angular = {"position": turned}
     if rates is not None:
-        rate = look_up(stream.time, rates.time, rates["rate"])
-        aligned = align_rates(stream.time, turned, rate)
-        vet_rates(f"{flight.path}: rates of {tracked.name}", stream.time, turned, rate, aligned)
-        angular["velocity"] = rate if gyro is None else aligned  # how noisy it is, not how it is mounted
+        rate = interpolate(time, rates.time, rates["rate"])
+        aligned = align_rates(time, turned, rate)
+        vet_rates(f"{flight.path}: rates of {tracked.name}", time, turned, rate, aligned)
+        angular["velocity"] = rate if imu is None else aligned  # how noisy it is, not how it is mounted
     turn = dof + 3 if free else dof
     for first, columns in ((dof, linear), (turn, angular)):
         for axis in range(3) if columns else ():
-            track = Stream(stream.time, {name: values[:, axis] for name, values in columns.items()})
-            name = spec.robot.name_dof(first + axis)
-            found.add(first + axis, read_track(track, name, first == turn), label)
-        for kept in (found.positions, found.velocities):
-            share_noise(kept, range(first, first + 3))
+            track = Stream(time, {name: values[:, axis] for name, values in columns.items()})
+            read.add(first + axis, read_track(track, spec.robot.name_dof(first + axis), first == turn), label)
+        for kept in (read.positions, read.velocities):
+            # Axes that never change, as of a body that rolls on a floor, are believed no more than those that do.
+            axes = [axis for axis in range(first, first + 3) if axis in kept]
+            most = max((kept[axis].std for axis in axes), default=0.0)
+            kept |= {axis: replace(kept[axis], std=most) for axis in axes if np.ptp(kept[axis].value) == 0.0}
     for axis in range(3):
-        rate_seen = found.velocities.get(turn + axis)
-        if gyro is not None and rates is not None and rate_seen is not None:
+        rate_seen = read.velocities.get(turn + axis)
+        if imu is not None and rates is not None and rate_seen is not None:
             whole = rates["rate"][:, axis]
-            found.velocities[turn + axis] = replace(rate_seen, time=rates.time, value=whole, late=0.0)
-    turns = [found.positions[turn + axis] for axis in range(3)]
+            read.velocities[turn + axis] = replace(rate_seen, time=rates.time, value=whole, late=0.0)
+    turns = [read.positions[turn + axis] for axis in range(3)]
     std = float(np.sqrt(np.mean([series.std**2 for series in turns])))
-    time = stream.time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
-    if gyro is None:
-        time = time - float(np.mean([time[0] - series.time[0] for series in turns]))
-    found.attitudes[turn] = Series(f"{tracked.name} attitude", "rad", time, attitude, std, white=False)
+    moved = time  # that poses run behind the gyro is for a diagnosis to say, as they do whole
+    if imu is None:
+        moved = time - float(np.mean([time[0] - series.time[0] for series in turns]))
+    read.attitudes[turn] = Series(f"{tracked.name} attitude", "rad", moved, attitude, std, white=False)
     for axis in range(3):  # all three or none: a spike in one is one in the attitude
-        late = float(stream.time[0] - time[0])
-        found.positions[turn + axis] = replace(turns[axis], time=time, value=turned[:, axis], std=std, late=late)
+        late = float(time[0] - moved[0])
+        read.positions[turn + axis] = replace(turns[axis], time=moved, value=turned[:, axis], std=std, late=late)
 
 
-def share_noise(kept: dict[int, Series], dofs: range) -> None:
-    """Believe axes of a body that never change, as of one that rolls on a floor, no more than those that do."""
-    axes = {dof: kept[dof] for dof in dofs if dof in kept}
-    most = max((series.std for series in axes.values()), default=0.0)
-    for dof, series in axes.items():
-        if np.ptp(series.value) == 0.0:
-            kept[dof] = replace(series, std=most)
-
-
-def read_rates(
-    spec: TwinSpec, flight: Flight, tracked: Tracked, pose: Stream, gyro: tuple[str, Stream] | None
-) -> Stream | None:  # fmt: skip
-    """Rates about a body's axes, (n, 3) rad/s, of an IMU on it or its own; None without either.
+def read_rates(spec: TwinSpec, flight: Flight, tracked: Tracked, pose: Stream, source: RateSource) -> Stream:
+    """Rates about a body's axes, (n, 3) rad/s.
 
     Raises:
         InputError: if they and its attitudes turn alike only when either is read otherwise.
     """
-    if gyro is None and "rate" not in pose.values:
-        return None
-    name, stream = (tracked.name, pose) if gyro is None else gyro
-    topic = tracked.topic if gyro is None else spec.robot.signals.sites[name]
-    entry, rate = find_entry(spec, topic, name), stream["rate"]
-    frame = "body" if entry is None or entry.rate is None else entry.rate.frame
-    if gyro is not None and frame == "body":
-        rate = turn_from_site(spec, name, rate)
-    rates = Stream(stream.time, {"rate": rate})
-    vet_turns(spec, str(flight.path), tracked, pose, (topic, name), rates, rate is stream["rate"])
-    base = find_base(spec.model, tracked)
-    attitude = multiply_attitudes(base, look_up(rates.time, pose.time, pose["attitude"]))
+    time, rate = source.stream.time, source.stream["rate"]
+    if source.imu and source.frame == "body":
+        rate = turn_from_site(spec, source.name, rate)
+    vet_turns(spec, str(flight.path), tracked, pose, source, rate)
+    attitude = multiply_attitudes(find_base(spec.model, tracked), interpolate(time, pose.time, pose["attitude"]))
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-    return Stream(rates.time, {"rate": turn_rates_to_body(attitude, rate, frame)})
+    return Stream(time, {"rate": turn_rates_to_body(attitude, rate, source.frame)})
 
 
-def read_gyro(spec: TwinSpec, flight: Flight, joint: int, found: Found) -> tuple[str, Stream] | None:
-    """The first IMU on the body that a joint moves, and its `rate` (n, 3) as logged; None without one."""
-    for site, topic in spec.robot.signals.sites.items():
-        if spec.model.site(site).bodyid[0] == spec.model.jnt_bodyid[joint]:
-            stream = find_spatial(flight, topic, "rate")
-            found.spans[f"{topic} {site}"] = (float(stream.time[0]), float(stream.time[-1]))
-            return site, stream
-    return None
-
-
-def find_spatial(flight: Flight, topic: str, *columns: str) -> Stream:
-    """The poses, or the IMU, on a topic.
-
-    Raises:
-        InputError: if there is none, or it lacks a column.
-    """
-    stream = flight.spatial.get(topic)
-    if stream is None:
-        known = ", ".join(flight.spatial) or "no topic of poses, odometry or an IMU at all"
-        raise InputError(f"{flight.path}: no topic {topic}", f"it in the log, which has {known}", "correct `signals`")
-    for column in columns:
-        if column not in stream.values:
-            had = ", ".join(stream.values)
-            raise InputError(f"{flight.path}: {topic} has {had}", f"{' and '.join(columns)}", "name another topic")
-    return stream
-
-
-def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], found: Found) -> Series:
+def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], read: Collected) -> Series:
     """Control inputs of all actuators, (n, nu), held between samples; unlogged ones stay at zero, nu may be 0.
 
-    Those of an integrator are integrated from where its joint is `found` first.
+    Those of an integrator are integrated from where its joint is `read` first.
     """
     streams = {name: find_joint(flight, topic, name) for name, topic in actuators.items()}
     if not streams:
@@ -285,10 +254,10 @@ def read_efforts(spec: TwinSpec, flight: Flight, actuators: dict[str, str], foun
                 "record it or correct `signals`",
             )
         held, index = np.searchsorted(stream.time, time, side="right") - 1, spec.model.actuator(name).id
-        value[:, index] = straighten_targets(spec, index, stream, column, found)[held]
+        value[:, index] = straighten_targets(spec, index, stream, column, read)[held]
         if (noted := spec.model.actuator_dynprm[index])[INTEGRATES]:
             dof = int(spec.model.jnt_dofadr[spec.model.actuator_trnid[index, 0]])
-            track = (found.positions | found.driven)[dof]
+            track = (read.positions | read.driven)[dof]
             start = float(spec.model.actuator_gear[index, 0] * np.interp(time[0], track.time, track.value))
             value[:, index] = integrate_input(noted, time, value[:, index], start)
     return Series("control", "", time, value, 0.0)
@@ -330,21 +299,21 @@ def find_limits(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
     return model.jnt_range[joint] if model.jnt_limited[joint] else None
 
 
-def straighten_targets(spec: TwinSpec, actuator: int, target: Stream, column: str, found: Found) -> np.ndarray:
+def straighten_targets(spec: TwinSpec, actuator: int, target: Stream, column: str, read: Collected) -> np.ndarray:
     """Inputs (n,) of an actuator, those of a position servo on the turn that its joint is on, which is told."""
-    model, logged = spec.model, target[column]
-    joint, gear = int(model.actuator_trnid[actuator, 0]), float(model.actuator_gear[actuator, 0])
-    if tell_control(model, actuator) != "position" or model.actuator_trntype[actuator] != JOINT or not gear:
+    model, logged, gear = spec.model, target[column], float(spec.model.actuator_gear[actuator, 0])
+    joint = find_driven_joint(model, actuator)
+    if tell_control(model, actuator) != "position" or joint is None or not gear:
         return logged
     dof = int(model.jnt_dofadr[joint])
-    turn = abs(gear) * found.turned.get(dof, TURN if model.jnt_type[joint] == HINGE else 0.0)
-    track, limits = (found.positions | found.driven).get(dof), find_limits(model, joint)
+    turn = abs(gear) * read.turned.get(dof, TURN if model.jnt_type[joint] == HINGE else 0.0)
+    track, limits = (read.positions | read.driven).get(dof), find_limits(model, joint)
     if not turn or track is None:
         return logged
     limits = None if limits is None else np.sort(gear * limits)
-    followed = follow_turns((target.time, logged), (track.time, gear * track.value), limits, turn, dof in found.turned)
+    followed = follow_turns((target.time, logged), (track.time, gear * track.value), limits, turn, dof in read.turned)
     if changed := np.count_nonzero(followed != logged):
-        found.warnings.append(TARGET.format(model.actuator(actuator).name, changed, len(logged)))
+        read.warnings.append(TARGET.format(model.actuator(actuator).name, changed, len(logged)))
     return followed
 
 

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+
+from vpptwin.estimation.series import Series
+from vpptwin.logs.flight import Stream
 
 PAIRS = ((-1, 1), (-2, -1), (1, 2), (-2, 1), (-1, 2), (-2, 2), (-3, -1), (1, 3))
 """Neighbours, by distance in samples, whose lines predict a sample."""
@@ -144,3 +149,25 @@ def find_frozen(value: np.ndarray, std: np.ndarray) -> np.ndarray:
 def wrap_angle(angle: np.ndarray) -> np.ndarray:
     """The same angle within [-π, π) [rad]."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def clean_series(series: Series, label: str) -> tuple[Series, list[str]]:
+    """A joint's track without spikes, and a warning that counts them; of its motion nothing is known."""
+    wild = find_spikes(series.time, series.value, series.std, None)
+    if not wild.any():
+        return series, []
+    left = replace(series, time=series.time[~wild], value=series.value[~wild])
+    return left, tell_left_out(label, wild, "are outliers")
+
+
+def drop_rows(stream: Stream, rows: np.ndarray) -> Stream:
+    """A stream without some of its samples, (n,) bool."""
+    if not rows.any():
+        return stream
+    return Stream(stream.time[~rows], {name: values[~rows] for name, values in stream.values.items()})
+
+
+def tell_left_out(label: str, rows: np.ndarray, what: str) -> list[str]:
+    """One line if there are any rows, (n,) bool."""
+    count = int(np.count_nonzero(rows))
+    return [f"{label}: {count} of {len(rows)} samples {what}, left out"] if count else []

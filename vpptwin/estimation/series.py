@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+import mujoco
 import numpy as np
 
 from vpptwin.logs.streams.clocks import Clock
 
-ALIGNED, FEWEST_STEPS = 0.25, 20
+Sampled = tuple[np.ndarray, np.ndarray]
+"""Times (n,) s and values (n,) or (n, k)."""
+ALIGNED, MIN_STEPS = 0.25, 20
 """Length of the steps [s] over which a gyro is compared with attitudes, and fewest of them."""
 
 
@@ -36,6 +39,30 @@ class Lag:
 
 
 @dataclass(frozen=True)
+class Displacement:
+    """How far gyro and accelerometer say that a degree of freedom has moved.
+
+    Attributes:
+        time: of the samples, (n,) s.
+        value, slope, curvature: displacement and its derivatives, (n,).
+        prior: standard deviation of the acceleration that is left over.
+    """
+
+    time: np.ndarray
+    value: np.ndarray
+    slope: np.ndarray
+    curvature: np.ndarray
+    prior: float
+
+    def read(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and slope at any times, continued from the last sample before each: no look ahead."""
+        last = np.maximum(np.searchsorted(self.time, times, side="right") - 1, 0)
+        late = times - self.time[last]
+        slope = self.slope[last] + self.curvature[last] * late
+        return self.value[last] + 0.5 * (self.slope[last] + slope) * late, slope
+
+
+@dataclass(frozen=True)
 class Measurements:
     """What was measured and commanded on one flight.
 
@@ -59,6 +86,8 @@ class Measurements:
         strikes: spans in which the rig strikes something, which spoil windows, (n, 2) s.
         blows: spans in which geoms strike each other, whether they spoil windows or not, (n, 2) s.
         warnings: what was left out, filled in or is lost, one line each.
+        dead_reckon: how far gyro and accelerometer of these measurements say that each degree of freedom has moved, by
+            degree of freedom; None where they do not carry the state.
     """
 
     name: str
@@ -79,6 +108,7 @@ class Measurements:
     strikes: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     blows: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     warnings: tuple[str, ...] = ()
+    dead_reckon: Callable[[Measurements, mujoco.MjModel], dict[int, Displacement]] | None = None
 
     @property
     def duration(self) -> float:
@@ -100,17 +130,22 @@ def integrate(values: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.concatenate((np.zeros((1, *values.shape[1:])), parts))
 
 
+def interpolate(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Columns (n, k) between their times (n,) by lines, at other times (...), (..., k)."""
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=-1)
+
+
 def align_rates(time: np.ndarray, turned: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Rates (n, 3) about axes that may be turned, scaled and shifted, as attitudes have them that `turned` so, (n, 3).
 
     By least squares over steps long enough for what attitudes miss to be small: 3 x 3 numbers and three biases.
     """
     at, given = np.arange(time[0], time[-1], ALIGNED), np.column_stack([integrate(rate, time), time, turned])
-    moved = np.diff(np.stack([np.interp(at, time, column) for column in given.T], axis=1), axis=0)
-    steps, told = moved[:, :4], moved[:, 4:]
-    if len(steps) < FEWEST_STEPS or np.linalg.matrix_rank(steps) < 4:
+    moved = np.diff(interpolate(at, time, given), axis=0)
+    steps, seen = moved[:, :4], moved[:, 4:]
+    if len(steps) < MIN_STEPS or np.linalg.matrix_rank(steps) < 4:
         return rate
-    weight = 1.0 / np.maximum(np.linalg.norm(told - steps[:, :3], axis=1, keepdims=True), 1e-9)
+    weight = 1.0 / np.maximum(np.linalg.norm(seen - steps[:, :3], axis=1, keepdims=True), 1e-9)
     weight = np.minimum(weight / np.median(weight), 1.0)  # an attitude that jumps does not decide
-    found = np.linalg.lstsq(weight * steps, weight * told, rcond=None)[0]
-    return np.asarray(rate @ found[:3] + found[3])
+    mount = np.linalg.lstsq(weight * steps, weight * seen, rcond=None)[0]
+    return np.asarray(rate @ mount[:3] + mount[3])

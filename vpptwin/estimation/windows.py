@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, follow_log, known_until
-from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.estimation.series import Measurements, Series
 from vpptwin.twin.robot.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
@@ -142,7 +142,7 @@ def cut_windows(
 
 def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
     """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
-    rotors = [replace(speed, value=speed.value[:, i]) for i in range(2)]
+    rotors = [replace(speed, value=speed.value[:, i]) for i in range(speed.value.shape[1])]
     return np.stack([fit_end(rotor, times, SPIN_SPAN, known_until(times, causal)) for rotor in rotors], axis=1)
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.checks.normalised import TRAVEL, Position, tell_normalised
-from vpptwin.estimation.checks.turns import TURN, follow_turns
-from vpptwin.mapping.alike import compare_lag, compare_slope, measure_roughness, straighten
+from vpptwin.estimation.checks.turns import TURN, follow_turns, unwrap_turns
+from vpptwin.estimation.checks.units import TRAVEL, LoggedPosition, find_normalised
+from vpptwin.estimation.dynamics import find_driven_joint
+from vpptwin.logs.flight import Stream
+from vpptwin.mapping.likeness import compare_lag, compare_slope, measure_roughness
 from vpptwin.mapping.survey import Signal
 from vpptwin.mapping.words import (
     COMMANDED,
@@ -80,9 +82,9 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
                 assign_kind([g for g, joint in zip(guesses, joints) if joint.type[0] == kind], measured, length)
         else:
             for guess in guesses:
-                own = [s for s in pool if "position" in guess.fields and is_slope_of(s, guess.fields["position"])]
+                slopes = [s for s in pool if "position" in guess.fields and is_slope_of(s, guess.fields["position"])]
                 if "velocity" not in guess.fields:
-                    settle(guess, "velocity", own, "its name")
+                    settle(guess, "velocity", slopes, "its name")
     for guess, joint in zip(guesses, joints):
         check_joint(guess, model, int(joint.id))
     motors = [model.actuator(i).name for i in range(model.nu)]
@@ -103,8 +105,15 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
         if kinds[i] == "position" and not guess.fields:
             settle(guess, "effort", driven.leading, f"comes before what {driven.target} does")
         check_actuator(guess, model, i, driven.motion)
-        guess.doubts += tell_near(guess, kinds[i], signals, (motors, names), driven.target)
-        check_copy(guess, driven)
+        wanted = "a force or moment" if kinds[i] in ("effort", "lift") else f"a {kinds[i]}"
+        asked_for = [s for s in signals if not guess.fields and is_commanded(s) and not s.name]
+        near = [s.label for s in asked_for if names_it(s, guess.target, motors)
+                or (driven.target and names_it(s, driven.target, names))]  # fmt: skip
+        guess.doubts += [f"{', '.join(near[:4])}: the model's actuator takes {wanted}"] * bool(near)
+        target, seen = guess.fields.get("effort"), driven.fields.get("position")
+        if target and seen and not target.is_constant and np.array_equal(target.values, seen.values, True):
+            guess.doubts.append(f"{target.label} and {seen.label} are one and the same: was it asked for, or measured?")
+            guess.sure = False
     for guess in guesses if not any(command.fields for command in commands) else ():
         position = guess.fields.get("position")
         if position is not None and position.alone and COMMANDED & set(split_words(position.topic)):
@@ -116,7 +125,7 @@ def guess_signals(model: mujoco.MjModel, signals: Sequence[Signal]) -> list[Gues
 
 def doubt_travel(model: mujoco.MjModel, guesses: Sequence[Guess], commands: Sequence[Guess]) -> None:
     """Doubt the unit of positions, and of targets of them, that are held where per cents of a travel end."""
-    owners, positions = dict[str, Guess](), list[Position]()
+    owners, positions = dict[str, Guess](), list[LoggedPosition]()
     for guess in (*guesses, *(c for c in commands if tell_control(model, model.actuator(c.target).id) == "position")):
         joint = guess.target if guess.group == "joints" else find_moved(model, model.actuator(guess.target).id)
         signal = guess.fields.get("position" if guess.group == "joints" else "effort")
@@ -125,21 +134,11 @@ def doubt_travel(model: mujoco.MjModel, guesses: Sequence[Guess], commands: Sequ
             size = UNITS[
                 name_length(model, model.joint(joint).id) if not guess.units else next(iter(guess.units.values()))
             ][1]
-            positions.append(Position(signal.title, signal.values, (low / size, high / size)))
+            positions.append(LoggedPosition(signal.title, signal.values, (low / size, high / size)))
             owners[signal.title] = guess
-    for ends in tell_normalised(positions):
-        owners[ends.name].doubts.append(f"{ends.told}: {TRAVEL}?")
+    for ends in find_normalised(positions):
+        owners[ends.name].doubts.append(f"{ends}: {TRAVEL}?")
         owners[ends.name].sure = False
-
-
-def tell_near(
-    guess: Guess, kind: str, signals: Sequence[Signal], names: tuple[Sequence[str], Sequence[str]], moved: str
-) -> list[str]:  # fmt: skip
-    """What was asked for of an actuator without a command, or of the joint that it moves, and is of another kind."""
-    near = [s.label for s in signals if not guess.fields and is_commanded(s) and not s.name
-            and (names_it(s, guess.target, names[0]) or (moved and names_it(s, moved, names[1])))]  # fmt: skip
-    wanted = "a force or moment" if kind in ("effort", "lift") else f"a {kind}"
-    return [f"{', '.join(near[:4])}: the model's actuator takes {wanted}"] * bool(near)
 
 
 def is_control(signal: Signal, kind: str) -> bool:
@@ -155,7 +154,8 @@ def is_control(signal: Signal, kind: str) -> bool:
 
 def find_moved(model: mujoco.MjModel, actuator: int) -> str:
     """Name of the joint that an actuator acts on itself; "" for none."""
-    return str(model.joint(model.actuator_trnid[actuator, 0]).name) if model.actuator_trntype[actuator] == 0 else ""
+    joint = find_driven_joint(model, actuator)
+    return "" if joint is None else str(model.joint(joint).name)
 
 
 def tell_drive(model: mujoco.MjModel, actuator: int) -> str:
@@ -176,8 +176,8 @@ def assign(
     among = [s for s in pool if is_commanded(s)] or pool
     for guess, joint in zip(guesses, moved):
         if quantity not in guess.fields and joint and moved.count(joint) == 1:
-            own = [s for s in among if names_it(s, joint, moved)]
-            settle(guess, quantity, own, "the name of the joint that it moves")
+            called = [s for s in among if names_it(s, joint, moved)]
+            settle(guess, quantity, called, "the name of the joint that it moves")
     open_guesses = [guess for guess in guesses if quantity not in guess.fields]
     if len(open_guesses) < len(guesses) or not guesses:
         return
@@ -196,29 +196,29 @@ def assign(
 
 def assign_kind(guesses: Sequence[Guess], measured: Sequence[Signal], length: str) -> None:
     """Give all slides, or all hinges, for which nothing was found, the positions of that kind, if there are as many."""
-    found = [s for s in measured if not s.name and tell_quantity(s) in ("position", "")
+    of_kind = [s for s in measured if not s.name and tell_quantity(s) in ("position", "")
              and (UNITS.get(s.unit, ("",))[0] == length or PLACES[length] & set(split_words(s.label)))]  # fmt: skip
-    if len(found) != len(guesses) or any("position" in guess.fields for guess in guesses):
+    if len(of_kind) != len(guesses) or any("position" in guess.fields for guess in guesses):
         return
-    for guess, signal in zip(guesses, found):
-        settle(guess, "position", [signal], "the only one of that kind" if len(found) == 1 else "kind and order")
+    for guess, signal in zip(guesses, of_kind):
+        settle(guess, "position", [signal], "the only one of that kind" if len(of_kind) == 1 else "kind and order")
         guess.doubts.append(f"only that says that {signal.label} is {guess.target}")
 
 
-def settle(guess: Guess, quantity: str, own: Sequence[Signal], basis: str) -> None:
+def settle(guess: Guess, quantity: str, candidates: Sequence[Signal], basis: str) -> None:
     """Take the likeliest signal, and note its rivals.
 
     Raw signals come before those made of others, commands before measurements of effort, speeds of rotors before what
     drives them; of positions that show one motion the one that comes last was measured.
     """
-    if not own:
+    if not candidates:
         return
 
     def rank(s: Signal) -> tuple[bool, ...]:
         measured = quantity == "effort" and not (is_commanded(s) or is_spin(s))
         return is_derived(s), s.is_constant, measured, tell_quantity(s) == "drive" and not is_spin(s)
 
-    ranked = sorted(own, key=rank)
+    ranked = sorted(candidates, key=rank)
     best = ranked[0]
     guess.reasons.append(f"{best.label}: {basis}")
     rivals = [s for s in ranked[1:] if is_derived(s) == is_derived(best)]
@@ -241,30 +241,21 @@ def part_by_time(guess: Guess, rivals: Sequence[Signal]) -> tuple[Signal, list[S
 
     A target is no rougher than what follows it. What is may be the raw signal of a filtered one, which is asked.
     """
-    last, left = rivals[0], []
+    last, others = rivals[0], []
     for other in rivals[1:]:
         correlation, lag = compare_lag(last, other)
         first, second = (last, other) if lag > 0.0 else (other, last)
         if correlation > ALIKE and abs(lag) > 0.5 / min(last.rate, other.rate):
-            told = f"{second.label} follows {first.label} by {1e3 * abs(lag):.0f} ms (r {correlation:.2f})"
+            text = f"{second.label} follows {first.label} by {1e3 * abs(lag):.0f} ms (r {correlation:.2f})"
             if measure_roughness(first) > ROUGHER * measure_roughness(second):
-                guess.doubts.append(f"{told}: which was asked for, or is {second.label} a filtered {first.label}?")
+                guess.doubts.append(f"{text}: which was asked for, or is {second.label} a filtered {first.label}?")
             else:
                 guess.leading.append(first)
-                guess.reasons.append(told)
+                guess.reasons.append(text)
             last = second
         else:
-            left.append(other)
-    return last, left
-
-
-def check_copy(guess: Guess, driven: Guess) -> None:
-    """Doubt a target that is the measurement of what it moves to the last digit."""
-    asked, seen = guess.fields.get("effort"), driven.fields.get("position")
-    if asked is None or seen is None or asked.is_constant or not np.array_equal(asked.values, seen.values, True):
-        return
-    guess.doubts.append(f"{asked.label} and {seen.label} are one and the same: was it asked for, or measured?")
-    guess.sure = False
+            others.append(other)
+    return last, others
 
 
 def name_length(model: mujoco.MjModel, joint: int) -> str:
@@ -285,22 +276,25 @@ def check_joint(guess: Guess, model: mujoco.MjModel, joint: int) -> None:
     guess.units |= check_unit(guess, "position", position, length)
     scale = UNITS[guess.units.get("position", length)][1]
     limits = model.jnt_range[joint] if model.jnt_limited[joint] else None
-    guess.motion, mended = straighten(position, scale, limits, length == "rad")
+    known = np.isfinite(position.values)
+    stream = Stream(position.time[known], {"position": scale * position.values[known]})
+    stream, mended = unwrap_turns(stream, position.label, limits, length == "rad")
+    guess.motion = replace(position, time=stream.time, values=stream["position"])
     guess.reasons += mended
     if velocity is not None:
         guess.units |= check_unit(guess, "velocity", velocity, f"{length}/s")
         of_rate = UNITS[guess.units.get("velocity", f"{length}/s")][1]
         correlation, share = compare_slope(guess.motion, velocity)
         share *= of_rate
-        told = f"{velocity.label} is {share:.2f} of the slope of {position.label} (r {correlation:.2f})"
+        text = f"{velocity.label} is {share:.2f} of the slope of {position.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
             guess.doubts.append("too little motion to test the velocity")
         elif correlation < SLOPE or not CLOSE[0] < share < CLOSE[1]:
-            guess.doubts.append(f"left out: {told}")
+            guess.doubts.append(f"left out: {text}")
             guess.fields.pop("velocity")
             guess.units.pop("velocity", None)
         else:
-            guess.reasons.append(told)
+            guess.reasons.append(text)
     check_range(guess, position, guess.motion.values, limits, length)
     travel = float(np.ptp(position.finite)) if len(position.finite) else 0.0
     if not (model.jnt_limited[joint] or position.name or position.unit) and travel > FAR[length]:
@@ -347,12 +341,12 @@ def check_range(guess: Guess, signal: Signal, values: np.ndarray, limits: np.nda
     outside = lie_outside(1.0)
     if outside <= 0.01:
         return
-    told = f"{outside:.0%} of {signal.label} lie outside {limits[0]:.3g} to {limits[1]:.3g}"
+    text = f"{outside:.0%} of {signal.label} lie outside {limits[0]:.3g} to {limits[1]:.3g}"
     smaller, size = ("deg", np.pi / 180.0) if length == "rad" else ("mm", 1e-3)
     fits = length and np.ptp(values) > FAR[length] and lie_outside(size) <= 0.01
     counted = length == "rad" and np.ptp(values) > FAR[length] and not np.any(signal.finite % 1.0)
     otherwise = "counts of an encoder, of which 4096 a turn have scale: 0.001534" if counted else "another sign or zero"
-    guess.doubts.append(f"{told}: {f'in {smaller}' if fits else otherwise}?")
+    guess.doubts.append(f"{text}: {f'in {smaller}' if fits else otherwise}?")
 
 
 def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Signal | None) -> None:
@@ -389,14 +383,14 @@ def check_actuator(guess: Guess, model: mujoco.MjModel, actuator: int, moved: Si
         asked_for = command.title if command.label == moved.label else command.label
         if kind == "position":
             correlation, lag = compare_lag(asked, moved)
-            told = f"{moved.label} follows {asked_for} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
+            text = f"{moved.label} follows {asked_for} by {1e3 * lag:.0f} ms (r {correlation:.2f})"
         else:
             (correlation, share), lag = compare_slope(moved, command), 0.0
-            told = f"{asked_for} is {share:.2f} of the slope of {moved.label} (r {correlation:.2f})"
+            text = f"{asked_for} is {share:.2f} of the slope of {moved.label} (r {correlation:.2f})"
         if not np.isfinite(correlation):
             guess.doubts.append("too little motion to see the joint follow")
         elif correlation < SLOPE or lag < 0.0:
-            guess.doubts.append(told)
+            guess.doubts.append(text)
         else:
-            guess.reasons.append(told)
+            guess.reasons.append(text)
     guess.sure = not guess.doubts

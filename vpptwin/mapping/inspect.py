@@ -1,4 +1,7 @@
-"""`vpptwin inspect`: a log as a table, and a twin YAML with what its signals may be."""
+"""`vpptwin inspect`: a log as a table, and a twin YAML with what its signals may be.
+
+`--model` in place of `--twin` makes one where there is no doubt.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ import numpy as np
 import yaml
 from rich.table import Table as RichTable
 
-from vpptwin.estimation.checks.efforts import judge_efforts
+from vpptwin.estimation.checks.units import judge_efforts
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.channels import SPATIAL
 from vpptwin.logs.formats.raw import LARGE
@@ -33,7 +36,7 @@ from vpptwin.twin.spec import load_twin
 
 WHAT = {"joints": "joint", "bodies": "body", "sites": "site", "actuators": "actuator"}
 WANTED = {"joints": "position", "bodies": "position: , attitude", "sites": "rate", "actuators": "effort"}
-TABLE = 1000
+MAX_ROWS = 1000
 """Signals that a table shows; more are lines."""
 
 ROS_VECTORS = {f"{path}.{c}" for columns in SPATIAL.values() for path in columns.values() for c in "xyzw"}
@@ -87,6 +90,40 @@ def inspect_logs(logs: Sequence[Path], model: str | None, out: Path | None, forc
     return guesses
 
 
+def make_twin(logs: Sequence[Path], model: str) -> Path:
+    """Write MODEL_twin.yaml into the current folder, and show the mapping.
+
+    Args:
+        logs: of which the first tells what is what.
+        model: as of `find_model`.
+
+    Returns:
+        The twin.
+
+    Raises:
+        InputError: if anything about the first log is in doubt, or another twin of that name is there.
+    """
+    path = find_model(model)
+    log = list_flights(logs[0])[0]
+    compiled, signals = compile_model(path), survey(log)[1]
+    guesses = guess_all(compiled, signals)
+    print_guesses(guesses)
+    doubts = [f"{guess.target}: {doubt}" for guess in guesses for doubt in guess.doubts]
+    if doubts or not guesses:
+        first = (
+            f"{len(doubts)} doubts about {log} ({doubts[0]})" if doubts else f"{path} has no hinge, slide or actuator"
+        )
+        action = f"run `vpptwin inspect {log} --model {model}`, correct what it writes, and give that as --twin"
+        raise InputError(first, "none, to go on without a twin YAML", action)
+    out = Path(f"{path.stem}_twin.yaml")
+    content = compose_twin(path, out, str(log), guesses)
+    if not out.exists():
+        return write_whole(out, content, force=False)
+    if list_entries(out.read_text()) != list_entries(content):
+        raise InputError(f"{out} is there already, and says something else", "none", f"give --twin {out}, or move it")
+    return out
+
+
 def doubt_efforts(model: Path, log: Path, guesses: Sequence[Guess]) -> None:
     """Doubt efforts that are no forces, with the scale to write; where a twin of the guesses reads the log at all."""
     named = {guess.target: guess for guess in guesses if guess.group == "actuators" and guess.fields}
@@ -97,9 +134,9 @@ def doubt_efforts(model: Path, log: Path, guesses: Sequence[Guess]) -> None:
         twin.write_text(compose_twin(model, twin, str(log), guesses), encoding="utf-8")
         spec = load_twin(str(twin))
         flight = read_flight(log, None, spec.robot.signals.entries)
-        for far in judge_efforts(spec, [read_measurements(spec, flight)]):
-            named[far.actuator].doubts.append(f"{far.tell()}: write scale: {far.scale:.4g}")
-            named[far.actuator].sure = False
+        for effort in judge_efforts(spec, [read_measurements(spec, flight)]):
+            named[effort.actuator].doubts.append(f"{effort}: write scale: {effort.scale:.4g}")
+            named[effort.actuator].sure = False
 
 
 def list_entries(text: str) -> object:
@@ -120,7 +157,7 @@ def print_signals(title: str, signals: Sequence[Signal], notes: Sequence[str]) -
     end = (max(s.whole.end for s in signals) - min(s.whole.start for s in signals)) / 1e9
     title = f"{title}: {len(signals)} signals over {end:.4g} s"
     console = open_console()
-    if len(signals) > TABLE:  # of which no terminal is wide enough for a table, nor patient enough
+    if len(signals) > MAX_ROWS:  # of which no terminal is wide enough for a table, nor patient enough
         print("\n".join([title, *("  ".join(filter(None, describe_signal(signal))) for signal in signals)]))
     else:
         table = RichTable(title=title, title_justify="left")
@@ -147,12 +184,12 @@ def print_guesses(guesses: Sequence[Guess]) -> None:
     for head in ("of the model", "in the log", "how sure", "why"):
         table.add_column(head, overflow="fold")
     for guess in guesses:
-        found = {quantity: signal.title for quantity, signal in guess.fields.items()} | {
+        titles = {quantity: signal.title for quantity, signal in guess.fields.items()} | {
             quantity: " ".join(signal.label for signal in signals) for quantity, signals in guess.vectors.items()
         }
-        sure = "sure" if guess.sure else "a doubt" if found else "missing"
+        sure = "sure" if guess.sure else "a doubt" if titles else "missing"
         said = "; ".join([*guess.reasons, *(f"BUT {doubt}" for doubt in guess.doubts)])
-        shown = ", ".join(f"{quantity}: {title}" for quantity, title in found.items())
+        shown = ", ".join(f"{quantity}: {title}" for quantity, title in titles.items())
         table.add_row(f"{guess.target} ({WHAT[guess.group]})", shown or "-", sure, said)
     open_console().print(table)
 
@@ -176,10 +213,10 @@ def compose_twin(model: Path, target: Path, log: str, guesses: Sequence[Guess]) 
              f"model: {yaml.safe_dump(relative).splitlines()[0]}"]  # fmt: skip
     lines += ["signals:"] * bool(guesses)
     for group in WHAT:
-        own = [guess for guess in guesses if guess.group == group]
-        empty = " {}" if not any(guess.fields or guess.vectors for guess in own) else ""
-        if own:
-            lines += [f"  {group}:{empty}", *(compose_line(guess) for guess in own)]
+        members = [guess for guess in guesses if guess.group == group]
+        empty = " {}" if not any(guess.fields or guess.vectors for guess in members) else ""
+        if members:
+            lines += [f"  {group}:{empty}", *(compose_line(guess) for guess in members)]
     return "\n".join(lines) + "\n"
 
 

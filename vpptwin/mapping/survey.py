@@ -82,18 +82,18 @@ def join(stretches: Sequence[Stretch]) -> Stretch:
     """Stretches that follow one another, as one; periods and reaches are each stretch's own."""
     if len(stretches) == 1:
         return stretches[0]
-    told = [s for s in stretches if np.isfinite(s.low)] or list(stretches[:1])
+    valued = [s for s in stretches if np.isfinite(s.low)] or list(stretches[:1])
     steps = [((b.start - a.end) / 1e9, a.period) for a, b in pairwise(stretches)]
-    moves = [(abs(b.first - a.last), a.reach) for a, b in pairwise(told)]
+    moves = [(abs(b.first - a.last), a.reach) for a, b in pairwise(valued)]
     return Stretch(
-        stretches[0].start, stretches[-1].end, told[0].first, told[-1].last,
-        min(s.low for s in told), max(s.high for s in told), sum(s.missing for s in stretches),
+        stretches[0].start, stretches[-1].end, valued[0].first, valued[-1].last,
+        min(s.low for s in valued), max(s.high for s in valued), sum(s.missing for s in stretches),
         float(np.nanmedian([s.period for s in stretches])),
         sum(s.gaps for s in stretches) + sum(step > _GAP * period for step, period in steps),
         max(max(s.longest for s in stretches), *(step for step, _ in steps)),
-        sum(s.jumps for s in told) + sum(move > reach for move, reach in moves),
-        max([s.highest for s in told] + [move for move, _ in moves]),
-        max(s.reach for s in told),
+        sum(s.jumps for s in valued) + sum(move > reach for move, reach in moves),
+        max([s.highest for s in valued] + [move for move, _ in moves]),
+        max(s.reach for s in valued),
     )  # fmt: skip
 
 
@@ -186,11 +186,11 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
         last, rising = np.zeros(0, np.int64), False
         stamp = rows = last
         try:
-            found = list(list_joints(recording, channel.topic) if joints else list_columns(recording, channel))
-            found = name_elements(found, read_names(channel))
+            signals = list(list_joints(recording, channel.topic) if joints else list_columns(recording, channel))
+            signals = name_elements(signals, read_names(channel))
         except (InputError, LayoutError):  # messages of many shapes, of which no twin names a field
             return
-        for signal in found:
+        for signal in signals:
             if signal.time is not last:  # signals of one topic share their time
                 last = signal.time
                 rising = bool((last[1:] > last[:-1]).all())
@@ -233,9 +233,10 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
     start = min(int(signal.time[0]) for signal in first.values())
     stamps = {id(signal.time): signal.time for signal in first.values()}
     times = {key: (stamp - start) / 1e9 for key, stamp in stamps.items()}
-    told = {key: tuple(parts) for key, parts in stretches.items()}
     alone = len({signal.topic for signal in first.values()}) == 1
-    return recording, [replace(s, time=times[id(s.time)], stretches=told[k], alone=alone) for k, s in first.items()]
+    return recording, [
+        replace(s, time=times[id(s.time)], stretches=tuple(stretches[k]), alone=alone) for k, s in first.items()
+    ]
 
 
 def list_joints(recording: Recording, topic: str) -> Iterator[Signal]:
@@ -260,9 +261,9 @@ def read_names(channel: RawChannel) -> dict[tuple[str, int], str]:
                     payload[start : start + max(length - 1, 0)].decode("utf-8", "replace")
                 )
     labels = tell_labels(channel)
-    told = {labels.get(name, (name, ""))[0]: found.pop() for name, found in texts.items() if len(found) == 1}
-    named = {label: match for label in told if (match := NAMES.fullmatch(label))}
-    return {(match.group(1), int(match.group(2))): told[label] for label, match in named.items()}
+    names = {labels.get(name, (name, ""))[0]: said.pop() for name, said in texts.items() if len(said) == 1}
+    named = {label: match for label in names if (match := NAMES.fullmatch(label))}
+    return {(match.group(1), int(match.group(2))): names[label] for label, match in named.items()}
 
 
 def name_elements(signals: Sequence[Signal], names: Mapping[tuple[str, int], str]) -> list[Signal]:
@@ -273,7 +274,7 @@ def name_elements(signals: Sequence[Signal], names: Mapping[tuple[str, int], str
     for end in ends:
         stems = {stem for stem, _ in names if end and end.group(1).startswith(stem)}
         stem = max(stems, key=len, default="")
-        fits = end is not None and counts[end.group(1)] == sum(own == stem for own, _ in names)
+        fits = end is not None and counts[end.group(1)] == sum(each == stem for each, _ in names)
         called.append(names.get((stem, int(end.group(2))), "") if end and fits else "")
     return [replace(signal, called=escape_text(name)) for signal, name in zip(signals, called)] if names else [*signals]
 

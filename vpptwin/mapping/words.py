@@ -70,10 +70,10 @@ def tell_quantity(signal: Signal) -> str:
     rates = {f"d{word}" for word in places} | {f"{word}dot" for word in places}
     if rates & set(words):
         return "velocity"
-    told = next((kind for kind, known in WORDS.items() if set(words) & set(known.split())), "")
-    if not told and is_commanded(signal) and SYMBOLS & set(re.findall(r"[A-Za-z]+", signal.label)):
+    kind = next((each for each, known in WORDS.items() if set(words) & set(known.split())), "")
+    if not kind and is_commanded(signal) and SYMBOLS & set(re.findall(r"[A-Za-z]+", signal.label)):
         return "effort"
-    return told or MEASURED.get(UNITS.get(signal.unit, ("",))[0], "")
+    return kind or MEASURED.get(UNITS.get(signal.unit, ("",))[0], "")
 
 
 def is_commanded(signal: Signal) -> bool:
@@ -123,9 +123,9 @@ def names_it(signal: Signal, name: str, others: Sequence[str]) -> bool:
     def holds(words: Sequence[str], part: Sequence[str]) -> bool:
         return bool(part) and any(words[i : i + len(part)] == part for i in range(len(words) - len(part) + 1))
 
-    called, own = split_words(signal.label), split_name(name)
+    called, wanted = split_words(signal.label), split_name(name)
     longer = [split_name(other) for other in others if other != name]
-    return holds(called, own) and not any(holds(other, own) and holds(called, other) for other in longer)
+    return holds(called, wanted) and not any(holds(other, wanted) and holds(called, other) for other in longer)
 
 
 def split_name(name: str) -> list[str]:

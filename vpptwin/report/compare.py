@@ -14,8 +14,8 @@ from vpptwin.diagnosis.evidence.logged_inputs import describe_turned, read_sessi
 from vpptwin.diagnosis.evidence.noise import NoiseFloor, find_noise_floor
 from vpptwin.diagnosis.judgement.diagnose import check_moving, open_held_out
 from vpptwin.diagnosis.judgement.holdout import Score
-from vpptwin.estimation.checks.efforts import refuse_efforts
-from vpptwin.estimation.checks.held import refuse_held
+from vpptwin.estimation.checks.support import refuse_held
+from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.measurements import list_warnings
 from vpptwin.logs.flight import Flight
 from vpptwin.report.error_table import ErrorTable, tabulate_errors

@@ -7,7 +7,7 @@ from copy import copy
 
 import numpy as np
 
-from vpptwin.estimation.checks.efforts import find_own
+from vpptwin.estimation.checks.units import find_own_dof
 from vpptwin.estimation.dynamics import Forces, invert, measure_forces
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.twin.robot.manifold import chart
@@ -41,7 +41,7 @@ def describe_other_motors(spec: TwinSpec, measurements: Sequence[Measurements]) 
     Masses, their places and inertias of all bodies, springs and dampers between joints, own friction, gain, offset and
     rotor explain first what they can: what is left of the motors cannot be theirs.
     """
-    own = [find_own(spec, i) for i in range(spec.model.nu)]
+    own = [find_own_dof(spec, i) for i in range(spec.model.nu)]
     if len([dof for dof in own if dof is not None]) < 2 or spec.model.neq:
         return []
     forces = measure_forces(spec, measurements)

@@ -37,8 +37,8 @@ from vpptwin.diagnosis.search.search import Search
 from vpptwin.diagnosis.search.separation import Hypothesis
 from vpptwin.diagnosis.search.suspects import Unknown, list_unknowns
 from vpptwin.effects import find_effect
-from vpptwin.estimation.checks.efforts import refuse_efforts
-from vpptwin.estimation.checks.held import refuse_held
+from vpptwin.estimation.checks.support import refuse_held
+from vpptwin.estimation.checks.units import refuse_efforts
 from vpptwin.estimation.measurements import Measurements
 from vpptwin.logs.flight import Flight
 from vpptwin.system.deadline import Deadline

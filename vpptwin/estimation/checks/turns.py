@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vpptwin.estimation.clean import drop_rows
 from vpptwin.estimation.noise import COUNTED
+from vpptwin.estimation.outliers import drop_rows
 from vpptwin.logs.flight import Stream
 
 TURN = 2.0 * np.pi

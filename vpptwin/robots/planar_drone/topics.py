@@ -1,36 +1,47 @@
-"""The drone's topics: measurements from them, and predictions on them."""
+"""The drone's topics: measurements from them, where need be through its firmware's rate loop, and what they lack."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import accumulate
 
+import mujoco
 import numpy as np
 
-from vpptwin.estimation.checks.sound import vet_flight
-from vpptwin.estimation.clean import clean_imu, clean_poses, clean_rotors
+from vpptwin.actuators.blade import pitch_for_thrust
+from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
-from vpptwin.estimation.series import Lag, Measurements, Series
+from vpptwin.estimation.initial import DRIFT_STD
+from vpptwin.estimation.series import Displacement, Lag, Measurements, Sampled, Series, integrate
 from vpptwin.logs.check import MAX_FORCE, MIN_FORCE
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.logs.streams.clocks import refuse_step
-from vpptwin.robots.planar_drone.craft import PlanarDrone
+from vpptwin.robots.planar_drone.craft import PITCH, PlanarDrone
 from vpptwin.robots.planar_drone.lag import estimate_lag, find_step
-from vpptwin.robots.planar_drone.policy import reconstruct_commands
-from vpptwin.robots.planar_drone.vehicle import Sensors, Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vetting import clean_imu, clean_poses, clean_rotors, vet_flight
 from vpptwin.system.errors import InputError
 from vpptwin.twin.spec import TwinSpec
 
 MEASURED = ("/mocap/pose", "/imu/data", "/rotor/state")
 """Topics of the drone's sensors."""
-TELLING = 2.0
+MIN_DURATION = 2.0
 """Over so long [s] no craft falls for half of the time, so that the median of its specific force is telling."""
 MAX_OFFSET = 0.25
 """No motion capture is later than this [s]; one that seems to be is stamped by another clock."""
+SLOPE_STD = 0.3
+"""Prior on a leftover acceleration [m/s²] once the accelerometer has been integrated."""
+MEAN = 20
+"""Poses over whose mean the gyro's integral is set right."""
+STALE = 0.05
+"""A policy command older than this was followed by others that the log lacks, unless they come slower [s]."""
+MAX_GYRO_GAP = 0.02
+"""Longest gap in the gyro that is bridged by a line [s]: in a longer one the rate loop saw what the log lacks."""
 
 
 def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measurements:
-    """Measurements of the drone on its rig (SPEC 3), from whatever part of it was recorded.
+    """Measurements of the drone on its rig (docs/logs.md), from whatever part of it was recorded.
 
     Raises:
         InputError: if the log lacks poses, or all from which the rotors' commands could be known.
@@ -41,55 +52,44 @@ def read_drone(robot: PlanarDrone, spec: TwinSpec, flight: Flight) -> Measuremen
     warnings = [*unsound, *tell_lost(spec, streams)]
     imu, rotor = streams.get("/imu/data"), streams.get("/rotor/state")
     if imu is not None:
-        imu, found = clean_imu(imu, sensors)
-        warnings += found
-    pose, found = clean_poses(streams["/mocap/pose"], imu, sensors)
-    warnings += found
+        imu, wild = clean_imu(imu, sensors)
+        warnings += wild
+    pose, wild = clean_poses(streams["/mocap/pose"], imu, sensors)
+    warnings += wild
     if rotor is not None:
-        rotor, found = clean_rotors(rotor, sensors)
-        warnings += found
+        rotor, wild = clean_rotors(rotor, sensors)
+        warnings += wild
     command = streams.get("/rotor/command")
     commands = read_commands(spec.vehicle, flight, command, imu)
     driving = "/cmd/rate_thrust" if command is None else "/rotor/command"
     used = {topic: streams[topic].time for topic in (*MEASURED, driving) if topic in streams}
     spans = {topic: (float(time[0]), float(time[-1])) for topic, time in used.items()}
     start, end = max(span[0] for span in spans.values()), min(span[1] for span in spans.values())
+    place, turn = sensors.mocap.position_std, sensors.mocap.angle_std
+    columns = (("x", "x", "m", place), ("z", "z", "m", place), ("θ", "theta", "rad", turn))
+    force = speed = current = throttle = None
+    if imu is not None and measures_force(imu):
+        accel = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
+        if imu.time[-1] - imu.time[0] > MIN_DURATION:
+            check_accelerometer(f"{flight.path}: /imu/data", np.hypot(accel[:, 0], accel[:, 1]))
+        force = Series("specific force", "m/s²", imu.time, accel, sensors.imu.accel_std)
+    if rotor is not None:
+        speed = Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std)
+        if "current" in rotor.values:
+            current = Series("current", "A", rotor.time, rotor["current"], sensors.rotor.current_std)
+    if command is not None and command["throttle"].any():  # zeros throughout are none
+        throttle = Series("throttle", "1", command.time, command["throttle"], 0.0)
     measurements = Measurements(
         flight.name,
-        sort_poses(pose, sensors),
-        {} if imu is None else {2: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)},
-        sort_force(flight, imu, sensors),
-        commands,
-        None if rotor is None else Series("rotor speed", "rad/s", rotor.time, rotor["speed"], sensors.rotor.speed_std),
-        (0, 1, 2),
+        {dof: Series(name, unit, pose.time, pose[c], std) for dof, (name, c, unit, std) in enumerate(columns)},
+        {} if imu is None else {PITCH: Series("θ rate", "rad/s", imu.time, imu["rate"], sensors.imu.gyro_std)},
+        force, commands, speed, (0, 1, PITCH),
         max(start, float(commands.time[0])), min(end, float(commands.time[-1])),
-        throttle=sort_throttle(command),
-        current=sort_current(rotor, sensors),
+        throttle=throttle, current=current, clocks=flight.clocks, dead_reckon=dead_reckon,
     )  # fmt: skip
     lag = measure_offset(flight, measurements)
     warnings += [*tell_cut(spans), *tell_gaps(measurements)]
-    return replace(measurements, lag=lag, clocks=flight.clocks, warnings=tuple(warnings))
-
-
-def sort_poses(pose: Stream, sensors: Sensors) -> dict[int, Series]:
-    """Degree of freedom → position."""
-    place, turn = sensors.mocap.position_std, sensors.mocap.angle_std
-    columns = (("x", "x", "m", place), ("z", "z", "m", place), ("θ", "theta", "rad", turn))
-    return {dof: Series(name, unit, pose.time, pose[c], std) for dof, (name, c, unit, std) in enumerate(columns)}
-
-
-def sort_force(flight: Flight, imu: Stream | None, sensors: Sensors) -> Series | None:
-    """Specific force in body axes x and z, where there is an accelerometer.
-
-    Raises:
-        InputError: if it is in another unit.
-    """
-    if imu is None or not measures_force(imu):
-        return None
-    force = np.stack([imu["accel_x"], imu["accel_z"]], axis=1)
-    if imu.time[-1] - imu.time[0] > TELLING:
-        check_accelerometer(f"{flight.path}: /imu/data", np.hypot(force[:, 0], force[:, 1]))
-    return Series("specific force", "m/s²", imu.time, force, sensors.imu.accel_std)
+    return replace(measurements, lag=lag, warnings=tuple(warnings))
 
 
 def measures_force(imu: Stream) -> bool:
@@ -97,18 +97,30 @@ def measures_force(imu: Stream) -> bool:
     return all(name in imu.values and bool(imu[name].any()) for name in ("accel_x", "accel_z"))
 
 
-def sort_current(rotor: Stream | None, sensors: Sensors) -> Series | None:
-    """Motor currents, where they were measured."""
-    if rotor is None or "current" not in rotor.values:
-        return None
-    return Series("current", "A", rotor.time, rotor["current"], sensors.rotor.current_std)
-
-
-def sort_throttle(command: Stream | None) -> Series | None:
-    """Commanded throttle, where it was logged: zeros throughout are none."""
-    if command is None or not command["throttle"].any():
-        return None
-    return Series("throttle", "1", command.time, command["throttle"], 0.0)
+def dead_reckon(measurements: Measurements, model: mujoco.MjModel) -> dict[int, Displacement]:
+    """Displacement of x, z and θ as gyro and accelerometer have it: a = R(θ) f - g, integrated twice (Särkkä)."""
+    force = measurements.specific_force
+    if force is None or PITCH not in measurements.velocities:
+        return {}
+    gyro, angle, time = measurements.velocities[PITCH], measurements.positions[PITCH], force.time
+    gravity = -float(model.opt.gravity[2])
+    rate = np.interp(time, gyro.time, gyro.value)
+    turned = Displacement(time, integrate(rate, time), rate, np.zeros_like(time), DRIFT_STD)
+    offset = angle.value - turned.read(angle.time)[0]
+    summed = np.cumsum(np.concatenate([np.full(MEAN, offset[0]), offset]))
+    smooth = (summed[MEAN:] - summed[:-MEAN]) / float(MEAN)
+    theta = turned.value + smooth[np.maximum(np.searchsorted(angle.time, time, side="right") - 1, 0)]
+    body_x, body_z = force.value[:, 0], force.value[:, 1]
+    displacement = {PITCH: turned}
+    for dof, acceleration in enumerate(
+        (
+            body_x * np.cos(theta) - body_z * np.sin(theta),
+            body_x * np.sin(theta) + body_z * np.cos(theta) - gravity,
+        )
+    ):
+        speed = integrate(acceleration, time)
+        displacement[dof] = Displacement(time, integrate(speed, time), speed, acceleration, SLOPE_STD)
+    return displacement
 
 
 def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu: Stream | None) -> Series:
@@ -134,15 +146,53 @@ def read_commands(vehicle: Vehicle, flight: Flight, command: Stream | None, imu:
     return Series("blade pitch", "rad", time, pitch, 0.0)
 
 
+def reconstruct_commands(
+    vehicle: Vehicle, policy: tuple[np.ndarray, np.ndarray, np.ndarray], gyro: Sampled
+) -> Sampled:  # fmt: skip
+    """Run the inner loop of the flight controller over logged policy commands and gyro samples.
+
+    Args:
+        vehicle: the believed numbers, which are those the craft flies on.
+        policy: time [s], thrust [N] and rate [rad/s] of the policy's commands, (n,) each.
+        gyro: time [s] and rate [rad/s] as measured, (m,) each.
+
+    Returns:
+        Time (k,) s and blade pitch (k, 2) rad, one inner step apart. Steps at which policy or gyro are unknown are
+        left out, so that they show as gaps.
+    """
+    dt = 1.0 / vehicle.control.inner_rate
+    time = lay_grid(gyro[0], dt)
+    rate = np.interp(time, *gyro)
+    filtered = np.fromiter(accumulate(rate.tolist(), lambda last, now: filter_gyro(vehicle, last, now)), float)
+    before = np.concatenate([filtered[:1], filtered[:-1]])
+    held = np.searchsorted(policy[0], time, side="right") - 1
+    torque = compute_torque(vehicle, policy[2][held], filtered, before, dt)
+    thrusts = allocate(vehicle, policy[1][held], torque)
+    pitch = np.stack([pitch_for_thrust(vehicle.rotor, thrust) for thrust in thrusts], axis=1)
+    known = (held >= 0) & (time - policy[0][held] <= max(STALE, 3.0 * float(np.median(np.diff(policy[0])))))
+    following = np.clip(np.searchsorted(gyro[0], time), 1, len(gyro[0]) - 1)
+    known &= gyro[0][following] - gyro[0][following - 1] <= MAX_GYRO_GAP
+    return time[known], pitch[known]
+
+
+def lay_grid(time: np.ndarray, dt: float) -> np.ndarray:
+    """Instants about `dt` [s] apart that include the samples' own, (n,) s, or even ones if those are much closer."""
+    steps = np.diff(time)
+    if np.median(steps) < 0.75 * dt:
+        return np.arange(time[0], time[-1], dt)
+    index = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / dt), 1.0))])
+    return np.interp(np.arange(index[-1] + 1.0), index, time)
+
+
 def measure_offset(flight: Flight, measurements: Measurements) -> Lag | None:
     """Lag of the poses behind the gyro; None where nothing tells.
 
     Raises:
         InputError: if what turned in both lies further apart than any delay of a motion capture, or one clock steps.
     """
-    if 2 not in measurements.velocities:
+    if PITCH not in measurements.velocities:
         return None
-    angle, rate = measurements.positions[2], measurements.velocities[2]
+    angle, rate = measurements.positions[PITCH], measurements.velocities[PITCH]
     if (step := find_step(angle, rate)) is not None:
         raise refuse_step(str(flight.path), "/mocap/pose", *step)
     lag = estimate_lag(angle, rate)

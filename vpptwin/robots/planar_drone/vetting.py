@@ -1,4 +1,7 @@
-"""Sensors that cannot be believed: dead, stuck, clipped or doubled channels, and scales that others contradict."""
+"""A drone's flight without channels and samples that cannot be believed.
+
+Dead, stuck, clipped or doubled channels, scales that others contradict, and samples that no motion explains.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +11,32 @@ from dataclasses import replace
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
-from vpptwin.estimation.clean import drop_rows, tell_left_out
+from vpptwin.estimation.checks.orientation import BEND, MIN_SAMPLES
+from vpptwin.estimation.checks.units import is_dead
+from vpptwin.estimation.outliers import drop_rows, find_frozen, find_spikes, find_strays, tell_left_out
 from vpptwin.estimation.series import integrate
-from vpptwin.logs.check import MAX_FORCE, MIN_FORCE, MIN_R_SQUARED, compare_steps
+from vpptwin.logs.check import FASTEST, MAX_FORCE, MIN_FORCE, MIN_R_SQUARED, SLOWEST, compare_steps
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Sensors, Vehicle
 from vpptwin.system.errors import InputError
 
-FEW = 50
-"""Samples below which nothing is called dead."""
 STUCK = 0.15
 """Longest time [s] for which a noisy sensor may repeat itself to the last digit, and then jump."""
 CLIPPED = 5
 """Samples in a row at a noisy channel's very greatest or least value that make a clipped peak."""
-BEND = 0.1
-"""Motion is compared as displacement from a straight line over twice this time [s]: long against delays and noise."""
-TELLING = 4.0
+MIN_DURATION = 4.0
 """Over so long [s] the accelerometer's mean is gravity's, as no speed on the rig changes by 12 m/s."""
-LEAST, MOST = 0.7, 1.4
+MIN_SCALE, MAX_SCALE = 0.7, 1.4
 """Scale of lengths against the accelerometer, and of that against gravity, beyond which a unit is wrong: `mocap.scale`
 reaches from 0.8 to 1.2."""
-SLOWEST, FASTEST = 0.6, 1.6
-"""The same of rotor speeds, against the governed one."""
-UNITS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
+LENGTHS = {"feet": 0.3048, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
 """What lengths may be in [m]."""
+MAX_SPEED = np.array([8.0, 8.0, 40.0])
+"""Nothing on the rig is faster in x, z [m/s] and θ [rad/s]."""
+MAX_ACCELERATION = (100.0, 100.0, 600.0)
+"""Nor changes its speed faster in x, z [m/s²] and θ [rad/s²], but at once in a bounce."""
+RATE_JERK, FORCE_JERK = 2e5, 4e6
+"""Second derivatives of rate [rad/s³] and specific force [m/s⁴] that a motion may have."""
 
 
 def vet_flight(flight: Flight, vehicle: Vehicle) -> tuple[Flight, list[str]]:
@@ -49,7 +54,7 @@ def vet_flight(flight: Flight, vehicle: Vehicle) -> tuple[Flight, list[str]]:
         ),
     }
     for topic, vet in vets.items():
-        if topic in streams and len(streams[topic]) >= FEW:
+        if topic in streams and len(streams[topic]) >= MIN_SAMPLES:
             vetted, found = vet(streams.pop(topic))
             warnings += [f"{topic}: {text}" for text in found]
             streams |= {} if vetted is None else {topic: vetted}
@@ -74,10 +79,13 @@ def vet_imu(imu: Stream, pose: Stream, vehicle: Vehicle) -> tuple[Stream | None,
         reason = f"{' and '.join(dead)} never changes" if dead else "accel_x and accel_z are one and the same"
         warnings.append(f"{reason}, the accelerometer is left out")
         imu, forces = Stream(imu.time, {"rate": imu["rate"]}), []
-    elif len(forces) == 2 and len(pose) >= FEW and imu.time[-1] - imu.time[0] > TELLING:
+    elif len(forces) == 2 and len(pose) >= MIN_SAMPLES and imu.time[-1] - imu.time[0] > MIN_DURATION:
         up = turn_force(imu, pose)[:, 1]
         share = float(up.mean()) / vehicle.gravity
-        if MIN_FORCE < np.median(np.hypot(imu["accel_x"], imu["accel_z"])) < MAX_FORCE and not LEAST < share < MOST:
+        if (
+            MIN_FORCE < np.median(np.hypot(imu["accel_x"], imu["accel_z"])) < MAX_FORCE
+            and not MIN_SCALE < share < MAX_SCALE
+        ):
             found = f"the accelerometer shows {share:.2g} times gravity upwards on average"
             warnings.append(f"{found}: in another unit, or its axes swapped or turned; it is left out")
             imu, forces = Stream(imu.time, {"rate": imu["rate"]}), []
@@ -119,7 +127,7 @@ def vet_rotors(
         for s in (rotor, replace(rotor, values={"speed": 0.0 * speed + governed}))
     )
     if logged is not None and nominal is not None:
-        fits, fits_nominal = (LEAST < factor < MOST for factor in (logged, nominal))
+        fits, fits_nominal = (MIN_SCALE < factor < MAX_SCALE for factor in (logged, nominal))
         if doubted and fits and not fits_nominal and ratio.max() < 1.2 * ratio.min():
             warnings.append(f"{found}, and so is the thrust felt: correct rotor.speed of the vehicle")
             doubted = False
@@ -149,7 +157,7 @@ def weigh_thrust(rotor: Stream, vehicle: Vehicle, imu: Stream | None, command: S
     felt = (vehicle.airframe.mass + vehicle.rig.slider_mass) * imu["accel_z"]
     starts = max(stream.time[0] for stream in (rotor, imu, command))
     steps = np.arange(starts, min(stream.time[-1] for stream in (rotor, imu, command)), BEND)
-    if len(steps) < FEW:
+    if len(steps) < MIN_SAMPLES:
         return None
     made, had = (
         np.diff(np.interp(steps, time, integrate(force, time)))
@@ -165,11 +173,11 @@ def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) ->
     Raises:
         InputError: naming the unit that they look like.
     """
-    if len(pose) < FEW:
+    if len(pose) < MIN_SAMPLES:
         return
     if np.array_equal(pose["x"], pose["z"]) and not is_dead(pose["x"]):
         raise InputError(f"{label}: x and z are one and the same", "two axes", "correct the topic map or the tracker")
-    if imu is None or "accel_x" not in imu.values or not imu["accel_x"].any() or len(imu) < FEW:
+    if imu is None or "accel_x" not in imu.values or not imu["accel_x"].any() or len(imu) < MIN_SAMPLES:
         return
     seen, felt = bend_tracks(pose, imu, vehicle.gravity)
     least = 20.0 * vehicle.sensors.mocap.position_std
@@ -178,33 +186,17 @@ def vet_poses(label: str, pose: Stream, imu: Stream | None, vehicle: Vehicle) ->
             found = f"{label}: {name} never changes, while the accelerometer shows motion"
             raise InputError(found, "positions that were measured", "look at the tracker, or correct the topic map")
     factor, r_squared = compare_steps(felt.ravel(), seen.ravel())
-    if r_squared < MIN_R_SQUARED or LEAST < factor < MOST:
+    if r_squared < MIN_R_SQUARED or MIN_SCALE < factor < MAX_SCALE:
         return
-    unit = min(UNITS, key=lambda name: abs(np.log(abs(factor) * UNITS[name])))
-    near = 0.75 < factor * UNITS[unit] < 1.33
+    unit = min(LENGTHS, key=lambda name: abs(np.log(abs(factor) * LENGTHS[name])))
+    near = 0.75 < factor * LENGTHS[unit] < 1.33
     looks = f" and look like {unit}" if near else ""
-    scale = UNITS[unit] if near else 1.0 / factor
+    scale = LENGTHS[unit] if near else 1.0 / factor
     raise InputError(
         f"{label}: positions move {factor:.3g} times as far as the accelerometer shows{looks}",
         "metres",
         f"convert x and z, for instance with `scale: {scale:.4g}` in a topic map, or check the accelerometer's axes",
     )
-
-
-def vet_joint(stream: Stream, label: str) -> tuple[Stream, list[str]]:
-    """A joint's stream without velocities that are dead, or in another unit or sense than its positions."""
-    if "velocity" not in stream.values or "position" not in stream.values or len(stream) < FEW:
-        return stream, []
-    position, velocity = stream["position"], stream["velocity"]
-    known = Stream(stream.time, {name: data for name, data in stream.values.items() if name != "velocity"})
-    if is_dead(velocity) and not is_dead(position):
-        return known, [f"{label}: velocity is {velocity[0]:g} throughout while the joint moves, left out"]
-    stride = max(round(BEND / float(np.median(np.diff(stream.time)))), 1)
-    integral = integrate(velocity, stream.time)
-    factor, r_squared = compare_steps(np.diff(position[::stride]), np.diff(integral[::stride]))
-    if r_squared < MIN_R_SQUARED or SLOWEST < factor < FASTEST:
-        return stream, []
-    return known, [f"{label}: velocity is {factor:.3g} times the motion of position, left out"]
 
 
 def bend_tracks(pose: Stream, imu: Stream, gravity: float) -> tuple[np.ndarray, np.ndarray]:
@@ -231,11 +223,6 @@ def turn_force(imu: Stream, pose: Stream) -> np.ndarray:
     cosine, sine = np.cos(angle), np.sin(angle)
     force_x, force_z = imu["accel_x"], imu["accel_z"]
     return np.stack([cosine * force_x - sine * force_z, sine * force_x + cosine * force_z], axis=1)
-
-
-def is_dead(value: np.ndarray) -> bool:
-    """Whether a channel (n,) or (n, k) of many samples never changes in any digit."""
-    return len(value) >= FEW and not np.ptp(value, axis=0).any()
 
 
 def is_noisy(value: np.ndarray, std: float) -> bool:
@@ -274,3 +261,46 @@ def find_clipped(value: np.ndarray) -> np.ndarray:
         if np.any(lengths[at] >= CLIPPED):
             clipped |= at
     return np.repeat(clipped, lengths)
+
+
+def clean_poses(pose: Stream, imu: Stream | None, sensors: Sensors) -> tuple[Stream, list[str]]:
+    """Poses without frozen and wild ones, the angle unwrapped anew: a wild one may have thrown it off by a turn.
+
+    The rate of an IMU, where there is one, tells how far the craft turned between two poses.
+
+    Returns:
+        The poses left, and a warning for each kind left out.
+    """
+    std = np.array([sensors.mocap.position_std, sensors.mocap.position_std, sensors.mocap.angle_std])
+    turned = np.zeros(len(pose))
+    if imu is not None and len(imu) > 1:
+        turned = np.interp(pose.time, imu.time, integrate(imu["rate"], imu.time))
+    value = np.stack([pose["x"], pose["z"], np.unwrap(pose["theta"] - turned)], axis=1)
+    frozen = find_frozen(np.stack([pose[name] for name in ("x", "z", "theta")], axis=1), std)
+    wild = np.zeros(len(pose), dtype=bool)
+    left = np.flatnonzero(~frozen)
+    for axis, bend in enumerate(MAX_ACCELERATION):
+        wild[left] |= find_spikes(pose.time[left], value[left, axis], std[axis], bend)
+    left = np.flatnonzero(~frozen & ~wild)
+    wild[left] |= find_strays(pose.time[left], value[left], std, MAX_SPEED, turn=2)
+    kept = np.flatnonzero(~frozen & ~wild)
+    theta = np.unwrap(value[kept, 2]) + turned[kept]
+    theta = pose["theta"][kept] + 2.0 * np.pi * np.rint((theta - pose["theta"][kept]) / (2.0 * np.pi))
+    warnings = tell_left_out("/mocap/pose", wild, "are outliers")
+    warnings += tell_left_out("/mocap/pose", frozen, "repeat a frozen pose")
+    return Stream(pose.time[kept], {"x": pose["x"][kept], "z": pose["z"][kept], "theta": theta}), warnings
+
+
+def clean_imu(imu: Stream, sensors: Sensors) -> tuple[Stream, list[str]]:
+    """IMU messages without spikes in rate or specific force, and a warning that counts them."""
+    wild = find_spikes(imu.time, imu["rate"], sensors.imu.gyro_std, RATE_JERK)
+    for name in ("accel_x", "accel_z"):
+        if name in imu.values:
+            wild |= find_spikes(imu.time, imu[name], sensors.imu.accel_std, FORCE_JERK)
+    return drop_rows(imu, wild), tell_left_out("/imu/data", wild, "are outliers")
+
+
+def clean_rotors(rotor: Stream, sensors: Sensors) -> tuple[Stream, list[str]]:
+    """Rotor telemetry without spikes of the speeds, and a warning that counts them."""
+    wild = find_spikes(rotor.time, rotor["speed"], sensors.rotor.speed_std, 0.0)
+    return drop_rows(rotor, wild), tell_left_out("/rotor/state", wild, "are outliers")

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from vpptwin.estimation.checks.turns import unwrap_turns
-from vpptwin.logs.flight import Stream
 from vpptwin.mapping.survey import Signal
 
 STILL = 1e-9
 """Spread below which a signal stands still."""
+SLOPE_SPAN, MAX_LAG = 0.1, 0.5
+"""Over which time slopes are compared, and how much later one signal may be than another [s]."""
+MIN_SAMPLES = 20
 
 
 def measure_roughness(signal: Signal) -> float:
@@ -27,23 +26,15 @@ def resample(first: Signal, second: Signal) -> tuple[float, np.ndarray, np.ndarr
     start, end = max(time[0] for time, _ in good), min(time[-1] for time, _ in good)
     period = max(1.0 / min(s.rate for s in (first, second)), (end - start) / 50_000.0)
     grid = np.arange(start, end, period)
-    if len(grid) < 20:
+    if len(grid) < MIN_SAMPLES:
         return period, np.zeros(0), np.zeros(0)
     return period, *(np.interp(grid, time, values) for time, values in good)
 
 
-def straighten(position: Signal, scale: float, limits: np.ndarray | None, rotary: bool) -> tuple[Signal, list[str]]:
-    """A position logged in units of `scale`, in SI units, that goes on where it was logged within one turn."""
-    known = np.isfinite(position.values)
-    stream = Stream(position.time[known], {"position": scale * position.values[known]})
-    stream, told = unwrap_turns(stream, position.label, limits, rotary)
-    return replace(position, time=stream.time, values=stream["position"]), told
-
-
 def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:
-    """Correlation of a velocity with the slope of a position over 0.1 s, and its share of that; NaN if it is still."""
+    """Correlation of a velocity with the slope of a position, and its share of that; NaN if it is still."""
     period, place, rate = resample(position, velocity)
-    width = max(round(0.1 / period), 1)
+    width = max(round(SLOPE_SPAN / period), 1)
     if len(place) < 4 * width:
         return np.nan, np.nan
     moved = place[width:] - place[:-width]
@@ -56,12 +47,12 @@ def compare_slope(position: Signal, velocity: Signal) -> tuple[float, float]:
 
 def compare_lag(target: Signal, position: Signal) -> tuple[float, float]:
     """Correlation of a position with its target at the lag at which it is greatest, and that lag [s]; NaN if still."""
-    period, asked, found = resample(target, position)
-    if len(asked) < 20 or asked.std() < STILL or found.std() < STILL:
+    period, asked, seen = resample(target, position)
+    if len(asked) < MIN_SAMPLES or asked.std() < STILL or seen.std() < STILL:
         return np.nan, np.nan
-    most = min(round(0.5 / period), len(asked) // 4)
+    most = min(round(MAX_LAG / period), len(asked) // 4)
     lags = list(range(-most, most + 1))
-    values = [np.corrcoef(asked[max(-k, 0) : len(asked) - max(k, 0)], found[max(k, 0) : len(found) - max(-k, 0)])[0, 1]
+    values = [np.corrcoef(asked[max(-k, 0) : len(asked) - max(k, 0)], seen[max(k, 0) : len(seen) - max(-k, 0)])[0, 1]
               for k in lags]  # fmt: skip
     best = int(np.argmax(values))
     return float(values[best]), lags[best] * period
