@@ -17,8 +17,9 @@ from tests.estimation.synthetic import (
     expect_rate_noise,
     locate,
 )
-from vpptwin.estimation.initial import DRIFT_STD, HORIZON, SLOPE_STD, choose_span, estimate_states
+from vpptwin.estimation.initial import DRIFT_STD, HORIZON, choose_span, estimate_states
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.robots.planar_drone.topics import SLOPE_STD
 from vpptwin.twin import load_twin
 
 TIMES = 0.5 + 0.0731 * np.arange(40)
