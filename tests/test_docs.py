@@ -14,7 +14,7 @@ import yaml
 
 from vpptwin import __version__
 from vpptwin.cli.main import build_parser
-from vpptwin.train.overrides import parse_overrides
+from vpptwin.train.main import parse_overrides
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(

@@ -14,7 +14,7 @@ from vpptwin.cli.main import main
 from vpptwin.report.provenance import trace_origin
 from vpptwin.report.twin_file import compose_twin
 from vpptwin.system.errors import InputError
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config
 from vpptwin.twin import TwinSpec, load_twin
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,7 +11,7 @@ import policy_in_reality
 import pytest
 
 from vpptwin.train.learn.checkpoint import make_policy, write_checkpoint
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -17,7 +17,7 @@ from vpptwin.deploy.content import Content, collect_content, make_content
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.train.learn.actor import Actor
 from vpptwin.train.learn.networks import Policy
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O2")
 

@@ -12,11 +12,9 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 
-from vpptwin.train.config import Curriculum, Lesson, TrainConfig, to_config, to_plain
+from vpptwin.train.config import Curriculum, Lesson, Ramp, TrainConfig, to_config, to_plain
 from vpptwin.train.env.vpp_env import VppEnv, make_env
-from vpptwin.train.learn.ramp import Ramp
-from vpptwin.train.main import run_train
-from vpptwin.train.overrides import compose_config, parse_overrides
+from vpptwin.train.main import compose_config, parse_overrides, run_train
 
 TINY = (
     "num_envs=16", "rollout=8", "minibatch=64", "checkpoint_every=128", "exam_every=0", "loggers=csv",

@@ -127,15 +127,6 @@ def test_files_that_are_no_checkpoint(tmp_path: Path, content: bytes) -> None:
         load_policy(path)
 
 
-def test_truncated_checkpoint(tiny_run: Path, tmp_path: Path) -> None:
-    """Half a checkpoint is refused, for evaluation as for resuming."""
-    path = tmp_path / "checkpoint.pt"
-    whole = (tiny_run / "checkpoint.pt").read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="not a checkpoint"):
-        read_checkpoint(tmp_path)
-
-
 def test_files_that_a_run_to_resume_names_do_not_run(
     tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "train.md").read_text(encoding="utf-8")

@@ -12,8 +12,7 @@ import torch
 from tests.train.conftest import BRIEF, EXAMINED, read_log, tiny_config
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env.observe import Sight
-from vpptwin.train.evaluate.exam import LOST, Exam
-from vpptwin.train.evaluate.flights import Flights
+from vpptwin.train.evaluate.flights import LOST, Exam, Flights
 from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.train.learn.networks import Policy
 from vpptwin.train.main import run_train
@@ -56,16 +55,6 @@ def test_the_same_policy_gets_the_same_score(tmp_path: Path) -> None:
     assert sit(tiny_config(*SMALL, "noise=0"), some_policy(0), tmp_path) != results[0]
 
 
-def test_exams_leave_random_numbers_alone(tmp_path: Path) -> None:
-    """Neither torch's nor numpy's global state moves."""
-    policy = some_policy(0)
-    torch.manual_seed(7)
-    before, numpy_before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
-    sit(tiny_config(*SMALL), policy, tmp_path)
-    assert torch.equal(torch.get_rng_state(), before)
-    np.testing.assert_array_equal(np.random.get_state()[1], numpy_before)  # noqa: NPY002
-
-
 def test_training_is_the_same_with_and_without_exams(tiny_run: Path, tmp_path: Path) -> None:
     """Raw and averaged weights and every other log end bit-equal; without exams there is no best policy."""
     plain = run_train([*EXAMINED, f"out={tmp_path / 'plain'}", "exam_every=0"])
@@ -76,16 +65,6 @@ def test_training_is_the_same_with_and_without_exams(tiny_run: Path, tmp_path: P
     np.testing.assert_array_equal(read_log(plain, "return"), read_log(tiny_run, "return"))
     assert not (plain / BEST_NAME).exists()
     assert not list((plain / "log" / "scalars").glob("exam*"))
-
-
-def test_exams_come_when_they_are_due(tiny_run: Path) -> None:
-    """Every 256 of 1024 steps, and the share that is logged is of eight flights."""
-    steps, score = read_log(tiny_run, "exam_score_m").T
-    assert steps.tolist() == [256, 512, 768, 1024]
-    assert ((score > 0.0) & (score <= LOST)).all()
-    for name in ("exam_failures", "exam_success"):
-        share = read_log(tiny_run, name)[:, 1]
-        np.testing.assert_array_equal(8.0 * share, np.round(8.0 * share))
 
 
 @pytest.mark.parametrize(
@@ -144,21 +123,3 @@ def test_the_error_is_of_flights_that_did_not_fail(
     assert logged is not None
     assert logged["exam_error_m"] == pytest.approx(error, nan_ok=True)
     assert logged["exam_score_m"] == pytest.approx(LOST if all(failed) else (0.1 + LOST) / 2.0)
-
-
-def test_the_best_of_a_run_is_the_one_with_the_lowest_score(tiny_run: Path) -> None:
-    """best.pt is from where the lowest score was logged; it flies, while training goes on from the last."""
-    steps, score = read_log(tiny_run, "exam_score_m").T
-    lowest = steps[len(score) - 1 - np.argmin(score[::-1])]
-    best, last = read_checkpoint(tiny_run / BEST_NAME), read_checkpoint(tiny_run, flying=False)
-    assert (best["steps"], last["steps"]) == (lowest, 1024)
-    assert read_checkpoint(tiny_run)["steps"] == lowest
-    again = sit(tiny_config(*SMALL), load(best), tiny_run.parent)
-    assert again["exam_score_m"] == pytest.approx(score.min(), rel=1e-6)  # the log has fewer digits
-
-
-def load(content: dict) -> Policy:
-    """The policy in a checkpoint."""
-    policy = Policy(Sight())
-    policy.load_state_dict(content["policy"])
-    return policy

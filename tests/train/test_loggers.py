@@ -10,7 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from tests.train.conftest import read_log
 from vpptwin.train.config import LOGGERS
-from vpptwin.train.learn.loggers import make_logger
+from vpptwin.train.learn.progress import make_logger
 
 
 def read_events(run: Path) -> dict[str, np.ndarray]:

@@ -15,9 +15,9 @@ from vpptwin.train.config import TrainConfig
 from vpptwin.train.env.vpp_env import make_env
 from vpptwin.train.learn import memory
 from vpptwin.train.learn.checkpoint import make_policy
+from vpptwin.train.learn.collect import OPTIONS
 from vpptwin.train.learn.networks import Exploration, make_actor
-from vpptwin.train.learn.workers import OPTIONS
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config
 
 
 def tiny_config(*overrides: str) -> TrainConfig:
@@ -74,17 +74,6 @@ def test_record_is_what_a_collector_returns(overrides: tuple[str, ...]) -> None:
     (batch,) = list(Collector(env, actor, frames_per_batch=128, total_frames=128, **OPTIONS))
     size = sum(values.numel() * values.element_size() for values in batch.values(True, True))
     assert size == 128 * memory.size_record(config)
-
-
-@pytest.mark.parametrize("overrides", [(), ("randomize=all",), ("critic=lstm",)])
-def test_simulation_is_more_than_its_state(overrides: tuple[str, ...]) -> None:
-    """The estimate of a simulation exceeds the arrays that are visibly there: states, sensors, episodes, parameters."""
-    config = tiny_config(*overrides)
-    env = make_env(config)
-    arrays = [*env.state.arrays().values(), *env._before.arrays().values(), *env.sensors.arrays().values()]
-    arrays += [*vars(env.episodes).values(), env.twin.constants]
-    size = sum(values.nbytes for values in arrays) / config.num_envs
-    assert size < memory.size_simulation(config) < 4.0 * size
 
 
 def test_worker_checks_its_own_share(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,13 +30,6 @@ PAPERS = {"VA": 6, "TA": 7, "PI": 8, "All": 9}
 """Inputs without the target's angle, as the paper counts them."""
 
 
-def test_every_setup_is_worked_out() -> None:
-    """The table above has the setups that exist, SPEC 6's among them."""
-    assert tuple(SHOWN) == SETUPS
-    assert Sight().names == OBSERVATION
-    assert len(OBSERVATION) == 11
-
-
 @pytest.mark.parametrize("setup", SETUPS)
 def test_setups_by_hand(setup: str) -> None:
     """Every input is where its name says, with the sign of target minus state."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 from tensordict import TensorDict
 
 from tests.train.conftest import tiny_config
-from vpptwin.system.errors import InputError
 from vpptwin.train.env.observe import OBSERVATION
 from vpptwin.train.env.vpp_env import VppEnv, make_env
 
@@ -65,9 +63,3 @@ def test_a_snapshot_holds_the_filter() -> None:
     action = TensorDict({"action": torch.full((8, 2), 0.3)}, [8])
     here, there = (e.step(action.clone())["next", "observation"] for e in (env, other))
     assert torch.equal(here, there)
-
-
-def test_unknown_estimators_are_refused() -> None:
-    """One line that names those there are."""
-    with pytest.raises(InputError, match="estimator=ekf; expected one of sensors, kalman"):
-        tiny_config("estimator=ekf")

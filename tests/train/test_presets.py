@@ -9,13 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from tests.train.conftest import tiny_config
-from vpptwin.train.config import PRESETS, TrainConfig, to_config, to_plain
+from vpptwin.train.config import PRESETS, Ramp, TrainConfig, to_config, to_plain
 from vpptwin.train.env.tasks import HOVER, TASKS
 from vpptwin.train.learn.checkpoint import make_policy
-from vpptwin.train.learn.ramp import Ramp
-from vpptwin.train.main import run_train
-from vpptwin.train.overrides import compose_config, describe_options, list_options
+from vpptwin.train.main import compose_config, describe_options, list_options
 
 
 def test_the_papers_preset() -> None:
@@ -77,20 +74,6 @@ def test_an_override_wins_over_a_preset(override: str) -> None:
         assert replace(before, **{name: getattr(paper, name)}) == paper
 
 
-def test_a_preset_goes_with_every_task() -> None:
-    """A task and a preset are chosen independently, and survive being saved."""
-    for task in TASKS:
-        config = compose_config([f"task={task}", "preset=paper"])
-        assert (config.task.name, config.critic) == (task, "lstm")
-        assert to_config(to_plain(config)) == config
-
-
-def test_the_last_of_two_presets_counts() -> None:
-    """As with every option that is given twice."""
-    assert compose_config(["preset=paper", "preset=fast"]) == compose_config([])
-    assert tiny_config("num_envs=64").num_envs == 64
-
-
 def test_help_covers_every_option() -> None:
     """Each option has its default and a line of help, on a line of readable width."""
     text = describe_options()
@@ -122,15 +105,6 @@ def test_a_card_takes_8192_rigs() -> None:
     small = compose_config(["preset=card", "device=cpu", "engine=warp", "num_envs=64", "total_steps=4096"])
     assert small.on_device
     assert small.num_envs * small.rollout == 1024
-
-
-@pytest.mark.parametrize("flag", ["--help", "-h"])
-def test_help_is_printed_wherever_it_is_asked_for(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Beside options too, which are not looked at; nothing is trained."""
-    with pytest.raises(SystemExit) as caught:
-        run_train(["task=hover", flag, "nonsense"])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out.strip() == describe_options()
 
 
 @pytest.mark.parametrize(

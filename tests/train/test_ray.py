@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -21,20 +20,18 @@ from vpptwin.cli.main import main
 from vpptwin.system.errors import InputError
 from vpptwin.system.jobs import connect, explain_failures
 from vpptwin.train import run as running
-from vpptwin.train.learn import workers
+from vpptwin.train.learn import collect
 from vpptwin.train.learn.checkpoint import read_checkpoint
+from vpptwin.train.learn.collect import WorkerEnv
 from vpptwin.train.learn.ppo import Training
 from vpptwin.train.learn.progress import EpisodeStatistics
-from vpptwin.train.learn.workers import WorkerEnv
-from vpptwin.train.main import run_train
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config, run_train
 
 WORKED = (
     *TINY, "exam_every=0", "loggers=csv", "collector=ray", "workers=2", "total_steps=512", "task.episode=0.5",
     "task.success.window=0.2",
 )  # fmt: skip
 """Four batches of 16 drones x 8 steps, flown by two workers with eight drones each."""
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "cluster.md").read_text(encoding="utf-8")
 
 
 def find_processes() -> list[str]:
@@ -195,7 +192,7 @@ def test_too_few_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 3.0})
     monkeypatch.setattr(ray, "available_resources", lambda: {"CPU": 3.0})
     with pytest.raises(InputError, match="Ray has 3 cores; expected 4 for workers=2 with sim_threads=2"):
-        workers.check_cores(compose_config([*WORKED, "sim_threads=2"]))
+        collect.check_cores(compose_config([*WORKED, "sim_threads=2"]))
 
 
 @pytest.mark.parametrize(
@@ -211,9 +208,3 @@ def test_what_ended_a_worker_is_told_in_a_line(text: str, told: str) -> None:
     with pytest.raises(InputError) as caught, explain_failures("see why"):
         raise ray.exceptions.RayError(text)
     assert str(caught.value).startswith(f"a Ray worker ended: {told};")
-
-
-@pytest.mark.parametrize("line", re.findall(r"^    (?:\w+=\S+ )?vpptwin train (.+)$", PAGE, flags=re.MULTILINE))
-def test_documented_commands_compose(line: str) -> None:
-    """Every `vpptwin train` line of docs/cluster.md is a valid set of overrides."""
-    compose_config(shlex.split(line))

@@ -88,14 +88,3 @@ def test_episodes_begin_where_others_failed() -> None:
     env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
     env.reset()
     assert not np.allclose(env.state.qpos[:, 2], 2.0)
-
-
-def test_a_snapshot_holds_them() -> None:
-    """A resumed run flies the same starts again."""
-    lesson = Lesson(Curriculum(again=0.5), 1000, repeats=0.1)
-    env, other = tiny_env(lesson=lesson), tiny_env(lesson=lesson)
-    env.reset()
-    fail(env.failed_starts, 0, 3)
-    other.restore_snapshot(env.take_snapshot())
-    for name, value in vars(env.failed_starts).items():
-        np.testing.assert_array_equal(getattr(other.failed_starts, name), value)

@@ -16,8 +16,7 @@ from vpptwin.train.env.vpp_env import VppEnv, make_env
 from vpptwin.train.evaluate.evaluate import Conditions, evaluate
 from vpptwin.train.evaluate.flights import fly_tracks
 from vpptwin.train.learn.checkpoint import make_policy, read_checkpoint
-from vpptwin.train.main import run_train
-from vpptwin.train.overrides import compose_config
+from vpptwin.train.main import compose_config, run_train
 from vpptwin.twin.health import replay_fault
 
 

@@ -16,7 +16,6 @@ from pydantic import TypeAdapter, ValidationError
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.observe import SETUPS, Sight
 from vpptwin.train.env.tasks import HOVER, Task, check_task
-from vpptwin.train.learn.ramp import Ramp
 
 ESTIMATORS = ("sensors", "kalman")
 """What a policy can be shown: readings, or a filter's estimate from them."""
@@ -24,6 +23,22 @@ ENGINES = ("numba", "warp")
 """What can step the simulations of training."""
 LOGGERS = ("csv", "tensorboard")
 HELP = "`vpptwin train --help` lists every option"
+
+
+@dataclass
+class Ramp:
+    """A value that is constant, then changes linearly, then is constant again, over the course of training."""
+
+    start: float  # first value
+    end: float  # last value
+    begin: float = 0.1  # share of training at which the change starts
+    finish: float = 0.7  # share of training at which it is over
+
+    def at(self, progress: float) -> float:
+        """Value at a share of training between 0 and 1."""
+        span = max(self.finish - self.begin, 1e-9)
+        part = min(max((progress - self.begin) / span, 0.0), 1.0)
+        return self.start + part * (self.end - self.start)
 
 
 @dataclass

@@ -33,13 +33,6 @@ MARK = "# Written by vpptwin train.\n"
 def start_run(config: TrainConfig, given: Collection[str]) -> Path:
     """Train from the start, or from the last checkpoint of the run to resume.
 
-    Args:
-        config: composed from overrides.
-        given: options that the overrides set.
-
-    Returns:
-        The run's folder, which holds checkpoint.pt, config.yaml and log/scalars/*.csv.
-
     Raises:
         InputError: if a run cannot be resumed, does not fit into memory, the folder not be written, or the twin not be
             made.

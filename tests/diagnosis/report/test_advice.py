@@ -14,7 +14,7 @@ from tests.twin.own_effect_files import write_rig
 from vpptwin.cli.main import build_parser
 from vpptwin.diagnosis.judgement.verdict import Misfit, Rival, Unexplained, Unseen, Verdict
 from vpptwin.report.html.advice import Session, Step, list_steps
-from vpptwin.train.overrides import parse_overrides
+from vpptwin.train.main import parse_overrides
 from vpptwin.twin.spec import TwinSpec, load_twin
 
 NAMED = replace(VERDICT, causes=[replace(CAUSE, also_explained_by=[])], unseen=[])

@@ -20,12 +20,7 @@ TURNS = 32
 
 
 class DeviceDraws:
-    """Random numbers on a device, with numpy's names; what draws from `numpy.random.Generator` draws from this too.
-
-    Args:
-        device: where they are made.
-        seed: of all.
-    """
+    """Random numbers on a device, with numpy's names; what draws from `numpy.random.Generator` draws from this too."""
 
     def __init__(self, device: torch.device, seed: int) -> None:
         self.device = device
@@ -62,12 +57,6 @@ class ParameterBank:
 
     Effects that act on constants run in numpy, as everywhere; a new episode takes a set of the bank.
 
-    Args:
-        stepper: whose twin applies the effects, one set in each of its simulations.
-        priors: of the parameters that are drawn.
-        rng: source of the draws.
-        device: where the sets are kept.
-
     Attributes:
         numbers: of the stepper, (rows, sets).
         drawn: what was drawn, standardized for a critic, (sets, K).
@@ -76,17 +65,9 @@ class ParameterBank:
     def __init__(self, stepper: WarpStep, priors: Priors, rng: np.random.Generator, device: torch.device) -> None:
         self._stepper, self._priors, self._rng = stepper, priors, rng
         self._device = device
+        self.sets = stepper.twin.num_sims
         self.numbers = torch.tensor(stepper.pack_numbers(), dtype=torch.float32, device=device)
         self.drawn = torch.zeros(self.sets, len(priors.keys), device=device)
-
-    @property
-    def sets(self) -> int:
-        """How many there are."""
-        return self._stepper.twin.num_sims
-
-    def pick(self, draws: DeviceDraws, count: int) -> torch.Tensor:
-        """Which sets so many episodes take, (count,)."""
-        return draws.integers(0, self.sets, count)
 
     def refresh(self, draw_levels: Callable[[int], np.ndarray], first: int = 0, last: int | None = None) -> None:
         """Draw sets afresh, all or those from first to before last, at levels of the moment, (sets,)."""

@@ -119,7 +119,7 @@ class DeviceEnv(BaseEnv):
             self.bank.refresh(self._draw_levels)
 
     def _start_rigs(self, rows: MaskedRows, pose: torch.Tensor, velocity: torch.Tensor) -> None:
-        ids = self.bank.pick(self.draws, self.count)
+        ids = self.draws.integers(0, self.bank.sets, self.count)
         self.numbers.copy_(torch.where(rows.mask, self.bank.numbers[:, ids], self.numbers))
         rows.put(self.episodes.drawn, self.bank.drawn[ids])
         places, table = self.stepper.state, self._start.repeat(1, self.count)
@@ -192,11 +192,6 @@ class DeviceEnv(BaseEnv):
 
 def make_device_env(config: TrainConfig, device: torch.device, lesson: Lesson | None = None) -> DeviceEnv:
     """The environment of a run on a device.
-
-    Args:
-        config: of the run.
-        device: where it is.
-        lesson: of training; None for flying at full difficulty.
 
     Raises:
         InputError: as `vpptwin.train.env.vpp_env.make_env` and `DeviceEnv`.

@@ -19,17 +19,7 @@ from vpptwin.train.learn.devices import find_device
 def open_env(
     config: TrainConfig, device: torch.device, fault_folder: Path | None = None, lesson: Lesson | None = None
 ) -> BaseEnv:
-    """The environment of a run: on the device, by Warp, or on the processor's cores, by numba.
-
-    Args:
-        config: of the run.
-        device: of the networks.
-        fault_folder: where simulations on the processor that diverged are written; None to only count them.
-        lesson: of training; None for flying at full difficulty.
-
-    Raises:
-        InputError: as `make_env` and `make_device_env`.
-    """
+    """The environment of a run, as `make_env`: on the device, by Warp, or on the processor's cores, by numba."""
     if config.on_device:
         return make_device_env(config, device, lesson)
     return make_env(config, fault_folder, lesson)

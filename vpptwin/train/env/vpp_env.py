@@ -11,18 +11,52 @@ import numpy as np
 import torch
 
 from vpptwin.engine.arrays import Rows
+from vpptwin.robots.planar_drone.kalman import FilterNoise, KalmanFilter
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import Lesson, TrainConfig
 from vpptwin.train.env.base_env import BaseEnv, EnvConfig
 from vpptwin.train.env.episodes import Episodes, FailedStarts
-from vpptwin.train.env.onboard import Onboard
 from vpptwin.train.env.randomize import IDENTIFIED, name_effects, randomize
 from vpptwin.train.env.rotors import load_trained_twin, strengthen
 from vpptwin.twin import Twin, TwinState
 from vpptwin.twin.health import MAX_FAULTS, find_diverged, save_faults, take_fault
-from vpptwin.twin.sensors import read_sensors
+from vpptwin.twin.sensors import body_force, measure_rate, read_sensors
 from vpptwin.twin.spec import TwinSpec, check_effects
 from vpptwin.twin.stepping.past import SensorState, record_poses, start_sensors
+
+
+class OnboardFilter:
+    """The Kalman filter that `fly` flies on, for every simulation: what a flight computer makes of its sensors.
+
+    Args:
+        twin: whose simulations they are.
+        noise: times the noise of the vehicle's IMU.
+    """
+
+    def __init__(self, twin: Twin, noise: float) -> None:
+        imu = twin.vehicle.sensors.imu
+        self._std = noise * np.array([imu.gyro_std, imu.accel_std, imu.accel_std])
+        self._gravity = twin.vehicle.gravity
+        self.filter = KalmanFilter(twin.num_sims, twin.dt, self._gravity, FilterNoise.of_vehicle(twin.vehicle))
+
+    def follow(
+        self, twin: Twin, path: tuple[np.ndarray, np.ndarray], state: TwinState, level: float, rng: np.random.Generator
+    ) -> None:
+        """Feed the IMU's samples of the policy step that the twin flew along `path` to `state`, noise at a level."""
+        pose, qvel = (np.concatenate([way, end[:, None]], axis=1) for way, end in zip(path, (state.qpos, state.qvel)))
+        force = body_force(pose, qvel, twin.dt, self._gravity)
+        turn = np.diff(pose[..., 2], axis=1) / twin.dt
+        error = level * self._std * rng.standard_normal((*turn.shape, 3))
+        for k in range(turn.shape[1]):
+            gyro = measure_rate(twin.constants, turn[:, k]) + error[:, k, 0]
+            self.filter.predict(gyro, force[:, k] + error[:, k, 1:])
+
+    def correct(self, seen: np.ndarray, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
+        """Take in a pose of the motion capture for the rows, (n, 3); pose and velocity as now known, (n, 3) each."""
+        pose, new = np.full((len(self.filter.pose), 3), np.nan), np.zeros(len(self.filter.pose), bool)
+        pose[rows], new[rows] = seen, True
+        self.filter.correct(pose, seen=new)
+        return self.filter.pose[rows], self.filter.velocity[rows]
 
 
 class VppEnv(BaseEnv):
@@ -41,7 +75,7 @@ class VppEnv(BaseEnv):
         self.state: TwinState = twin.initial_state()
         self._before = self.state.copy()
         self.sensors: SensorState = start_sensors(self.state.qpos, self.state.qvel, self._depth, self._period)
-        self.onboard = Onboard(twin, config.noise) if config.estimator == "kalman" else None
+        self.onboard = OnboardFilter(twin, config.noise) if config.estimator == "kalman" else None
         self.failed_starts = FailedStarts.empty()
         self._everyone = Rows(np.arange(self.count), every=True)
 
@@ -61,7 +95,7 @@ class VppEnv(BaseEnv):
         self.state.write_rows(rows.ids, self.twin.initial_state(pose, velocity, ids=rows.ids))
         self.sensors.write_rows(rows.ids, start_sensors(pose, velocity, self._depth, self._period))
         if self.onboard is not None:
-            self.onboard.begin(rows.ids, pose, velocity)
+            self.onboard.filter.start(rows.ids, pose, velocity)  # the craft has been flying and knows its motion
 
     def _fly(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What diverged begins anew at once."""

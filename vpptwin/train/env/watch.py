@@ -18,11 +18,7 @@ VIEW = CameraView(np.array([0.1, 0.0, 1.25]), 1.3)
 
 
 class Watcher:
-    """Draws the first of many simulations.
-
-    Args:
-        twin: that is flown.
-    """
+    """Draws the first of many simulations."""
 
     def __init__(self, twin: Twin) -> None:
         model, self._vehicle = copy.copy(twin.spec.model), twin.vehicle

@@ -18,9 +18,6 @@ LAYERS = ("body.1", "body.3", "body.5")
 class Actor:
     """What `vpptwin.train.learn.networks.Policy` computes.
 
-    Args:
-        weights: the state of that module, by name.
-
     Attributes:
         weights: float32.
     """

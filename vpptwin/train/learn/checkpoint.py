@@ -13,8 +13,8 @@ from vpptwin.system.files import write_whole
 from vpptwin.train.config import TrainConfig, to_plain
 from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.learn.actor import build_actor
-from vpptwin.train.learn.hook import Hook
 from vpptwin.train.learn.networks import Policy
+from vpptwin.train.learn.progress import Hook
 from vpptwin.train.stored import FORMAT, KIND, find_commit, find_versions, open_checkpoint
 
 

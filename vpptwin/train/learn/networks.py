@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from vpptwin.train.env.observe import Sight
 
@@ -198,10 +198,3 @@ class Critic(nn.Module):
             return self.body(self.scale(seen[..., -1, :]))
         steps, _ = self.lstm(self.scale(seen).flatten(0, -3))
         return self.body(steps[:, -1]).unflatten(0, seen.shape[:-2])
-
-
-def make_critic(
-    names: Sequence[str], width: int, hidden: Sequence[int], lstm: int = 0, magnify: bool = True
-) -> ValueOperator:
-    """A critic for `critic_observation`; arguments as `Critic`."""
-    return ValueOperator(Critic(names, width, hidden, lstm, magnify), in_keys=["critic_observation"])

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torchrl.modules import ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.trainers import LRSchedulerHook
 from torchrl.trainers.algorithms import PPOTrainer
@@ -15,13 +16,12 @@ from torchrl.trainers.algorithms import PPOTrainer
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import TrainConfig
 from vpptwin.train.env.observe import OBSERVATION
-from vpptwin.train.evaluate.exam import Exam
+from vpptwin.train.evaluate.flights import Exam
 from vpptwin.train.learn.checkpoint import SaveCheckpoint, build_policy, make_policy, read_checkpoint
 from vpptwin.train.learn.collect import make_collector, start_env
 from vpptwin.train.learn.devices import find_device
-from vpptwin.train.learn.loggers import make_logger
-from vpptwin.train.learn.networks import Exploration, Policy, make_actor, make_critic
-from vpptwin.train.learn.progress import EpisodeStatistics, ProgressBar, Simulations
+from vpptwin.train.learn.networks import Critic, Exploration, Policy, make_actor
+from vpptwin.train.learn.progress import EpisodeStatistics, ProgressBar, Simulations, make_logger
 from vpptwin.train.learn.updates import Advantages, Averaging, ExplorationRamp, LipschitzBound, Minibatches
 from vpptwin.train.stored import FILE_NAME
 
@@ -60,11 +60,6 @@ def start_from(policy: Policy, config: TrainConfig) -> None:
 def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | None = None) -> Training:
     """Put a run together.
 
-    Args:
-        config: of the run.
-        folder: where logs and checkpoints go.
-        saved: content of the checkpoint to continue from.
-
     Raises:
         InputError: if the twin or an effect is unknown, or `saved` does not fit the configuration.
     """
@@ -80,7 +75,8 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
     names = OBSERVATION if config.privileged else config.sight.names
     lstm = config.critic_lstm if config.critic == "lstm" else 0
     width = env.episodes.seen.shape[-1]
-    critic = make_critic(names, width, config.critic_hidden, lstm, config.magnify).to(device)
+    values = Critic(names, width, config.critic_hidden, lstm, config.magnify)
+    critic = ValueOperator(values, in_keys=["critic_observation"]).to(device)
     collection = make_collector(config, actor, env, folder / FAULTS, saved["steps"] if saved else 0)
     batch = config.num_envs * config.rollout
     loss = ClipPPOLoss(

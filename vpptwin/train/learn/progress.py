@@ -1,22 +1,46 @@
-"""Hooks that tell how training goes: statistics of finished episodes and a progress bar."""
+"""What hooks into the trainer, and the hooks that tell how training goes: episodes, a progress bar, loggers."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Protocol
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.trainers import Trainer
+from torchrl.record import CSVLogger
+from torchrl.record.loggers import Logger, TensorboardLogger
+from torchrl.trainers import Trainer, TrainerHookBase
 from tqdm import tqdm
 
 from vpptwin.system.progress import open_bar
-from vpptwin.train.learn.hook import Hook
 
-MEMORY = 200
+MAX_EPISODES = 200
 """Episodes that the running statistics cover."""
 
 LAYOUT = "{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {remaining}{postfix}]"
+
+
+class Hook(TrainerHookBase):
+    """A hook that is called at one place of the trainer; unless it says otherwise it has nothing to save."""
+
+    place: ClassVar[str]  # where the trainer calls it
+    name: ClassVar[str]  # of its state in a checkpoint
+    trainer: Trainer  # from `register` on
+
+    def register(self, trainer: Trainer, name: str | None = None) -> None:
+        """Have the trainer call it at `place`, and save its state."""
+        self.trainer = trainer
+        trainer.register_op(self.place, self)
+        trainer.register_module(name or self.name, self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Nothing to restore."""
 
 
 class Simulations(Protocol):
@@ -35,16 +59,13 @@ class EpisodeStatistics(Hook):
     Logs `reward` (per step of the batch), `return` (sum over an episode), `error_m` (distance at the end of episodes
     that did not fail), `failures` and `success` (shares), `difficulty` (of the curriculum) and `faults` (simulations
     that diverged since the start).
-
-    Args:
-        simulations: whose faults and difficulty are reported.
     """
 
     place, name = "pre_steps_log", "episode_statistics"  # of every collected batch
 
     def __init__(self, simulations: Simulations) -> None:
         self.simulations = simulations
-        self.returns, self.errors, self.failed, self.success = (deque[float](maxlen=MEMORY) for _ in range(4))
+        self.returns, self.errors, self.failed, self.success = (deque[float](maxlen=MAX_EPISODES) for _ in range(4))
 
     def __call__(self, batch: TensorDictBase) -> dict[str, float]:
         """Statistics up to and including the batch (N, T)."""
@@ -71,17 +92,11 @@ class EpisodeStatistics(Hook):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Remember the episodes of a saved run."""
         for key, values in state_dict.items():
-            setattr(self, key, deque(values, maxlen=MEMORY))
+            setattr(self, key, deque(values, maxlen=MAX_EPISODES))
 
 
 class ProgressBar(Hook):
-    """One line on stderr: steps, steps per second, time left, return, success, position error, difficulty.
-
-    Args:
-        statistics: where the numbers come from.
-        total: steps when training is over.
-        shown: whether to show it.
-    """
+    """One line on stderr: steps, steps per second, time left, return, success, position error, difficulty."""
 
     place, name = "post_steps", "progress_bar"
 
@@ -118,3 +133,33 @@ class ProgressBar(Hook):
 def mean(values: deque[float]) -> float:
     """Mean, NaN of nothing."""
     return float(torch.tensor(list(values)).mean()) if values else float("nan")
+
+
+class Loggers(Logger):
+    """Several of TorchRL's loggers as one: scalars go to each of them, and a run logs nothing else."""
+
+    def __init__(self, loggers: Sequence[Logger], folder: Path) -> None:
+        self.loggers = list(loggers)
+        super().__init__(exp_name="log", log_dir=str(folder))
+
+    def _create_experiment(self) -> None:
+        """Each has its own."""
+
+    def log_scalar(self, name: str, value: float, step: int | None = None) -> None:
+        """Log a number at a step."""
+        for logger in self.loggers:
+            logger.log_scalar(name, value, step)
+
+    def _refuse(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401
+        raise NotImplementedError
+
+    log_video = log_hparams = log_histogram = _refuse
+
+    def __repr__(self) -> str:
+        return f"Loggers({self.loggers})"
+
+
+def make_logger(names: Sequence[str], folder: Path) -> Logger:
+    """The loggers of a run: `csv` writes log/scalars/*.csv, `tensorboard` tensorboard/."""
+    kinds = {"csv": (CSVLogger, "log"), "tensorboard": (TensorboardLogger, "tensorboard")}
+    return Loggers([kind(name, log_dir=str(folder)) for key, (kind, name) in kinds.items() if key in names], folder)

@@ -13,9 +13,9 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 from torchrl.trainers import Trainer
 
 from vpptwin.system.errors import InputError
-from vpptwin.train.learn.hook import Hook
+from vpptwin.train.config import Ramp
 from vpptwin.train.learn.networks import Exploration, Policy, bound_layers
-from vpptwin.train.learn.ramp import Ramp
+from vpptwin.train.learn.progress import Hook
 
 
 class Advantages:
@@ -43,7 +43,12 @@ class Advantages:
         if self._done is not None and self._done[0] is batch:
             return self._done[1]
         last = batch["next"]
-        value, following = self._estimate(batch)
+        # Inside an episode the value of the following step is the next one's, and need not be computed again.
+        value = self.critic(batch["critic_observation"])
+        ends = last["done"][..., 0].clone()
+        ends[:, -1] = True
+        following = torch.roll(value, -1, 1)
+        following[ends] = self.critic(last["critic_observation"][ends])
         # Valued as if the target had stayed, where it is worth as much as a step before.
         surprised = last["surprised"] > 0.0
         following = torch.where(surprised, value, following)
@@ -57,27 +62,12 @@ class Advantages:
         self._done = (batch, result)
         return result
 
-    def _estimate(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-        """Values (N, T, 1) of every step and of the one after it, which inside an episode is the next one's."""
-        seen = batch["critic_observation"]
-        value = self.critic(seen)
-        ends = batch["next", "done"][..., 0].clone()
-        ends[:, -1] = True
-        following = torch.roll(value, -1, 1)
-        following[ends] = self.critic(batch["next", "critic_observation"][ends])
-        return value, following
-
 
 def normalize(advantage: torch.Tensor, value: torch.Tensor, groups: int) -> torch.Tensor:
     """Advantages with mean 0 and deviation 1 within each of so many groups of steps, of like value and equal size.
 
     Which group a step is in depends on its state only, so that an action stays as much better than another as it was.
     With one group for all, the many steps at rest, whose advantages are small, hardly count beside a few in falling.
-
-    Args:
-        advantage: any shape.
-        value: of the critic, the same shape.
-        groups: their number.
     """
     flat = advantage.flatten()
     result = torch.empty_like(flat)
@@ -128,12 +118,7 @@ class Minibatches(Hook):
 
 
 class ExplorationRamp(Hook):
-    """Schedules the standard deviation of the exploring actor, so that a batch has one value.
-
-    Args:
-        exploration: module whose `std` is set.
-        ramp: the schedule.
-    """
+    """Schedules the standard deviation of the exploring actor, so that a batch has one value."""
 
     place, name = "post_steps", "exploration_ramp"  # after the updates of a batch
 
@@ -147,12 +132,7 @@ class ExplorationRamp(Hook):
 
 
 class LipschitzBound(Hook):
-    """Keeps the actor within its Lipschitz bound after every gradient step (paper, Spectral Normalization).
-
-    Args:
-        policy: what is bound.
-        lipschitz: for scaled inputs; None for no bound.
-    """
+    """Keeps the actor within its Lipschitz bound, if there is one, after every step (paper, Spectral Normalization)."""
 
     place, name = "post_optim", "lipschitz_bound"
 
@@ -175,10 +155,6 @@ class Averaging(Hook):
 
     The average is on the CPU, wherever training is.
     An average of layers within a norm is within it too, so that it keeps the Lipschitz bound.
-
-    Args:
-        policy: what is trained.
-        share: of the average that stays at every update.
     """
 
     place, name = "post_steps", "averaging"  # after the updates of a batch
