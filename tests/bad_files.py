@@ -41,55 +41,37 @@ def damage_pose(value: float) -> list[Message]:
 
 LOGS: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "empty": (lambda path: path.write_bytes(b""), ("is empty (0 bytes)", "MCAP", "record again")),
-    "truncated": (
-        lambda path: path.write_bytes(DEMO.read_bytes()[: DEMO.stat().st_size // 2]),
-        ("ends inside a record", "a complete MCAP file", "mcap recover"),
-    ),
+    "truncated": (lambda path: path.write_bytes(DEMO.read_bytes()[: DEMO.stat().st_size // 2]),
+        ("ends inside a record", "a complete MCAP file", "mcap recover")),
     "no_pose": (lambda path: write_log(path, []), ("no messages on /mocap/pose, only on /rotor/command", "topic map")),
-    "nan": (
-        lambda path: write_log(path, damage_pose(float("nan"))),
-        ("/mocap/pose", "position.x is NaN in 1 of 1200 messages", "3.000 s", "finite numbers"),
-    ),
-    "set_back": (
-        lambda path: write_log(path, [swing(k, k if k < 900 else k - 300) for k in range(1200)]),
-        ("time runs backwards", "message 901 of 1200", "2.990 s before an earlier one"),
-    ),
-    "folder_of_videos": (
-        lambda path: (path.mkdir(), (path / "flight.mp4").write_bytes(b"x")),
-        ("holds flight.mp4", "logs, or a rosbag2 folder"),
-    ),
-}
+    "nan": (lambda path: write_log(path, damage_pose(float("nan"))),
+        ("/mocap/pose", "position.x is NaN in 1 of 1200 messages", "3.000 s", "finite numbers")),
+    "set_back": (lambda path: write_log(path, [swing(k, k if k < 900 else k - 300) for k in range(1200)]),
+        ("time runs backwards", "message 901 of 1200", "2.990 s before an earlier one")),
+    "folder_of_videos": (lambda path: (path.mkdir(), (path / "flight.mp4").write_bytes(b"x")),
+        ("holds flight.mp4", "logs, or a rosbag2 folder")),
+}  # fmt: skip
 """Damaged logs that no command takes, one of each kind: how to make each, and what the line must say."""
 
 SHORT: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
-    "one_second": (
-        lambda path: write_log(path, [swing(k) for k in range(100)], 1.0),
-        ("1.0 s", "at least 5 s", "longer flight"),
-    ),
-    "standing": (
-        lambda path: write_log(path, [make_pose(EPOCH + k * PERIOD) for k in range(1200)]),
-        ("nothing moves", "a flight with motion"),
-    ),
+    "one_second": (lambda path: write_log(path, [swing(k) for k in range(100)], 1.0),
+        ("1.0 s", "at least 5 s", "longer flight")),
+    "standing": (lambda path: write_log(path, [make_pose(EPOCH + k * PERIOD) for k in range(1200)]),
+        ("nothing moves", "a flight with motion")),
     "few_poses": (lambda path: write_log(path, [swing(0), swing(1199)]), ("times a second", "at least", "Hz")),
-    "apart": (
-        lambda path: write_log(path, [swing(k, k + 2000) for k in range(1200)]),
-        ("in which all needed topics were recorded", "at least 5 s"),
-    ),
-}
+    "apart": (lambda path: write_log(path, [swing(k, k + 2000) for k in range(1200)]),
+        ("in which all needed topics were recorded", "at least 5 s")),
+}  # fmt: skip
 """Sound logs from which nothing can be learnt."""
 
 TWINS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "unknown_effect": (
-        RIG + "effects: {rail_x.colomb: {force: 0.3}}",
-        ("unknown effect 'rail_x.colomb'", "rail_x.coulomb", "did you mean rail_x.coulomb?"),
-    ),
-    "negative_mass": (
-        RIG + "effects: {airframe.mass: {mass: -0.6}}",
-        ("airframe.mass.mass = -0.6 kg", "-0.09 to 0.15 kg", "correct the value"),
-    ),
+    "unknown_effect": (RIG + "effects: {rail_x.colomb: {force: 0.3}}",
+        ("unknown effect 'rail_x.colomb'", "rail_x.coulomb", "did you mean rail_x.coulomb?")),
+    "negative_mass": (RIG + "effects: {airframe.mass: {mass: -0.6}}",
+        ("airframe.mass.mass = -0.6 kg", "-0.09 to 0.15 kg", "correct the value")),
     "not_compiling": ("model: broken.xml\n" + JOINT, ("broken.xml: MuJoCo says", "an MJCF that compiles")),
     "no_signals": ("model: rail_rig.xml", ("neither vehicle nor signals", "add `signals: {joints:")),
-}
+}  # fmt: skip
 """Twin files that no command takes, one of each kind; tests/twin/test_spec.py has the others."""
 
 MAPS: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -35,17 +35,17 @@ FOLDER = TemporaryDirectory(prefix="vpptwin-rigs-")
 
 
 @cache
-def load_rig(mjcf: str = CART) -> TwinSpec:
-    """The twin of a rig whose joints and actuators are all logged, read from its files."""
+def load_rig(mjcf: str = CART, signals: str = "") -> TwinSpec:
+    """The twin of a rig, read from its files; with no signals all of its joints and actuators are logged."""
     folder = Path(FOLDER.name) / str(len(list(Path(FOLDER.name).iterdir())))
     folder.mkdir()
     (folder / "rig.xml").write_text(mjcf)
-    model = mujoco.MjModel.from_xml_string(mjcf)
-    joints = ", ".join(f"{model.joint(i).name}: /joint_states" for i in range(model.njnt))
-    actuators = ", ".join(f"{model.actuator(i).name}: /actuator_command" for i in range(model.nu))
-    (folder / "rig.yaml").write_text(
-        f"model: rig.xml\nsignals:\n  joints: {{{joints}}}\n  actuators: {{{actuators}}}\n"
-    )
+    if not signals:
+        model = mujoco.MjModel.from_xml_string(mjcf)
+        joints = ", ".join(f"{model.joint(i).name}: /joint_states" for i in range(model.njnt))
+        actuators = ", ".join(f"{model.actuator(i).name}: /actuator_command" for i in range(model.nu))
+        signals = f"{{joints: {{{joints}}}, actuators: {{{actuators}}}}}"
+    (folder / "rig.yaml").write_text(f"model: rig.xml\nsignals: {signals}\n")
     return load_twin(folder / "rig.yaml")
 
 
@@ -69,21 +69,29 @@ def load_known(mjcf: str = CART) -> TwinSpec:
     return disturb(spec, Disturbance(np.ones(spec.model.nv), known=True))
 
 
+def lay_windows(
+    spec: TwinSpec, start: np.ndarray | list[float], flight: np.ndarray | list[int] | None = None,
+    command: np.ndarray | None = None, steps: int = 1,
+) -> Windows:  # fmt: skip
+    """Windows of a rig at rest, of which times and commands, (K, steps, nu), count."""
+    start, model = np.array(start, dtype=float), spec.model
+    count = len(start)
+    flights = np.zeros(count, dtype=int) if flight is None else np.array(flight)
+    command = np.zeros((count, steps, model.nu)) if command is None else command
+    pose = np.tile(spec.robot.start_pose, (count, 1))
+    return Windows(
+        flights, start, command.shape[1], float(model.opt.timestep), np.zeros((1, 1, model.nu)),
+        np.zeros(count, dtype=int), command, None, pose, np.zeros((count, model.nv)),
+    )  # fmt: skip
+
+
 def lay_bench(
     start: np.ndarray | list[float], flight: np.ndarray | list[int] | None = None, spec: TwinSpec | None = None,
     command: np.ndarray | None = None, steps: int = 1, segments: int = 1,
 ) -> Bench:  # fmt: skip
-    """Windows of a rig at rest, with nothing measured in them: their times and commands, (K, steps, nu), count."""
-    spec, start = load_rig() if spec is None else spec, np.array(start, dtype=float)
-    count, model = len(start), spec.model
-    flights = np.zeros(count, dtype=int) if flight is None else np.array(flight)
-    command = np.zeros((count, steps, model.nu)) if command is None else command
-    pose = np.tile(spec.robot.start_pose, (count, 1))
-    windows = Windows(
-        flights, start, command.shape[1], float(model.opt.timestep), np.zeros((1, 1, model.nu)),
-        np.zeros(count, dtype=int), command, None, pose, np.zeros((count, model.nv)),
-    )  # fmt: skip
-    return Bench(spec, windows, [], segments)
+    """The same on a bench, with nothing measured in them."""
+    spec = load_rig() if spec is None else spec
+    return Bench(spec, lay_windows(spec, start, flight, command, steps), [], segments)
 
 
 class Unsearched(Search):

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from proving.hidden import write_log
 from proving.quadrotor import GRAVITY, INERTIA, MASS, STEP, fly, simulate, write_twin
+from tests.builders import load_rig
 from vpptwin.diagnosis.evidence.flights import build_bench
 from vpptwin.diagnosis.evidence.runs import Track
 from vpptwin.diagnosis.judgement.diagnose import diagnose
@@ -330,36 +331,22 @@ def test_what_tolerances_hide_is_told(spec: TwinSpec) -> None:
 @pytest.mark.parametrize(
     ("xml", "signals", "line"),
     [
-        (
-            ARM_ON_BASE,
-            "{joints: {elbow: /joint_states}}",
-            r"leave out free body 'base'.*every free body under `bodies`",
-        ),
+        (ARM_ON_BASE, "{joints: {elbow: /joint_states}}",
+         r"leave out free body 'base'.*every free body under `bodies`"),
         (ARM_ON_BASE, "{bodies: {base: /pose}}", "leave out joint 'elbow'"),
         (ARM_ON_BASE, "{bodies: {arm: /pose}}", "free body 'arm'; expected one of base"),
-        (
-            ARM_ON_BASE,
-            "{bodies: {base: /pose}, driven: {base: /pose, elbow: /joint_states}}",
-            "body 'base' under bodies and driven; expected it under one",
-        ),
-        (
-            ARM_ON_BASE,
-            "{driven: {base: /pose, elbow: /joint_states}}",
-            "every joint follows its log; expected something to simulate",
-        ),
-        (
-            ARM_ON_BASE.replace('name="elbow" type="hinge"', 'name="hip" type="ball"'),
-            "{bodies: {base: /pose}}",
-            "leave out joint 'hip'",
-        ),
+        (ARM_ON_BASE, "{bodies: {base: /pose}, driven: {base: /pose, elbow: /joint_states}}",
+         "body 'base' under bodies and driven; expected it under one"),
+        (ARM_ON_BASE, "{driven: {base: /pose, elbow: /joint_states}}",
+         "every joint follows its log; expected something to simulate"),
+        (ARM_ON_BASE.replace('name="elbow" type="hinge"', 'name="hip" type="ball"'), "{bodies: {base: /pose}}",
+         "leave out joint 'hip'"),
     ],
-)
-def test_what_signals_leave_out_is_refused(tmp_path: Path, xml: str, signals: str, line: str) -> None:
+)  # fmt: skip
+def test_what_signals_leave_out_is_refused(xml: str, signals: str, line: str) -> None:
     """A body that nobody names, a name that is no body's, and what a twin of a free body can't do: a line each."""
-    (tmp_path / "rig.xml").write_text(xml)
-    (tmp_path / "twin.yaml").write_text(f"model: rig.xml\nsignals: {signals}\n")
     with pytest.raises(InputError, match=line):
-        load_twin(tmp_path / "twin.yaml")
+        load_rig(xml, signals)
 
 
 def test_a_log_without_the_pose_is_refused(spec: TwinSpec) -> None:

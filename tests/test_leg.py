@@ -11,6 +11,7 @@ import pytest
 
 from proving.hidden import write_log
 from proving.leg import STEP, move, simulate, write_twin
+from tests.builders import load_rig
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.joints import smooth_series
@@ -30,6 +31,8 @@ from vpptwin.viz.scene.show import prepare_show
 BOB = """<mujoco><option timestep="0.001"/><worldbody><body euler="0 0 90"><body name="bob" euler="180 0 0">
 <joint name="hook" type="ball"/><geom type="sphere" size="0.03" pos="0.05 0 0.3" mass="0.2"/><site name="imu"/></body>
 </body></worldbody></mujoco>"""
+HUNG = "{bodies: {bob: /pose}, sites: {imu: /imu}}"
+"""Signals of a spherical pendulum."""
 UP = np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -37,13 +40,6 @@ UP = np.array([1.0, 0.0, 0.0, 0.0])
 def spec(tmp_path_factory: pytest.TempPathFactory) -> TwinSpec:
     """The nominal leg."""
     return load_twin(write_twin(tmp_path_factory.mktemp("leg")))
-
-
-def hang(folder: Path, signals: str = "{bodies: {bob: /pose}, sites: {imu: /imu}}") -> TwinSpec:
-    """A spherical pendulum."""
-    (folder / "bob.xml").write_text(BOB)
-    (folder / "twin.yaml").write_text(f"model: bob.xml\nsignals: {signals}\n")
-    return load_twin(folder / "twin.yaml")
 
 
 def test_the_twin_follows_an_independent_simulation(spec: TwinSpec) -> None:
@@ -98,9 +94,9 @@ def test_what_a_leg_may_have(spec: TwinSpec) -> None:
     assert not [name for name in kinds if name.startswith(("trunk", "ankle.offset", "ankle.spring"))]
 
 
-def test_a_pendulum_is_read_from_the_pose_of_its_body(tmp_path: Path) -> None:
+def test_a_pendulum_is_read_from_the_pose_of_its_body() -> None:
     """Its joint's quaternion is what MuJoCo has when the body stands as logged; the gyro gives its rates."""
-    spec = hang(tmp_path)
+    spec = load_rig(BOB, HUNG)
     data, rng = mujoco.MjData(spec.model), np.random.default_rng(1)
     joint = rotate(UP, np.cumsum(0.02 * rng.standard_normal((200, 3)), axis=0))
     seen = np.empty((200, 4))
@@ -123,9 +119,9 @@ def test_a_pendulum_is_read_from_the_pose_of_its_body(tmp_path: Path) -> None:
         ({"bob.twist": {"x": 0.001, "y": -0.002, "z": 0.003}}, lambda w: np.array([0.001, -0.002, 0.003])),
     ],
 )
-def test_effects_on_a_ball_joint_act_as_they_say(tmp_path: Path, effect: dict, torque: object) -> None:
+def test_effects_on_a_ball_joint_act_as_they_say(effect: dict, torque: object) -> None:
     """One step: what is gained besides what MuJoCo alone gains is the torque at its end by the inertia."""
-    spec, velocity = hang(tmp_path), np.array([[1.0, -2.0, 0.5]])
+    spec, velocity = load_rig(BOB, HUNG), np.array([[1.0, -2.0, 0.5]])
     gained = []
     for given in ({}, effect):
         twin = Twin(spec.with_effects(given), 1)
@@ -141,7 +137,7 @@ def test_effects_on_a_ball_joint_act_as_they_say(tmp_path: Path, effect: dict, t
 def test_a_ball_joint_of_columns(tmp_path: Path) -> None:
     """Its attitude from its parent, as fields; what else is no such joint's is refused."""
     entry = "{topic: flight, attitude: [qw, qx, qy, qz]}"
-    spec = hang(tmp_path, f"{{joints: {{hook: {entry}}}}}")
+    spec = load_rig(BOB, f"{{joints: {{hook: {entry}}}}}")
     turn = rotate(UP, np.linspace(0.0, 1.0, 50)[:, None] * np.array([0.3, 0.5, 0.1]))
     rows = np.column_stack([np.arange(50) * 0.02, turn])
     np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,qw,qx,qy,qz", comments="")
@@ -149,7 +145,7 @@ def test_a_ball_joint_of_columns(tmp_path: Path) -> None:
     np.testing.assert_allclose(flight.spatial["/turns/hook"]["attitude"], turn, atol=1e-9)
     assert set(read_measurements(spec, flight).attitudes) == {0}
     assert spec.robot.signals.as_dict()["joints"]["hook"]["attitude"] == {"path": ["qw", "qx", "qy", "qz"]}
-    wrong = hang(tmp_path, "{joints: {hook: {topic: flight, position: qw}}}")
+    wrong = load_rig(BOB, "{joints: {hook: {topic: flight, position: qw}}}")
     flight = read_flight(tmp_path / "log.csv", signals=wrong.robot.signals.entries)
     with pytest.raises(InputError, match="no topic /joint_states; expected it in the log"):
         read_measurements(wrong, flight)
@@ -169,19 +165,17 @@ BEARING = """<mujoco><worldbody><body name="sat"><joint name="bearing" type="bal
 
 def test_a_gyro_on_a_ball_joint_may_be_off(tmp_path: Path) -> None:
     """A satellite on an air bearing, whose attitude is named under `bodies`, without a position: it has none."""
-    (tmp_path / "m.xml").write_text(BEARING)
-    (tmp_path / "t.yaml").write_text(
-        "model: m.xml\nsignals: {bodies: {sat: {topic: log, attitude: [qw, qx, qy, qz]}}, "
-        "sites: {imu: {topic: log, rate: [gx, gy, gz]}}}\n"
+    signals = (
+        "{bodies: {sat: {topic: log, attitude: [qw, qx, qy, qz]}}, sites: {imu: {topic: log, rate: [gx, gy, gz]}}}"
     )
-    robot = load_twin(tmp_path / "t.yaml").robot
+    robot = load_rig(BEARING, signals).robot
     found = {effect.id: effect for effect in robot.list_misread()}
     kinds = {"sat": ("delay", "drift", "misalignment"), "imu": ("bias", "scale", "misalignment")}
     assert set(found) == {f"{name}.{kind}" for name, listed in kinds.items() for kind in listed}
     bearing = int(robot.model.joint("bearing").id)
     weak = replace(robot, loads=Loads(*(np.full(3, value) for value in (0.1, 1.0, 1.0, 0.0, 0.02)), np.ones(0)))
     assert weak.list_free()[bearing].shift == pytest.approx(0.02 * 0.1 / (5.0 * 9.81))
-    assert found["imu.bias"].apply.places == (("rate.bias", (0, 1, 2)),)  # type: ignore[attr-defined]
+    assert found["imu.bias"].apply.places == tuple(("rate.bias", dof) for dof in range(3))  # type: ignore[attr-defined]
     rows = "".join(f"{0.01 * i},1,0,0,0,0.1,0,0\n" for i in range(9))
     (tmp_path / "log.csv").write_text("t,qw,qx,qy,qz,gx,gy,gz\n" + rows)
     flight = read_flight(tmp_path / "log.csv", signals=robot.signals.entries)

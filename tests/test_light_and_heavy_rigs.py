@@ -79,7 +79,7 @@ def test_dry_friction_of_a_free_decay_is_named(tmp_path: Path) -> None:
 
 def test_a_large_error_is_a_gap_whatever_is_named(tmp_path: Path) -> None:
     """A force that no effect makes, a quarter of the drive's: a gap, how far off, where, and nothing is sure."""
-    verdict = look_into(slider(Plant(2.0, hum=2.5, drive=10.0)), tmp_path).verdict
+    verdict = look_into(slider(Plant(2.0, hum=2.5, drive=10.0, duration=12.0)), tmp_path).verdict
     assert verdict.gap
     assert verdict.after.chi2 > 4.0
     assert verdict.misfit is not None

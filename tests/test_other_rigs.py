@@ -100,7 +100,7 @@ def test_a_servo_as_it_should_be_is_not_accused(tmp_path: Path) -> None:
 
 def test_a_cart_without_friction_is_not_accused(tmp_path: Path) -> None:
     """The twin is right: no cause, no gap, nothing unexplained, and the error before is the error after."""
-    verdict = diagnose_rig(CARTS, 0.0, tmp_path)
+    verdict = diagnose(*record(CARTS, 0.0, tmp_path, seed=1, part=0.5), tmp_path / "out")
     assert verdict["causes"] == []
     assert not verdict["gap"]
     assert not verdict["unexplained"]["significant"]

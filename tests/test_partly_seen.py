@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders import load_rig
 from vpptwin.cli.main import main
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.measurements import read_measurements
 from vpptwin.logs.read import read_flight
 from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.model import is_indifferent
-from vpptwin.twin.spec import TwinSpec, load_twin
 
 WHEEL = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="pivot" axis="0 1 0" damping="0.001"/>
 <inertial pos="0 0 -0.12" mass="0.25" diaginertia="0.0012 0.0012 0.00005"/>
@@ -102,20 +102,13 @@ def write(folder: Path, name: str, columns: Mapping[str, np.ndarray]) -> Path:
     return folder / name
 
 
-def load(folder: Path, model: str, signals: str) -> TwinSpec:
-    """A twin of an MJCF and its signals."""
-    (folder / "rig.xml").write_text(model)
-    (folder / "rig.yaml").write_text(f"model: rig.xml\nsignals: {{{signals}}}\n")
-    return load_twin(folder / "rig.yaml")
-
-
 @pytest.mark.slow
 def test_a_wheel_is_where_its_velocity_leads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its position is the integral, gaps left out, worth what a bias would make of it; it is told, and drawn."""
     monkeypatch.chdir(tmp_path)
     columns = swing_wheel(6.0, 1)
     columns["wheel_speed"][200:203] = np.nan
-    spec = load(tmp_path, WHEEL, f"{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}")
+    spec = load_rig(WHEEL, f"{{{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}}}")
     log = write(tmp_path, "log.csv", columns)
     measured = read_measurements(spec, read_flight(log, signals=spec.robot.signals.entries))
     turned, speed = measured.positions[1], measured.velocities[1]
@@ -125,16 +118,16 @@ def test_a_wheel_is_where_its_velocity_leads(tmp_path: Path, monkeypatch: pytest
     assert np.abs(np.interp(columns["t"], turned.time, turned.value) - led).max() < 2.0
     assert turned.std == pytest.approx(speed.std)
     assert any("joint wheel: logged by its velocity alone" in warning for warning in measured.warnings)
-    assert main(["plot", "log.csv", "--twin", "rig.yaml", "--out", "plot.svg"]) == 0
+    assert main(["plot", "log.csv", "--twin", str(spec.model_file.with_name("rig.yaml")), "--out", "plot.svg"]) == 0
     assert "wheel position [rad]" in (tmp_path / "plot.svg").read_text()
 
 
-def test_what_weight_pulls_has_to_be_seen(tmp_path: Path) -> None:
+def test_what_weight_pulls_has_to_be_seen() -> None:
     """A pendulum is no wheel, nor is what a spring pulls or an end stop keeps."""
-    model = load(tmp_path, WHEEL, OF_WHEEL).model
+    model = load_rig(WHEEL, f"{{{OF_WHEEL}}}").model
     assert [is_indifferent(model, joint) for joint in range(2)] == [False, True]
     for held in ('name="wheel" range="-9 9" limited="true"', 'name="wheel" stiffness="0.1"'):
-        assert not is_indifferent(load(tmp_path, WHEEL.replace('name="wheel"', held), OF_WHEEL).model, 1)
+        assert not is_indifferent(load_rig(WHEEL.replace('name="wheel"', held), f"{{{OF_WHEEL}}}").model, 1)
 
 
 def test_an_actuator_may_be_logged_by_its_target(tmp_path: Path) -> None:
@@ -142,26 +135,26 @@ def test_an_actuator_may_be_logged_by_its_target(tmp_path: Path) -> None:
     log = write(tmp_path, "log.csv", roll_ball(8.0, 1, 0.0))
     inputs = []
     for named in ("effort: target", "position: target"):
-        spec = load(tmp_path, BEAM, f"{OF_BEAM}, actuators: {{servo: {{topic: log, {named}}}}}")
+        spec = load_rig(BEAM, f"{{{OF_BEAM}, actuators: {{servo: {{topic: log, {named}}}}}}}")
         inputs.append(read_measurements(spec, read_flight(log, signals=spec.robot.signals.entries)).command.value)
     assert np.array_equal(*inputs)
-    spec = load(tmp_path, BEAM, f"{OF_BEAM}, actuators: {{servo: {{topic: log, position: target, velocity: beam}}}}")
+    spec = load_rig(BEAM, f"{{{OF_BEAM}, actuators: {{servo: {{topic: log, position: target, velocity: beam}}}}}}")
     with pytest.raises(InputError, match="has position and velocity of actuator 'servo'; expected `effort`"):
         read_measurements(spec, read_flight(log, signals=spec.robot.signals.entries))
 
 
-def test_only_what_nothing_drives_may_be_seen_late(tmp_path: Path) -> None:
+def test_only_what_nothing_drives_may_be_seen_late() -> None:
     """A delay of what an actuator moves is the actuator's; of a joint on a topic of its own it is the topic's."""
-    spec = load(tmp_path, BEAM, f"{OF_BEAM}, actuators: {{servo: {{topic: log, effort: target}}}}")
+    spec = load_rig(BEAM, f"{{{OF_BEAM}, actuators: {{servo: {{topic: log, effort: target}}}}}}")
     assert {e.id for e in spec.catalogue if "pose.delay" in e.writes} == {"ball.delay"}
-    spec = load(tmp_path, BEAM, "joints: {beam: /joint_states, ball: /camera}, actuators: {servo: /joint_states}")
+    spec = load_rig(BEAM, "{joints: {beam: /joint_states, ball: /camera}, actuators: {servo: /joint_states}}")
     assert {e.id for e in spec.catalogue if "pose.delay" in e.writes} == {"camera.delay"}
 
 
 @pytest.mark.slow
 def test_a_late_camera_is_named(tmp_path: Path) -> None:
     """60 ms, beside a constant torque on the beam."""
-    spec = load(tmp_path, BEAM, f"{OF_BEAM}, actuators: {{servo: {{topic: log, effort: target}}}}")
+    spec = load_rig(BEAM, f"{{{OF_BEAM}, actuators: {{servo: {{topic: log, effort: target}}}}}}")
     logs = [write(tmp_path / f"{i}", "log.csv", roll_ball(40.0, i, 0.06, 0.16)) for i in range(2)]
     flights = [read_flight(log, signals=spec.robot.signals.entries) for log in logs]
     found = {cause.effect: cause for cause in diagnose(spec, flights).verdict.causes}
@@ -174,7 +167,7 @@ def test_a_late_camera_is_named(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_weak_motor_is_told_from_a_wheel_that_rubs(tmp_path: Path) -> None:
     """Of a wheel of which nothing but its velocity is known."""
-    spec = load(tmp_path, WHEEL, f"{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}")
+    spec = load_rig(WHEEL, f"{{{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}}}")
     logs = [write(tmp_path / f"{i}", "log.csv", swing_wheel(25.0, i, 0.88, 0.004)) for i in range(3)]
     flights = [read_flight(log, signals=spec.robot.signals.entries) for log in logs]
     causes = diagnose(spec, flights).verdict.causes
@@ -187,7 +180,7 @@ def test_a_weak_motor_is_told_from_a_wheel_that_rubs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("causes", "rubs"), [(["motor.gain"], 0.0), (None, 0.004)])
 def test_a_log_of_the_other_sign_is_named(tmp_path: Path, causes: list[str] | None, rubs: float) -> None:
     """Torques logged against the joint's axis: a gain of -1, beside which the rest is told."""
-    spec = load(tmp_path, WHEEL, f"{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}")
+    spec = load_rig(WHEEL, f"{{{OF_WHEEL}, actuators: {{motor: {{topic: log, effort: torque}}}}}}")
     logs = [write(tmp_path / f"{i}", "log.csv", swing_wheel(12.0, i, -1.0, rubs)) for i in range(2)]
     flights = [read_flight(log, signals=spec.robot.signals.entries) for log in logs]
     found = {cause.effect: cause for cause in diagnose(spec, flights, causes=causes).verdict.causes}

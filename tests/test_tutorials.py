@@ -19,13 +19,10 @@ PROMISED = {
     "arm": ["wrote arm.yaml", "A payload of 64 ± 4 g on forearm", "whole-log chi² 12.8 of arm.yaml, 0.175 of"],
     "leg": ["Dry friction of 0.100 ± 0.005 N m on joint knee", "whole-log chi² 3.42e+05 of leg.yaml, 49.2 of"],
     "retrain": ["ms from command to servo, which the twin lacks", "20 flights of flip"],
-    "write_effect": [
-        "no known effect explains",
-        "it follows rail_x position",
-        "A belt that cogs on the horizontal rail",
-    ],
+    "write_effect": ["no known effect explains", "it follows rail_x position",
+        "A belt that cogs on the horizontal rail"],
     "close_the_loop": ["wrong thrust constant", "rotors of unequal thrust", "20 flights of flip", "whole-log chi²"],
-}
+}  # fmt: skip
 """Words of what the commands of a page print."""
 SHORTER = {
     "train": ["total_steps=8192", "num_envs=16", "rollout=32"],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -41,6 +42,7 @@ class Plant:
     duration: float = 24.0  # of its log [s]
 
 
+@cache
 def move(plant: Plant, seed: int, start: float = 0.0) -> Track:
     """A plant after steps of its reference every 1.2 s, or let go from a start, under slight pushes.
 

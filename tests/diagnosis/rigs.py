@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,7 @@ Track = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Position, velocity and control input at every sample, (n,) each; the input (n, 0) where there is no actuator."""
 
 
+@cache
 def drive_cart(friction: float, seed: int, cogging: float = 0.0) -> Track:
     """A cart of 2 kg after steps of its reference, under a motor of 20 N and Karnopp's dry friction [N].
 
@@ -84,6 +86,7 @@ def drive_cart(friction: float, seed: int, cogging: float = 0.0) -> Track:
     return log[:, 0], log[:, 1], log[:, 2]
 
 
+@cache
 def swing_pendulum(damping: float, seed: int) -> Track:
     """A bob of 0.3 kg on 0.4 m with viscous damping [N m s/rad], under torques held for 0.7 s."""
     rng = np.random.default_rng(seed)
@@ -91,12 +94,14 @@ def swing_pendulum(damping: float, seed: int) -> Track:
     return swing(damping, np.repeat(rng.uniform(-0.6, 0.6, count // 140 + 1), 140)[:count], 0.0)
 
 
+@cache
 def let_swing(damping: float, seed: int, duration: float = 12.0) -> Track:
     """The same bob let go at rest from about 1 rad, without any motor: no control input, (n, 0)."""
     angle, rate, torque = swing(damping, np.zeros(round(duration / STEP / LOG_EVERY)), 1.0 + 0.02 * seed)
     return angle, rate, torque[:, None][:, :0]
 
 
+@cache
 def serve(share: float, seed: int) -> Track:
     """The same bob held by a position servo of so much of the stiffness in `SERVO`, after targets held for 0.7 s."""
     rng = np.random.default_rng(seed)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+from tests.builders import load_rig
 from vpptwin.diagnosis.evidence.forces import scale_to
 from vpptwin.diagnosis.search.suspects import list_sizes, list_unknowns
 from vpptwin.system.errors import InputError
@@ -45,17 +45,9 @@ LOGS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 
 
-def load_rig(mjcf: str, folder: Path) -> TwinSpec:
+def load(mjcf: str) -> TwinSpec:
     """The twin of an MJCF whose joints are all logged."""
-    (folder / "rig.xml").write_text(mjcf)
-    signals = "{bodies: {quad: /pose}, actuators: {rotor: /commands}}"
-    if mjcf is not QUAD:
-        names = {tag: [part.split('"')[1] for part in mjcf.split(tag)[1:]] for tag in ("<joint name=", "<motor name=")}
-        names["<motor name="] += ["servo"] * (mjcf is CART)
-        joints, motors = (dict.fromkeys(each, "/states") for each in names.values())
-        signals = f"{{joints: {joints}, actuators: {motors}}}"
-    (folder / "twin.yaml").write_text(f"model: rig.xml\nsignals: {signals}\n")
-    return load_twin(folder / "twin.yaml")
+    return load_rig(mjcf, "{bodies: {quad: /pose}, actuators: {rotor: /commands}}" if mjcf is QUAD else "")
 
 
 def scale_by(spec: TwinSpec, told: dict[str, float]) -> TwinSpec:
@@ -67,17 +59,18 @@ def scale_by(spec: TwinSpec, told: dict[str, float]) -> TwinSpec:
 
 @pytest.mark.parametrize("told", LOGS.values(), ids=LOGS)
 @pytest.mark.parametrize("mjcf", RIGS.values(), ids=RIGS)
-def test_what_a_search_may_return_is_a_twin(mjcf: str, told: dict[str, float], tmp_path: Path) -> None:
+def test_what_a_search_may_return_is_a_twin(mjcf: str, told: dict[str, float]) -> None:
     """Every effect of any rig loads at either end of what is looked through after any log, and at its off value."""
-    spec = load_rig(mjcf, tmp_path)
+    spec = load(mjcf)
     searched = scale_by(spec, told)
     assert {e.id for e in searched.catalogue} == {e.id for e in spec.catalogue}
     for side in ("low", "off", "high"):
         effects = {e.id: {p.name: float(getattr(p, side)) for p in e.parameters} for e in searched.catalogue}
         assert spec.with_effects(effects).effects == effects
-        content = yaml.safe_load((tmp_path / "twin.yaml").read_text()) | {"effects": effects}
-        (tmp_path / "found.yaml").write_text(yaml.safe_dump(content))
-        assert load_twin(tmp_path / "found.yaml").effects == effects
+        found = spec.model_file.with_name("found.yaml")
+        content = yaml.safe_load(spec.model_file.with_name("rig.yaml").read_text()) | {"effects": effects}
+        found.write_text(yaml.safe_dump(content))
+        assert load_twin(found).effects == effects
     for parameter in (p for e in searched.catalogue for p in e.parameters):
         assert parameter.low <= parameter.off <= parameter.high
         assert np.isfinite([parameter.low, parameter.high]).all()
@@ -89,20 +82,20 @@ def test_what_a_search_may_return_is_a_twin(mjcf: str, told: dict[str, float], t
     (CART, "wheel.tight_spot", 1.5), (CART, "rail.fade", 40.0), (QUAD, "quad.wind", 1.2), (QUAD, "quad.twist", -0.03),
     (QUAD, "quad.drag", 4.0), (PENDULUM, "swing.viscous", 0.9), (PENDULUM, "swing.lugre", 3.0),
 ])  # fmt: skip
-def test_bounds_follow_what_joints_carry(mjcf: str, effect: str, value: float, tmp_path: Path) -> None:
+def test_bounds_follow_what_joints_carry(mjcf: str, effect: str, value: float) -> None:
     """A wrist that weighs nothing bears what its drive, or a tool on it, makes; so do slow joints and agile crafts."""
-    spec = load_rig(mjcf, tmp_path)
+    spec = load(mjcf)
     name = next(e.parameters[0].name for e in spec.catalogue if e.id == effect)
     assert spec.with_effects({effect: {name: value}}).effects[effect][name] == value
 
 
-def test_a_load_may_be_heavier_than_what_holds_it(tmp_path: Path) -> None:
+def test_a_load_may_be_heavier_than_what_holds_it() -> None:
     """A flange of 0.2 kg on an arm of 23 kg: looked for up to twice that, or what 300 N m hold up; tried on the way."""
-    searched = scale_by(load_rig(ARM, tmp_path), {})
+    searched = scale_by(load(ARM), {})
     (payload,) = (u for u in list_unknowns(searched) if u.key == ("wrist.payload", "mass"))
     assert payload.parameter.high == pytest.approx(2.0 * (14.0 + 9.0 + 0.2))
     assert [round(size / 0.2, 2) for size in list_sizes(payload, False)] == [0.05, 0.25, 1.25, 6.25, 31.25]
-    strong = scale_by(load_rig(ARM, tmp_path), {"force": 300.0})
+    strong = scale_by(load(ARM), {"force": 300.0})
     (stronger,) = (u for u in list_unknowns(strong) if u.key == ("wrist.payload", "mass"))
     assert stronger.parameter.high > 2.0 * payload.parameter.high
 
@@ -119,16 +112,16 @@ def test_a_load_may_be_heavier_than_what_holds_it(tmp_path: Path) -> None:
     ("joint_2.fade", {"slope": -1.0}, "slope = -1 s/rad; expected 0 to"),
     ("motor_1.delay", {"delay": 40.0}, "delay = 40 s; expected 0 to 0.1"),
 ])  # fmt: skip
-def test_what_no_rig_has_is_refused(effect: str, values: dict[str, float], expected: str, tmp_path: Path) -> None:
+def test_what_no_rig_has_is_refused(effect: str, values: dict[str, float], expected: str) -> None:
     """A wrong sign, no number, another unit: with what was found and what may be."""
-    spec = load_rig(ARM, tmp_path)
+    spec = load(ARM)
     with pytest.raises(InputError, match=expected):
         spec.with_effects({effect: values})
 
 
-def test_a_search_starts_from_what_the_twin_has(tmp_path: Path) -> None:
+def test_a_search_starts_from_what_the_twin_has() -> None:
     """A value beyond what a log asks for stays within the bounds of a search."""
-    spec = load_rig(PENDULUM, tmp_path).with_effects({"swing.bias": {"force": 1.5}})
+    spec = load(PENDULUM).with_effects({"swing.bias": {"force": 1.5}})
     light = replace(spec, effects={})
     bounds = [
         next(p for e in scale_by(each, {"force": 0.01}).catalogue if e.id == "swing.bias" for p in e.parameters)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests import builders
 from vpptwin.diagnosis.evidence.channels import (
     Channel,
     bin_channel,
@@ -16,6 +17,7 @@ from vpptwin.diagnosis.evidence.channels import (
 )
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.estimation.windows import Windows
+from vpptwin.twin import load_twin
 from vpptwin.twin.sensors import body_force, perfect_sensors
 
 DT = 0.001
@@ -25,20 +27,8 @@ START = np.zeros(2)
 
 
 def lay_windows(starts: list[float], length: float) -> Windows:
-    """Windows without commands."""
-    count, steps = len(starts), round(length / DT)
-    return Windows(
-        flight=np.zeros(count, dtype=int),
-        start=np.array(starts),
-        steps=steps,
-        dt=DT,
-        warm=np.zeros((count, 1, 2)),
-        past=np.arange(count),
-        command=np.zeros((count, steps, 2)),
-        rotor_speed=None,
-        pose=np.zeros((count, 3)),
-        velocity=np.zeros((count, 3)),
-    )
+    """Windows of the drone without commands."""
+    return builders.lay_windows(load_twin(), starts, steps=round(length / DT))
 
 
 def bin_one(

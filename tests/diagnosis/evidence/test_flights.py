@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.builders import load_rig
 from tests.diagnosis.carts import load_cart
 from vpptwin.diagnosis.evidence.flights import SETTLE, choose_window, list_starts, long_starts, split_flights, thin_out
 from vpptwin.estimation.measurements import Measurements, Series
 from vpptwin.system.errors import InputError
-from vpptwin.twin.spec import TwinSpec, load_twin
+from vpptwin.twin.spec import load_twin
 
 
 def fly(duration: float, rate: float = 100.0) -> Measurements:
@@ -98,21 +99,12 @@ def test_too_many_windows_are_thinned_out_evenly() -> None:
 
 
 @pytest.mark.parametrize(("joints", "every"), [(1, 2), (2, 3), (3, 4), (6, 9)])
-def test_of_somebody_elses_rig_fewer_windows_are_looked_at(tmp_path: Path, joints: int, every: int) -> None:
+def test_of_somebody_elses_rig_fewer_windows_are_looked_at(joints: int, every: int) -> None:
     """Of 180 windows at most 90 for one joint; for two 90/(2/1.5) = 68, for three 45, for six 22: every ninth."""
-    spec = lay_chain(tmp_path, joints)
-    (kept,) = thin_out(spec, [np.arange(180.0)])
-    np.testing.assert_array_equal(kept, np.arange(0.0, 180.0, every))
-
-
-def lay_chain(folder: Path, joints: int) -> TwinSpec:
-    """A twin of so many hinges in a row."""
     body = '<body pos="0.1 0 0"><joint name="j{}" axis="0 1 0"/><geom size="0.05" mass="1"/>'
     chain = "".join(body.format(i) for i in range(joints)) + "</body>" * joints
-    (folder / "rig.xml").write_text(f"<mujoco><worldbody>{chain}</worldbody></mujoco>")
-    signals = ", ".join(f"j{i}: /joint_states" for i in range(joints))
-    (folder / "rig.yaml").write_text(f"model: rig.xml\nsignals:\n  joints: {{{signals}}}\n")
-    return load_twin(folder / "rig.yaml")
+    (kept,) = thin_out(load_rig(f"<mujoco><worldbody>{chain}</worldbody></mujoco>"), [np.arange(180.0)])
+    np.testing.assert_array_equal(kept, np.arange(0.0, 180.0, every))
 
 
 def test_few_windows_all_stay() -> None:
@@ -155,16 +147,15 @@ def test_several_logs_of_some_seconds_keep_the_usual_window(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("length", "window"), [(0.1, 0.2), (0.4, 0.5), (5.0, 1.0)])
-def test_windows_end_before_errors_outgrow_linear_thought(tmp_path: Path, length: float, window: float) -> None:
+def test_windows_end_before_errors_outgrow_linear_thought(length: float, window: float) -> None:
     """A point mass upside down on a rod: errors grow at √(g/l), in a window by a factor of exp(2.5) at most."""
-    (tmp_path / "pole.xml").write_text(
+    pole = load_rig(
         "<mujoco><worldbody><body><joint name='slide' axis='0 1 0'/>"
         f"<geom type='sphere' size='0.001' mass='1' pos='0 0 {length}'/></body></worldbody></mujoco>"
     )
-    (tmp_path / "pole.yaml").write_text("model: pole.xml\nsignals: {joints: {slide: /joint_states}}\n")
     still = fly(30.0)
     standing = replace(still, positions={0: replace(still.positions[0], value=0.0 * still.positions[0].value)})
-    spec, (flight,) = choose_window(load_twin(tmp_path / "pole.yaml"), [standing])
+    spec, (flight,) = choose_window(pole, [standing])
     assert (spec.robot.window, spec.robot.is_short, flight.warnings) == (window, False, ())
 
 

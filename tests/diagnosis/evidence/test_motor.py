@@ -10,6 +10,7 @@ import pytest
 
 from proving.drone import fly_many, write_mcap
 from proving.drone.flight import FlightPlan
+from tests import builders
 from vpptwin.diagnosis.criteria import CRITERIA
 from vpptwin.diagnosis.evidence.channels import Channel
 from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, observe_motor, predict_motor
@@ -33,21 +34,9 @@ Values = Mapping[tuple[str, str], float]
 
 def lay_windows(count: int = 2) -> Windows:
     """Windows of 0.1 s from 10 s on, throttle 0.4 and 0.5, 460 and 480 rad/s."""
-    steps, pair = 100, np.zeros((count, 2))
-    return Windows(
-        flight=np.zeros(count, dtype=int),
-        start=10.0 + 0.1 * np.arange(count),
-        steps=steps,
-        dt=DT,
-        warm=np.zeros((count, 1, 2)),
-        past=np.arange(count),
-        command=np.zeros((count, steps, 2)),
-        rotor_speed=np.tile([460.0, 480.0], (count, steps, 1)),
-        pose=np.zeros((count, 3)),
-        velocity=np.zeros((count, 3)),
-        throttle=np.tile([0.4, 0.5], (count, steps, 1)),
-        spin=pair,
-    )
+    windows = builders.lay_windows(SPEC, 10.0 + 0.1 * np.arange(count), steps=100)
+    speed, throttle = (np.tile(pair, (count, 100, 1)) for pair in ([460.0, 480.0], [0.4, 0.5]))
+    return replace(windows, rotor_speed=speed, throttle=throttle, spin=np.zeros((count, 2)))
 
 
 def measure(rate: float = 1000.0, current: bool = True) -> Measurements:

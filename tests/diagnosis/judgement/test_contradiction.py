@@ -20,8 +20,10 @@ from vpptwin.diagnosis.judgement import conclusion
 from vpptwin.diagnosis.judgement import diagnose as judgement
 from vpptwin.diagnosis.judgement.conclusion import HARMING
 from vpptwin.diagnosis.judgement.selection import Selection
+from vpptwin.diagnosis.judgement.verdict import Verdict
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import Measurements, Series
+from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.twin.spec import TwinSpec, load_twin
 
@@ -41,6 +43,16 @@ def measure(
     track = move(plant, 5)
     logged = track[2] if change is None else change(track)
     return load_twin(write_rig(slider(Plant(MASS)), folder)), measure_cart((track[0], track[1], logged), 6)
+
+
+def measure_decay(angle: np.ndarray, rate: np.ndarray, torque: np.ndarray) -> Measurements:
+    """A pendulum that was let go, without noise."""
+    time = np.arange(len(angle)) * LOG_EVERY * STEP
+    return Measurements(
+        "decay", {0: Series("swing", "rad", time, angle, 1e-3, white=False)},
+        {0: Series("swing rate", "rad/s", time, rate, 1e-3, white=False)}, None,
+        Series("control", "", time, torque, 0.0), None, (), 0.0, float(time[-1]),
+    )  # fmt: skip
 
 
 BARE = Plant(MASS, drive=DRIVE)
@@ -103,16 +115,11 @@ def test_more_than_the_log_can_balance_is_refused(tmp_path: Path) -> None:
 def test_a_filter_makes_no_contradiction(late: float, tmp_path: Path) -> None:
     """Velocities through a low pass of 16 Hz look like less damping than there is: inverse dynamics then has no say."""
     angle, rate, torque = let_swing(0.003, 1)
-    time = np.arange(len(angle)) * LOG_EVERY * STEP
     keep = np.exp(-LOG_EVERY * STEP / 0.01)
     filtered = np.array(rate)
     for i in range(1, len(rate)):
         filtered[i] = keep * filtered[i - 1] + (1.0 - keep) * rate[i]
-    flight = Measurements(
-        "decay", {0: Series("swing", "rad", time, angle, 1e-3, white=False)},
-        {0: Series("swing rate", "rad/s", time, filtered, 1e-3, white=False)}, None,
-        Series("control", "", time, torque, 0.0), None, (), 0.0, float(time[-1]),
-    )  # fmt: skip
+    flight = measure_decay(angle, filtered, torque)
     spec = scale_twin(load_twin(write_rig(DECAYS, tmp_path)), [flight])
     believing = replace(CRITERIA, late=late)
     (seen,) = weigh_causes(spec, [flight], {("swing.viscous", "damping"): 0.003}, believing)
@@ -137,12 +144,7 @@ def test_noise_makes_no_contradiction(noise: float, tmp_path: Path) -> None:
 def test_weight_by_hand(tmp_path: Path) -> None:
     """Half of the bob again as inertia, which is not there: half of the force that swings it is denied."""
     angle, rate, torque = let_swing(0.0, 1)
-    time = np.arange(len(angle)) * LOG_EVERY * STEP
-    flight = Measurements(
-        "decay", {0: Series("swing", "rad", time, angle, 1e-3, white=False)},
-        {0: Series("swing rate", "rad/s", time, rate, 1e-3, white=False)}, None,
-        Series("control", "", time, torque, 0.0), None, (), 0.0, float(time[-1]),
-    )  # fmt: skip
+    flight = measure_decay(angle, rate, torque)
     spec = load_twin(write_rig(DECAYS, tmp_path))
     seen = see(spec, flight, {("swing.inertia", "inertia"): 0.5 * BOB * LENGTH**2})["swing.inertia"]
     assert seen.contradicts(CRITERIA)
@@ -159,38 +161,42 @@ def test_nothing_is_said_of_laws_with_a_memory(tmp_path: Path) -> None:
     assert see(spec, flight, {}) == {}
 
 
-def test_a_verdict_with_a_made_up_cause_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dry friction only, and a search that swears by damping besides: confidence at most a half, the warning first."""
-    log, twin = record(slider(replace(BARE, coulomb=2.0)), 0.0, tmp_path, 5)
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> tuple[TwinSpec, Flight]:
+    """The twin of a bare slider and twelve seconds of one with dry friction only."""
+    log, twin = record(slider(replace(BARE, coulomb=2.0)), 0.0, tmp_path_factory.mktemp("slider"), 5, part=0.5)
+    return load_twin(twin), read_flight(log)
+
+
+def swear_by(patch: pytest.MonkeyPatch, rubbing: tuple[TwinSpec, Flight], key: Key, value: float) -> Verdict:
+    """The verdict of a search that swears by another effect beside the dry friction."""
     impose = judgement.impose_causes
 
     def swear(*given: object) -> Selection:
         selection = impose(*given)  # type: ignore[arg-type]
-        return replace(selection, fit=replace(selection.fit, values=selection.fit.values | {VISCOUS: 12.0}))
+        return replace(selection, fit=replace(selection.fit, values=selection.fit.values | {key: value}))
 
-    monkeypatch.setattr(judgement, "impose_causes", swear)
-    causes = ["slide.coulomb", "slide.viscous"]
-    verdict = judgement.diagnose(load_twin(twin), [read_flight(log)], causes=causes).verdict
+    patch.setattr(judgement, "impose_causes", swear)
+    return judgement.diagnose(rubbing[0], [rubbing[1]], causes=["slide.coulomb", key[0]]).verdict
+
+
+def test_a_verdict_with_a_made_up_cause_says_so(
+    rubbing: tuple[TwinSpec, Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Damping of which there is none: confidence at most a half, the warning first."""
+    verdict = swear_by(monkeypatch, rubbing, VISCOUS, 12.0)
     by_name = {cause.effect: cause for cause in verdict.causes}
     assert by_name["slide.viscous"].confidence <= CRITERIA.sober
     assert verdict.warnings[0].startswith("slide.viscous is doubted: on joint slide inverse dynamics")
     assert HARMING.format("slide.viscous") in verdict.warnings
 
 
-def test_a_cause_that_does_harm_is_an_even_chance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dry friction only, and a search that swears by a force besides, of which inverse dynamics has no say here."""
-    log, twin = record(slider(replace(BARE, coulomb=2.0)), 0.0, tmp_path, 5)
-    impose = judgement.impose_causes
-    bias = ("slide.bias", "force")
-
-    def swear(*given: object) -> Selection:
-        selection = impose(*given)  # type: ignore[arg-type]
-        return replace(selection, fit=replace(selection.fit, values=selection.fit.values | {bias: 0.5}))
-
-    monkeypatch.setattr(judgement, "impose_causes", swear)
+def test_a_cause_that_does_harm_is_an_even_chance(
+    rubbing: tuple[TwinSpec, Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A force of which inverse dynamics has no say here."""
     monkeypatch.setattr(conclusion, "weigh_causes", lambda *given: [])
-    causes = ["slide.coulomb", "slide.bias"]
-    verdict = judgement.diagnose(load_twin(twin), [read_flight(log)], causes=causes).verdict
+    verdict = swear_by(monkeypatch, rubbing, ("slide.bias", "force"), 0.5)
     by_name = {cause.effect: cause for cause in verdict.causes}
     assert by_name["slide.bias"].gain < 0.0
     assert by_name["slide.bias"].confidence <= CRITERIA.sober < by_name["slide.coulomb"].confidence

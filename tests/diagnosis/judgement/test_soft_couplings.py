@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
 
+from tests.builders import load_rig
 from vpptwin.diagnosis.judgement.conclusion import describe_soft_couplings
 from vpptwin.estimation.dynamics import invert
-from vpptwin.twin import load_twin
 from vpptwin.twin.robot.drives import list_followers
 
 FINGERS = """<mujoco><default><geom size="0.01" mass="0.2" contype="0"/><joint type="slide" axis="1 0 0"/></default>
@@ -34,11 +32,9 @@ def test_soft_couplings_are_told(setting: str, told: str | None) -> None:
     assert [line.split(":")[0] for line in lines] == ([] if told is None else [told])
 
 
-def test_what_follows_is_no_suspect(tmp_path: Path) -> None:
+def test_what_follows_is_no_suspect() -> None:
     """Friction of the finger that follows is that of the one that leads; its encoder is its own."""
-    (tmp_path / "m.xml").write_text(FINGERS % "")
-    (tmp_path / "t.yaml").write_text("model: m.xml\nsignals: {joints: {left: /joint_states, right: /joint_states}}\n")
-    robot = load_twin(tmp_path / "t.yaml").robot
+    robot = load_rig(FINGERS % "").robot
     hidden = [effect.id for effect in robot.list_effects() if robot.hides(effect) and not effect.touching]
     assert list_followers(robot.model) == ["right"]
     assert {"right.coulomb", "right.viscous", "right.inertia"} <= set(hidden)

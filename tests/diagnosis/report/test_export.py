@@ -12,6 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from tests.builders import load_rig
 from tests.diagnosis.rigs import CARTS, record
 from tests.estimation.synthetic import draw_commands, fly_own
 from vpptwin.logs import Stream, read_flight, write_flight
@@ -190,9 +191,7 @@ def test_joints_that_are_not_in_every_message_lie_beside_those_that_are(
     tmp_path: Path, topics: tuple[str, str]
 ) -> None:
     """Joint b is in every second message, its velocity never; a NaN and other rates part nothing else."""
-    (tmp_path / "two.xml").write_text(TWO)
-    (tmp_path / "two.yaml").write_text(f"model: two.xml\nsignals: {{joints: {{a: {topics[0]}, b: {topics[1]}}}}}\n")
-    spec, time = load_twin(tmp_path / "two.yaml"), 0.02 * np.arange(50)
+    spec, time = load_rig(TWO, f"{{joints: {{a: {topics[0]}, b: {topics[1]}}}}}"), 0.02 * np.arange(50)
     given = (("a", "position", 0, time), ("a rate", "velocity", 0, time), ("b", "position", 1, time[::2]))
     tracks = [Track(n, "rad", kind, dof, t, t, 1e-3, np.array([dof + t])) for n, kind, dof, t in given]
     tracks[1].predicted[0, 7] = np.nan

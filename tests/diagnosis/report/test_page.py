@@ -72,72 +72,37 @@ class Checker(HTMLParser):
 
 
 def test_the_sentence_comes_first_then_what_to_do_then_the_evidence(page: str) -> None:
-    """Sections in the order in which a reader asks."""
+    """Sections in the order in which a reader asks; no two elements share an id, or figures would be drawn wrong."""
     checker = Checker()
     checker.feed(page)
     assert checker.open == []
+    assert len(checker.ids) == len(set(checker.ids)) > 50
     assert checker.headings == [
         "Dry friction of 0.306 ± 0.006 N on the horizontal rail, which the twin lacks, explains 79 % of the error; "
         "so might viscous friction on the horizontal rail (rail_x.viscous).",
-        "What now",
-        "What the twin misses",
-        "Error by horizon",
-        "Log and twin",
-        "How sure, and what else it could be",
-        "Left unexplained",
-        "Suspects",
-        "The logs",
-        "Where this comes from",
-    ]
+        "What now", "What the twin misses", "Error by horizon", "Log and twin", "How sure, and what else it could be",
+        "Left unexplained", "Suspects", "The logs", "Where this comes from",
+    ]  # fmt: skip
 
 
-def test_no_two_elements_share_an_id(page: str) -> None:
-    """A figure whose clip path is another figure's would be drawn wrong."""
-    checker = Checker()
-    checker.feed(page)
-    assert len(checker.ids) == len(set(checker.ids)) > 50
+WORDS = (
+    CAUSES[1].summary[1:], "2.4 sigma, 6 % probable", "4.7 sigma beyond chance", "it follows rail_x position",
+    "−70 to −60 %", "sensor noise", f"can&#39;t be seen in these logs: {UNSEEN[1].reason}",
+    "dry friction on the vertical guide <code>rail_z.coulomb</code>", "cleared: between 0 and 0.1 N", "vpptwin compare",
+    "--twin &#39;x y/twin.yaml&#39;", '<a href="verdict.json">', '<a href="prediction.mcap">', EXPERIMENT.command,
+    "flip.mcap: 2 gaps over 0.05 s", "of it usable", "vpptwin diagnose", "--out &#39;x y&#39;", "mujoco",
+    "2cc387febc674e7fa99f6cd848fc7f7126397e29576ef37942c5ebce1b32c99f",
+    "The missing force that is dry friction on the horizontal rail (rail_x.coulomb)",
+    "<summary>The other 38</summary>", "onbeforeprint",  # a long list is folded; printing unfolds it
+    "Held-out chi² (mean squared", "predicts open loop",  # what figures mean
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        CAUSES[1].summary[1:],
-        "2.4 sigma, 6 % probable",
-        "4.7 sigma beyond chance",
-        "it follows rail_x position",
-        "−70 to −60 %",
-        "sensor noise",
-        f"can&#39;t be seen in these logs: {UNSEEN[1].reason}",
-        "dry friction on the vertical guide <code>rail_z.coulomb</code>",
-        "cleared: between 0 and 0.1 N",
-        "vpptwin compare",
-        "--twin &#39;x y/twin.yaml&#39;",
-        '<a href="verdict.json">',
-        '<a href="prediction.mcap">',
-        EXPERIMENT.command,
-        "flip.mcap: 2 gaps over 0.05 s",
-        "of it usable",
-        "2cc387febc674e7fa99f6cd848fc7f7126397e29576ef37942c5ebce1b32c99f",
-        "vpptwin diagnose",
-        "--out &#39;x y&#39;",
-        "mujoco",
-    ],
-)
-def test_the_page_tells(page: str, words: str) -> None:
-    """Each finding of the verdict is on it in words."""
-    assert words in page
-
-
-def test_a_sensor_makes_no_missing_force(page: str) -> None:
-    """Friction has its picture of the missing force, a gyro's bias has none."""
-    assert "The missing force that is dry friction on the horizontal rail (rail_x.coulomb)" in page
+def test_the_page_tells(page: str) -> None:
+    """Each finding of the verdict is on it in words; a sensor makes no missing force."""
+    assert [words for words in WORDS if words not in page] == []
     assert "The missing force that is a bias of the gyro" not in page
-
-
-def test_a_long_list_is_folded(page: str) -> None:
-    """All suspects but the first ten; printing unfolds them."""
-    assert re.search(r"<summary>The other 38</summary>", page)
-    assert "onbeforeprint" in page
+    assert page.index("explains 79 % of the error") < page.index("Percentages are of the held-out excess chi²") < 30_000
 
 
 def test_what_did_not_change_is_folded_and_drawn_once(page: str) -> None:
@@ -159,24 +124,13 @@ def test_no_id_stands_without_words(page: str) -> None:
             assert words[: match.start()].rstrip(" (").endswith(effect.summary.lower())
 
 
-def test_suspects_have_a_picture_of_what_they_would_do(page: str) -> None:
-    """Drag by its damping on the rail; at least nine in ten have one."""
+def test_pictures_of_suspects_and_of_the_rig(page: str) -> None:
+    """Drag by its damping on the rail, at least nine in ten have one; the rig, what is accused lit, comes first."""
     assert page.count('<span class="print">') > 0.9 * len(read_demo()[0].catalogue)
     assert re.search(r"force 0\.5 N: x changes by up to [\d.]+ m in 0\.3 s", page)
-
-
-def test_the_rig_is_drawn_with_what_is_accused_lit(page: str) -> None:
-    """Before the sentence."""
     drawn = page.index('aria-label="The rig, lit: dry friction on the horizontal rail and a bias of the gyro"')
     assert drawn < page.index("<h1>")
     assert page.count("var(--lit)") > 4
-
-
-def test_the_page_explains_its_figures(page: str) -> None:
-    """What percentages are shares of, which chi² it is, and why the last horizon stays large."""
-    assert page.index("explains 79 % of the error") < page.index("Percentages are of the held-out excess chi²") < 30_000
-    assert "Held-out chi² (mean squared" in page
-    assert "predicts open loop" in page
 
 
 def test_a_twin_that_is_right_has_a_short_report(tmp_path: Path) -> None:
