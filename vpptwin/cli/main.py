@@ -25,6 +25,11 @@ WRITTEN = ("out", "json", "html", "video", "pictures")
 """Options that name what a command writes: a file, or, where they have a metavar, what the command looks at itself."""
 PARTS = "FILE+FILE is one flight of several files, LOG@600-900 a part of a log [s]"
 
+Add = Callable[..., object]
+"""Adds an argument, as `ArgumentParser.add_argument` does."""
+Begin = Callable[[str, str, Callable[..., int | None]], Add]
+"""Begins a command by its name, what it does in a line, and what runs it."""
+
 
 class Parser(argparse.ArgumentParser):
     """A parser that refuses in one line, as every other part of vpptwin does."""
@@ -124,39 +129,36 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="vpptwin", description="The simulation twin that tells you what it gets wrong.")
     parser.add_argument("--version", action="version", version=f"vpptwin {__version__}")
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, (summary, run, describe) in COMMANDS.items():
+
+    def begin(name: str, summary: str, run: Callable[..., int | None]) -> Add:
         command = subparsers.add_parser(name, help=summary, add_help=name != "train")
-        describe(command)
+        command.set_defaults(run=run, parser=command)
+        return command.add_argument
+
+    describe_logs(begin)
+    describe_pilots(begin)
+    for command in subparsers.choices.values():
         written = [action for action in command._actions if action.dest in WRITTEN]
         if written:
             command.add_argument("--force", action="store_true", help="overwrite files that vpptwin did not write, too")
-        files = [action.dest for action in written if action.metavar is None]
-        command.set_defaults(run=run, parser=command, written=files)
+        command.set_defaults(written=[action.dest for action in written if action.metavar is None])
     return parser
 
 
-def describe_demo(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin demo`."""
+def describe_logs(begin: Begin) -> None:
+    """Commands about logs, and their arguments."""
+    add = begin("demo", "diagnose the flights that ship with vpptwin", commands.run_demo)
     out = Path("out") / "demo"
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", default=out, help=f"folder for report and flip (default {out})"
-    )
+    add("--out", type=Path, metavar="DIR", default=out, help=f"folder for report and flip (default {out})")
 
+    add = begin("effects", "list the catalogue of effects", commands.run_effects)
+    add("--twin", default="nominal", help="`nominal`, `typical` or a twin YAML, whose rig's effects are listed")
+    add_effects(add)
+    add("--markdown", action="store_true", help="as a Markdown table")
+    add("--pictures", metavar="DIR", help="draw what each effect does into this folder")
 
-def describe_effects(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin effects`."""
-    parser.add_argument(
-        "--twin", default="nominal", help="`nominal`, `typical` or a twin YAML, whose rig's effects are listed"
-    )
-    add_effects(parser)
-    parser.add_argument("--markdown", action="store_true", help="as a Markdown table")
-    parser.add_argument("--pictures", metavar="DIR", help="draw what each effect does into this folder")
-
-
-def describe_diagnose(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin diagnose`."""
-    add_logs(parser)
-    add = parser.add_argument
+    add = begin("diagnose", "find what a twin gets wrong, from flight logs", commands.run_diagnose)
+    add_logs(add)
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
     add("--out", type=Path, metavar="DIR", required=True, help="folder for verdict.json, report.html and twin.yaml")
     add("--json", type=Path, help="write the verdict here as well; - prints it instead of the summary")
@@ -166,19 +168,13 @@ def describe_diagnose(parser: argparse.ArgumentParser) -> None:
     add("--limit", metavar="TIME", help="stop after so long, e.g. 90s, 10m, 1h, with what was found so far")
     add("--device", help="simulate on a card, `cuda`, or on Warp's processor device, `cpu` (default: numba, all cores)")
 
-
-def describe_compare(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin compare`."""
-    add_logs(parser)
-    add = parser.add_argument
+    add = begin("compare", "measure a twin's prediction error on flight logs", commands.run_compare)
+    add_logs(add)
     add("--twin", action="append", help="`nominal` (default), `typical` or a twin YAML; several times for several")
     add("--json", type=Path, help="write the figures here as well; - prints them instead")
 
-
-def describe_history(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin history`."""
-    add_logs(parser)
-    add = parser.add_argument
+    add = begin("history", "tell what changes from flight to flight", commands.run_history)
+    add_logs(add)
     add("--twin", default="nominal", help="twin YAML whose named causes are followed; or `nominal`, `typical`")
     add("--parameters", metavar="IDS", help="effects to follow instead, e.g. rail_x.coulomb,battery.sag")
     band = "EFFECT.PARAMETER=LOW:HIGH, where a parameter belongs: exit code 3 if it is not; may be repeated"
@@ -187,12 +183,9 @@ def describe_history(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="DIR", required=True, help="folder for history.html and history.json")
     add("--json", type=Path, help="write the data here as well; - prints it instead of the sentences")
 
-
-def describe_play(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin play`."""
-    add = parser.add_argument
+    add = begin("play", "watch a log in meshcat, the twin beside it", commands.run_play)
     add("log", type=Path, nargs="*", metavar="LOG", help="a log of any kind, or the split files of one")
-    add_beside(parser)
+    add_beside(add)
     add("--html", type=Path, help="write one self-contained page instead of opening a server")
     add("--video", type=Path, help="write an animation, .gif, .webp or .mp4, instead of opening a server")
     viewers = "what shows it: meshcat in the browser (default), or a window of MuJoCo's own viewer"
@@ -200,39 +193,29 @@ def describe_play(parser: argparse.ArgumentParser) -> None:
     add("--live", type=Path, metavar="CKPT", help="instead of a log, a policy in real time; flip and push it")
     add("--host", default="127.0.0.1", help="address to serve on; the default is heard by this machine alone")
 
-
-def describe_plot(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin plot`."""
+    add = begin("plot", "draw a log over time, the twin beside it, or training curves", commands.run_plot)
     sources = "a log (or its split files), or folders of training runs"
-    parser.add_argument("source", type=Path, nargs="+", metavar="SOURCE", help=sources)
-    add_beside(parser)
-    add = parser.add_argument
+    add("source", type=Path, nargs="+", metavar="SOURCE", help=sources)
+    add_beside(add)
     add("--out", type=Path, help="picture, .png or .svg, or interactive page, .html (default SOURCE.png)")
     add("--theme", choices=["light", "dark"], default="light", help="of PNG and page (default light)")
 
+    add = begin("convert", "write a log of any kind as MCAP", commands.run_convert)
+    add("log", type=Path, metavar="LOG", help=f"a log of any kind; {PARTS}")
+    add("out", type=Path, metavar="OUT", help="MCAP file to write")
 
-def describe_convert(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin convert`."""
-    parser.add_argument("log", type=Path, metavar="LOG", help=f"a log of any kind; {PARTS}")
-    parser.add_argument("out", type=Path, metavar="OUT", help="MCAP file to write")
-
-
-def describe_inspect(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin inspect`."""
-    add = parser.add_argument
+    add = begin("inspect", "show what is in a log, and guess what it means", commands.run_inspect)
     add("logs", type=Path, nargs="+", metavar="LOG", help=f"logs of any kind; {PARTS}")
     add("--model", metavar="NAME", help="MJCF or menagerie name; guess which signal is which joint and actuator")
     add("--out", type=Path, metavar="YAML", help="twin to write with the guesses (default MODEL_twin.yaml)")
 
-
-def describe_layouts(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin layouts`."""
-    parser.add_argument("out", type=Path, metavar="DIR", help="where to write foxglove.json and plotjuggler.xml")
+    add = begin("layouts", "write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts)
+    add("out", type=Path, metavar="DIR", help="where to write foxglove.json and plotjuggler.xml")
 
 
-def describe_fly(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin fly`."""
-    add = parser.add_argument
+def describe_pilots(begin: Begin) -> None:
+    """Commands about pilots, actuators and policies, and their arguments."""
+    add = begin("fly", "fly a manoeuvre or a policy in a twin and write its log", commands.run_fly)
     add("checkpoint", type=Path, nargs="?", help="a checkpoint, a run's folder, or the shipped `flip`")
     add("--policy", type=Path, metavar="FILE", help="instead, an exported controller, .so or .onnx")
     add("--task", help="whose targets the policy flies (default: that of its training)")
@@ -241,40 +224,33 @@ def describe_fly(parser: argparse.ArgumentParser) -> None:
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the manoeuvre")
     add("--list", action="store_true", help="list manoeuvres with their settings, fly nothing")
     add("--twin", default="nominal", help="`nominal` (default), `typical` or a twin YAML")
-    add_effects(parser)
+    add_effects(add)
     add("--controller", choices=["map", "adaptive"], help="of the actuators; by default the twin's own")
     add("--duration", type=float, help="s; by default the manoeuvre's or the task's own")
     add("--seed", type=int, default=0, help="of noise, gusts and a task's targets (default 0)")
     add("--gusts", action="store_true", help="let gusts of 1 %% of the weight blow")
     add("--out", type=Path, help="log to write, MCAP")
 
-
-def describe_identify(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin identify`."""
-    add = parser.add_argument
+    add = begin("identify", "fit an actuator to thrust-stand runs, or a twin to flights", commands.run_identify)
     add("logs", type=Path, nargs="+", metavar="LOG", help="MCAP logs of thrust-stand runs, or flights")
     add("--parameters", metavar="IDS", help="of flights: effects to fit, e.g. air.drag,servo.lag")
     add("--twin", default="nominal", help="of flights: `nominal` (default), `typical` or a twin YAML")
-    add_effects(parser)
+    add_effects(add)
     add("--out", type=Path, required=True, help="actuator YAML to write, a page goes beside it; or twin")
     add("--vehicle", type=Path, help="vehicle YAML that gives governed speed and inner rate")
-    add_topic_map(parser)
+    add_topic_map(add)
 
+    begin("train", "train a policy with PPO", lambda options: commands.run_train([]))  # Hydra takes its arguments
 
-def describe_export(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin export`."""
-    add = parser.add_argument
+    add = begin("export", "write a policy as C99 source or ONNX, a twin as MJCF or for mjlab", commands.run_export)
     add("source", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy; or a twin YAML")
     formats = "a policy as c or onnx; a twin as mjcf, or as a randomization for mjlab"
     add("--format", choices=["c", "onnx", "mjcf", "mjlab"], required=True, help=formats)
     add("--twin", help="whose vehicle the cascade is for (default: that of training)")
-    add_effects(parser)
+    add_effects(add)
     add("--out", type=Path, metavar="PATH", help="folder for C (default NAME_c), else file (default NAME.onnx, .xml)")
 
-
-def describe_evaluate(parser: argparse.ArgumentParser) -> None:
-    """Arguments of `vpptwin evaluate`."""
-    add = parser.add_argument
+    add = begin("evaluate", "measure a trained policy", commands.run_evaluate)
     add("checkpoint", type=Path, help="a checkpoint, a run's folder or the name of a shipped policy")
     add("--task", help="what to fly (default: the task of training)")
     add("--tracks", type=int, default=200, help="flights, flown side by side (default 200)")
@@ -285,69 +261,39 @@ def describe_evaluate(parser: argparse.ArgumentParser) -> None:
     add("--randomize", default="paper", metavar="NAMES", help=randomized)
     add("--thrust-to-weight", type=float, help="rotors of this strength (default: the task's)")
     add("--estimator", choices=["sensors", "kalman"], help="what it is shown (default: as in training)")
-    add_effects(parser)
+    add_effects(add)
     add("--json", type=Path, help="write all figures here as well; - prints them instead of the sentence")
 
 
-def add_logs(parser: argparse.ArgumentParser) -> None:
+def add_logs(add: Add) -> None:
     """Arguments of commands that compare logs with a twin."""
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG", help=f"flight logs of any kind; {PARTS}")
-    parser.add_argument(
-        "--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the log leaves no doubt"
-    )
-    add_effects(parser)
-    add_topic_map(parser)
+    add("logs", type=Path, nargs="+", metavar="LOG", help=f"flight logs of any kind; {PARTS}")
+    add("--model", metavar="NAME", help="instead of --twin, an MJCF or menagerie name, if the log leaves no doubt")
+    add_effects(add)
+    add_topic_map(add)
 
 
-def add_beside(parser: argparse.ArgumentParser) -> None:
+def add_beside(add: Add) -> None:
     """Arguments of commands that show the twin beside a log."""
-    parser.add_argument("--twin", help="`nominal`, `typical` or a twin YAML, driven by the log's commands")
-    add_effects(parser)
-    parser.add_argument("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
-    parser.add_argument("--free", action="store_true", help="let the twin run freely from the start")
-    add_topic_map(parser)
+    add("--twin", help="`nominal`, `typical` or a twin YAML, driven by the log's commands")
+    add_effects(add)
+    add("--restart", type=float, default=0.5, help="seconds between the twin's restarts (default 0.5)")
+    add("--free", action="store_true", help="let the twin run freely from the start")
+    add_topic_map(add)
 
 
-def add_effects(parser: argparse.ArgumentParser) -> None:
+def add_effects(add: Add) -> None:
     """The argument that adds effects of the user's own."""
-    parser.add_argument(
+    add(
         "--effects", type=Path, action="append", default=[], metavar="FILE",
         help="a Python file with effects of your own, or a name of installed ones, which is run; may be repeated",
     )  # fmt: skip
-    parser.add_argument("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
+    add("--trust", action="store_true", help="run the Python files that a twin or checkpoint names too")
 
 
-def add_topic_map(parser: argparse.ArgumentParser) -> None:
+def add_topic_map(add: Add) -> None:
     """The argument that renames topics and fields of other people's bags."""
-    parser.add_argument("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
-
-
-COMMANDS: dict[str, tuple[str, Callable[..., int | None], Callable[[argparse.ArgumentParser], None]]] = {
-    "demo": ("diagnose the flights that ship with vpptwin", commands.run_demo, describe_demo),
-    "effects": ("list the catalogue of effects", commands.run_effects, describe_effects),
-    "diagnose": ("find what a twin gets wrong, from flight logs", commands.run_diagnose, describe_diagnose),
-    "compare": ("measure a twin's prediction error on flight logs", commands.run_compare, describe_compare),
-    "history": ("tell what changes from flight to flight", commands.run_history, describe_history),
-    "play": ("watch a log in meshcat, the twin beside it", commands.run_play, describe_play),
-    "plot": ("draw a log over time, the twin beside it, or training curves", commands.run_plot, describe_plot),
-    "convert": ("write a log of any kind as MCAP", commands.run_convert, describe_convert),
-    "inspect": ("show what is in a log, and guess what it means", commands.run_inspect, describe_inspect),
-    "layouts": ("write layouts of Foxglove and PlotJuggler for our logs", commands.run_layouts, describe_layouts),
-    "fly": ("fly a manoeuvre or a policy in a twin and write its log", commands.run_fly, describe_fly),
-    "identify": (
-        "fit an actuator to thrust-stand runs, or a twin to flights",
-        commands.run_identify,
-        describe_identify,
-    ),
-    "train": ("train a policy with PPO", lambda options: commands.run_train([]), lambda parser: None),
-    "export": (
-        "write a policy as C99 source or ONNX, a twin as MJCF or for mjlab",
-        commands.run_export,
-        describe_export,
-    ),
-    "evaluate": ("measure a trained policy", commands.run_evaluate, describe_evaluate),
-}
-"""The commands by name: in a line, what runs them, what adds their arguments. Hydra takes those of `train`."""
+    add("--topic-map", type=Path, help="YAML that renames topics and fields of other people's bags")
 
 
 if __name__ == "__main__":
