@@ -23,7 +23,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Dated:
+class FittedFlight:
     """A flight and what it tells."""
 
     log: str  # path
@@ -38,24 +38,15 @@ class Dated:
 
 @dataclass(frozen=True)
 class Course:
-    """One parameter over all flights.
+    """One parameter over all flights."""
 
-    Attributes:
-        effect, parameter: its name.
-        meaning: what the effect is.
-        values: flight by flight; None where a flight does not show it.
-        trend: what it did over the flights that show it; None if no two do.
-        shown: numbers of those flights.
-        band: in which it belongs, None for none.
-    """
-
-    effect: str
-    parameter: str
-    meaning: str
-    values: list[Estimate | None]
-    trend: Trend | None
-    shown: list[int]
-    band: Band | None
+    effect: str  # its id
+    parameter: str  # the parameter's name
+    meaning: str  # what the effect is
+    values: list[Estimate | None]  # flight by flight; None where a flight does not show it
+    trend: Trend | None  # what it did over the flights that show it; None if no two do
+    shown: list[int]  # numbers of those flights
+    band: Band | None  # in which it belongs, None for none
 
     @property
     def name(self) -> str:
@@ -63,7 +54,18 @@ class Course:
         return f"{self.effect}.{self.parameter}"
 
     @property
-    def left(self) -> list[int]:
+    def title(self) -> str:
+        """What sentences begin with."""
+        return f"{self.meaning[:1].upper()}{self.meaning[1:]} ({self.name})"
+
+    @property
+    def unit(self) -> str:
+        """The unit of the parameter after a space, "" for none."""
+        units = [value.unit for value in self.values if value is not None]
+        return f" {units[0]}" if units and units[0] else ""
+
+    @property
+    def outside(self) -> list[int]:
         """Numbers of the flights whose whole 90 % interval is outside of the band."""
         if self.band is None:
             return []
@@ -72,18 +74,18 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Record:
+class ParameterHistory:
     """Parameters flight by flight."""
 
     twin: str  # name of the twin that they were fitted in
     dated: bool  # whether flights are told by date; else by number, as their stamps do not tell
-    flights: list[Dated]  # by date, or in the order in which they were given
+    flights: list[FittedFlight]  # by date, or in the order in which they were given
     courses: list[Course]  # of every parameter
 
     @property
     def left(self) -> list[Course]:
         """Parameters that left their bands."""
-        return [course for course in self.courses if course.left]
+        return [course for course in self.courses if course.outside]
 
     @property
     def warnings(self) -> list[str]:
@@ -118,30 +120,25 @@ class Record:
         same = [other for other in self.flights if other.date.date() == flight.date.date()]
         return f"{flight.date:%Y-%m-%d %H:%M}" if len(same) > 1 else f"{flight.date:%Y-%m-%d}"
 
-    def tell_when(self, number: int) -> str:
-        """A flight as sentences have it."""
-        return f"on {self.label(number)}" if self.dated else f"in {self.label(number)}"
-
     def tell_left(self, course: Course) -> str:
         """That a parameter left its band, how often and when first."""
         low, high = course.band or (-math.inf, math.inf)
-        first, number = course.left[0], len(course.left)
-        value, unit = course.values[first], find_unit(course)
-        often = f"in {number} of {len(course.shown)} flights, first {self.tell_when(first)}"
+        first, number = course.outside[0], len(course.outside)
+        value, unit = course.values[first], course.unit
+        when = f"{'on' if self.dated else 'in'} {self.label(first)}"
+        often = f"in {number} of {len(course.shown)} flights, first {when}"
         assert value is not None
-        return (
-            f"{sentence(course.meaning)} ({course.name}) left its band of {low:g} to {high:g}{unit} {often}: "
-            f"{format_value(value)}."
-        )
+        return f"{course.title} left its band of {low:g} to {high:g}{unit} {often}: {format_value(value)}."
 
     def tell_trend(self, course: Course) -> str:
         """What a parameter does over the flights, from when on, and how clear that is."""
-        what, trend = f"{sentence(course.meaning)} ({course.name})", course.trend
+        what, trend = course.title, course.trend
         if trend is None:
             return f"{what} is shown by no two of these flights."
         sample = next(value for value in course.values if value is not None)
-        first, last, change = (Estimate(*level, sample.nominal) for level in with_unit(trend, sample.unit))
-        more = f"; it scatters by {trend.scatter:.2g}{find_unit(course)} more than its intervals say"
+        levels = (trend.first, trend.last, trend.change)
+        first, last, change = (Estimate(value, sample.unit, std, sample.nominal) for value, std in levels)
+        more = f"; it scatters by {trend.scatter:.2g}{course.unit} more than its intervals say"
         wide = more if trend.scatter > np.median([v.std for v in course.values if v is not None]) else ""
         if len(course.shown) < LEAST:
             return f"{what} is {format_value(first)} in {len(course.shown)} flights, too few to tell a trend{wide}."
@@ -197,27 +194,11 @@ class Record:
                 trend["since"] = trend["between"] = None
         return {
             "effect": course.effect, "parameter": course.parameter, "meaning": course.meaning,
-            "unit": find_unit(course).strip(),
+            "unit": course.unit.strip(),
             "values": [
                 None if v is None else {"value": v.value, "std": v.std, "interval_90": list(v.interval)}
                 for v in course.values
             ],
             "trend": trend, "band": course.band and list(course.band),
-            "left_band_in": [self.flights[i].log for i in course.left],
+            "left_band_in": [self.flights[i].log for i in course.outside],
         }  # fmt: skip
-
-
-def sentence(text: str) -> str:
-    """With a capital letter."""
-    return text[:1].upper() + text[1:]
-
-
-def find_unit(course: Course) -> str:
-    """The unit of a parameter after a space, "" for none."""
-    units = [value.unit for value in course.values if value is not None]
-    return f" {units[0]}" if units and units[0] else ""
-
-
-def with_unit(trend: Trend, unit: str) -> list[tuple[float, str, float]]:
-    """First and last level and the change as value, unit and standard deviation."""
-    return [(value, unit, std) for value, std in (trend.first, trend.last, trend.change)]

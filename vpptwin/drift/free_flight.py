@@ -18,17 +18,15 @@ from vpptwin.diagnosis.judgement.verdict import Estimate
 from vpptwin.diagnosis.search.solution import solve_hypothesis
 from vpptwin.effects import find_effect
 from vpptwin.estimation.measurements import list_warnings
-from vpptwin.estimation.regression import solve_linear
 from vpptwin.logs.flight import Flight
 from vpptwin.system.errors import InputError
+from vpptwin.twin.robot.robot import Robot, by_robot
 from vpptwin.twin.spec import TwinSpec
 
 ALIKE = 0.9
 """Parameters whose errors correlate more than this can't be told apart by the flights."""
 VAGUE = 0.5
 """A parameter whose standard deviation is more than this share of its prior's spread was hardly seen."""
-STILL = 0.3
-"""Drag is looked for at speeds beyond this [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -126,16 +124,16 @@ def fit_flights(
         before, after = material.held_out.score({}), material.held_out.score(fit.values)
     freed = [i for i, unknown in enumerate(search.unknowns) if unknown.effect.id in fit.effects]
     solution = solve_hypothesis(fit.about, search.unknowns, fit.effects)
-    own = [search.unknowns[i] for i in freed]
+    fitted = [search.unknowns[i] for i in freed]
     asked = [unknown for unknown in search.unknowns if unknown.effect.id in effects]
     return FlightFit(
-        values={unknown.key: estimate(unknown, fit) for unknown in own},
-        alike=pair_up([unknown.key for unknown in own], solution.covariance[np.ix_(freed, freed)]),
+        values={unknown.key: estimate(unknown, fit) for unknown in fitted},
+        alike=pair_up([unknown.key for unknown in fitted], solution.covariance[np.ix_(freed, freed)]),
         vague=[u.key for u in asked if u.key not in fit.std or fit.std[u.key] > VAGUE * u.width / 3.0],
         before=before,
         after=after,
         windows=(len(search.bench.windows), len(material.held_out.short.windows)),
-        drag=regress_drag(spec, flights) if "air.drag" in effects else None,
+        drag=regress_drag(spec.robot, flights) if "air.drag" in effects else None,
         warnings=[*describe_turned(search.bench.spec), *list_warnings(flights, material.measurements)],
     )
 
@@ -148,38 +146,7 @@ def pair_up(keys: Sequence[Key], covariance: np.ndarray) -> list[tuple[Key, Key,
     return sorted((pair for pair in pairs if abs(pair[2]) > ALIKE), key=lambda pair: -abs(pair[2]))
 
 
-def regress_drag(spec: TwinSpec, flights: Sequence[Flight]) -> LeastSquares | None:
-    """k_d by least squares from thrust commands and recorded accelerations; None where a log lacks one of them.
-
-    Along z, where neither carriage nor horizontal rail come in: m (a + g) = f cos θ - k_d |v| v_z, with a + g from the
-    accelerometer, θ and v from the motion capture, f as commanded. Lags and whatever else acts go into it, as they do
-    in the paper; a constant is fitted beside it.
-    """
-    along, wanted = [], []
-    for flight in flights:
-        if any(topic not in flight.streams for topic in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose")):
-            return None
-        command, imu, pose = (flight.streams[t] for t in ("/cmd/rate_thrust", "/imu/data", "/mocap/pose"))
-        if "accel_x" not in imu.values:
-            return None
-        craft = spec.vehicle.airframe.mass + spec.vehicle.rig.slider_mass
-        time = np.arange(max(pose.time[2], command.time[0]), min(pose.time[-3], imu.time[-1]), 0.01)
-        speed = [np.interp(time, pose.time, np.gradient(pose[axis], pose.time)) for axis in ("x", "z")]
-        speed = [np.convolve(v, np.ones(5) / 5.0, "same") for v in speed]
-        theta = np.interp(time, pose.time, pose["theta"])
-        calm = np.ones(10) / 10.0
-        smooth = (np.convolve(imu[name], calm, "same") for name in ("accel_x", "accel_z"))
-        force_x, force_z = (np.interp(time, imu.time, force) for force in smooth)
-        upward = np.cos(theta) * force_z + np.sin(theta) * force_x
-        thrust = command["thrust"][np.clip(np.searchsorted(command.time, time, side="right") - 1, 0, None)]
-        size = np.hypot(*speed)
-        moving = size > STILL
-        # along z only: the carriage's mass and the rail's friction are not in it
-        along.append((-size * speed[1])[moving])
-        wanted.append((craft * upward - thrust * np.cos(theta))[moving])
-    pushed, missed = np.concatenate(along), np.concatenate(wanted)
-    if len(pushed) < 50 or not np.any(pushed):
-        return None
-    inputs = np.column_stack([pushed, np.ones(len(pushed))])
-    found, std = solve_linear(inputs, missed, 10.0)
-    return LeastSquares(float(found[0]), float(std[0]), len(pushed))
+@by_robot
+def regress_drag(robot: Robot, flights: Sequence[Flight]) -> LeastSquares | None:
+    """Air drag by a simple regression that a robot's room knows; of most robots none."""
+    return None

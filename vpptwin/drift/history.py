@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.diagnosis.evidence.runs import Key
-from vpptwin.drift.course import Band, Course, Dated, Record
+from vpptwin.drift.course import Band, Course, FittedFlight, ParameterHistory
 from vpptwin.drift.free_flight import FlightFit, fit_flights, parse_parameters
 from vpptwin.drift.page import render_history
 from vpptwin.drift.trend import judge_trend
@@ -37,7 +36,7 @@ EARLIEST = 946_684_800 * 10**9
 
 
 @dataclass(frozen=True, repr=False)
-class History(Record):
+class History(ParameterHistory):
     """What every flight says of named parameters. Printed it is a sentence for each, in a notebook the page."""
 
     _origin: Provenance = field(repr=False)
@@ -140,25 +139,19 @@ def history(
         for number, fit in share_out(fit_flight, tasks, jobs):
             fits[number] = fit
             bar.update()
-    found = [Dated(str(flight.path), flight.start_ns, fits[i]) for i, flight in enumerate(flights)]
-    bare = Record(spec.name, dated, found, [])
-    every = [find_effect(spec.catalogue, cause) for cause in causes]
-    courses = [
-        follow(bare, (e.id, p.name), e.summary, checked.get(f"{e.id}.{p.name}")) for e in every for p in e.parameters
-    ]
-    return History(spec.name, dated, found, courses, origin)
-
-
-def follow(record: Record, key: Key, meaning: str, band: Band | None) -> Course:
-    """One parameter over the flights of a history."""
-    values = [flight.fit.values.get(key) for flight in record.flights]
-    shown = [i for i, value in enumerate(values) if value is not None]
-    known = [value for value in values if value is not None]
-    trend = None
-    if len(shown) > 1:
-        std = np.array([max(value.std, 1e-12) for value in known])
-        trend = judge_trend(record.time[shown], np.array([value.value for value in known]), std)
-    return Course(*key, meaning, values, trend, shown, band)
+    found = [FittedFlight(str(flight.path), flight.start_ns, fits[i]) for i, flight in enumerate(flights)]
+    told = History(spec.name, dated, found, [], origin)
+    for effect in (find_effect(spec.catalogue, cause) for cause in causes):
+        for name in (p.name for p in effect.parameters):
+            values = [fits[i].values.get((effect.id, name)) for i in range(len(flights))]
+            known = {i: value for i, value in enumerate(values) if value is not None}
+            shown, trend = list(known), None
+            if len(shown) > 1:
+                std = np.array([max(value.std, 1e-12) for value in known.values()])
+                trend = judge_trend(told.time[shown], np.array([value.value for value in known.values()]), std)
+            band = checked.get(f"{effect.id}.{name}")
+            told.courses.append(Course(effect.id, name, effect.summary, values, trend, shown, band))
+    return told
 
 
 def choose_causes(spec: TwinSpec, parameters: str | None) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 
-from vpptwin.drift.course import Course, Record, find_unit
+from vpptwin.drift.course import Course, ParameterHistory
 from vpptwin.drift.trend import CLEAR, WAYS
 from vpptwin.effects import SIGMAS_90
 from vpptwin.report.html.page import open_templates, tie_units
@@ -19,19 +19,26 @@ from vpptwin.viz.plots.figure import AFTER, BEFORE, INK, name_axes, open_figure,
 from vpptwin.viz.plots.palette import GREEN
 
 
-def render_history(record: Record, origin: Provenance) -> str:
+def render_history(record: ParameterHistory, origin: Provenance) -> str:
     """The page as HTML."""
     rows = [
         {
             "label": record.label(i), "fit": flight.fit, "name": flight.log,
-            "values": [tell_value(course, i, flight.fit.vague) for course in record.courses],
+            "values": [
+                "not shown" if (value := course.values[i]) is None
+                else format_value(value) + ", hardly seen" * ((course.effect, course.parameter) in flight.fit.vague)
+                for course in record.courses
+            ],
         }
         for i, flight in enumerate(record.flights)
     ]  # fmt: skip
     weighed = [
         {
-            "name": course.name, "scatter": f"{course.trend.scatter:.2g}{find_unit(course)}",
-            "evidence": [f"{e:.1f}" if e is not None and np.isfinite(e) else "" for e in list_evidence(course)],
+            "name": course.name, "scatter": f"{course.trend.scatter:.2g}{course.unit}",
+            "evidence": [
+                f"{e:.1f}" if e is not None and np.isfinite(e) else ""
+                for e in (course.trend.evidence, *map(course.trend.evidences.get, WAYS))
+            ],
         }
         for course in record.courses
         if course.trend is not None
@@ -46,28 +53,14 @@ def render_history(record: Record, origin: Provenance) -> str:
     )  # fmt: skip
 
 
-def tell_value(course: Course, number: int, vague: list[tuple[str, str]]) -> str:
-    """A parameter in one flight."""
-    value = course.values[number]
-    if value is None:
-        return "not shown"
-    return format_value(value) + (", hardly seen" if (course.effect, course.parameter) in vague else "")
-
-
-def list_evidence(course: Course) -> list[float | None]:
-    """Evidence for any change, and for every way to change."""
-    assert course.trend is not None
-    return [course.trend.evidence, *(course.trend.evidences.get(way) for way in WAYS)]
-
-
-def draw_course(record: Record, course: Course) -> str:
+def draw_course(record: ParameterHistory, course: Course) -> str:
     """A parameter over date or flight number: values with intervals, what is likeliest, the band, the twin's own."""
     place: list[Any] = [f.date if record.dated else i + 1 for i, f in enumerate(record.flights)]
     with open_figure(4.6, 3.2) as figure:
         axes = figure.subplots()
         known = [(i, value) for i, value in enumerate(course.values) if value is not None]
         for i, value in known:
-            left = i in course.left
+            left = i in course.outside
             colour = BEFORE if left else INK
             axes.errorbar(
                 [place[i]], [value.value], SIGMAS_90 * value.std, fmt="o", color=colour, markersize=5.0, capsize=3.0,
@@ -91,6 +84,6 @@ def draw_course(record: Record, course: Course) -> str:
                 axes.set_xlim(place[0] - timedelta(days=1), place[0] + timedelta(days=1))
         else:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        unit = find_unit(course).strip()
+        unit = course.unit.strip()
         name_axes(axes, "date" if record.dated else "flight", f"{course.parameter} [{unit or '1'}]", course.name)
         return write_svg(figure, f"{course.name} over flights")

@@ -59,7 +59,7 @@ class Trend:
 
 
 @dataclass(frozen=True)
-class Shape:
+class ChangeShape:
     """A way to change: kind, the flight it begins with, and its course from 0 to 1, (n,)."""
 
     kind: Kind
@@ -67,14 +67,14 @@ class Shape:
     course: np.ndarray
 
 
-def list_shapes(time: np.ndarray) -> list[Shape]:
+def list_shapes(time: np.ndarray) -> list[ChangeShape]:
     """Ways to change over flights at increasing times (n,): a line, steps before each, bends with two after them."""
     span = time - time[0]
-    shapes = [Shape("line", 0, span / span[-1])]
-    shapes += [Shape("step", k, (np.arange(len(time)) >= k).astype(float)) for k in range(1, len(time))]
+    shapes = [ChangeShape("line", 0, span / span[-1])]
+    shapes += [ChangeShape("step", k, (np.arange(len(time)) >= k).astype(float)) for k in range(1, len(time))]
     for k in range(1, len(time) - 2):
         since = np.maximum(time - time[k], 0.0)
-        shapes.append(Shape("bend", k, since / since[-1]))
+        shapes.append(ChangeShape("bend", k, since / since[-1]))
     return shapes
 
 
@@ -92,15 +92,18 @@ def judge_trend(time: np.ndarray, value: np.ndarray, std: np.ndarray) -> Trend:
     weight = 1.0 / (np.square(std) + np.square(scatter)[:, None])
     total = weight.sum(axis=1)
     mean = weight @ value / total
-    left = value - mean[:, None]
-    staying = 0.5 * (np.log(weight).sum(axis=1) - (weight * left**2).sum(axis=1) - np.log(total))
+    residual = value - mean[:, None]
+    # log p(y | s) = ½ (Σ log wᵢ - Σ wᵢ (yᵢ - ȳ)² - log Σ wᵢ), wᵢ = 1/(σᵢ² + s²), flat prior on the level (BDA3, 5.4)
+    staying = 0.5 * (np.log(weight).sum(axis=1) - (weight * residual**2).sum(axis=1) - np.log(total))
     none, size = float(logsumexp(staying)), max(float(np.ptp(value)), typical)
     shapes = list_shapes(time) if n >= LEAST else []
-    found = [weigh_shape(shape.course, size, weight, left, staying) for shape in shapes]
+    found = [weigh_shape(shape.course, size, weight, residual, staying) for shape in shapes]
     likelihood = np.array([logsumexp(changing) for changing, *_ in found])
     kinds = {kind: [i for i, s in enumerate(shapes) if s.kind == kind] for kind in WAYS if n >= LEAST}
     evidences = {
-        kind: float(2.0 * (logsumexp(likelihood[own]) - np.log(len(own)) - none)) for kind, own in kinds.items() if own
+        kind: float(2.0 * (logsumexp(likelihood[places]) - np.log(len(places)) - none))
+        for kind, places in kinds.items()
+        if places
     }
     every = 0.5 * np.array(list(evidences.values()))
     evidence = float(2.0 * (logsumexp(every) - np.log(len(every)))) if len(every) else -np.inf
@@ -109,21 +112,21 @@ def judge_trend(time: np.ndarray, value: np.ndarray, std: np.ndarray) -> Trend:
         level, beyond = mix(likely, mean, 1.0 / total), find_median(scatter, likely)
         return Trend("constant", evidence, evidences, 0, (0, 0), level, level, (0.0, 0.0), beyond, np.full(n, level[0]))
     kind = max(evidences, key=lambda name: evidences[name])
-    own = kinds[kind]
-    place = int(np.argmax(likelihood[own]))
-    shape, (changing, slope, precision) = shapes[own[place]], found[own[place]]
+    places = kinds[kind]
+    best = int(np.argmax(likelihood[places]))
+    shape, (changing, slope, precision) = shapes[places[best]], found[places[best]]
     likely = np.exp(changing - logsumexp(changing))
     away = np.array([[0.0], [1.0]]) - weight @ shape.course / total
     first, last = (mix(likely, mean + slope * a, 1.0 / total + a**2 / precision) for a in away)
-    begin, change = [shapes[i].since for i in own], mix(likely, slope, 1.0 / precision)
+    begin, change = [shapes[i].since for i in places], mix(likely, slope, 1.0 / precision)
     return Trend(
-        kind, evidence, evidences, shape.since, enclose(begin, likelihood[own], place), first, last, change,
+        kind, evidence, evidences, shape.since, enclose(begin, likelihood[places], best), first, last, change,
         find_median(scatter, likely), first[0] + (last[0] - first[0]) * shape.course,
     )  # fmt: skip
 
 
 def weigh_shape(
-    course: np.ndarray, size: float, weight: np.ndarray, left: np.ndarray, staying: np.ndarray
+    course: np.ndarray, size: float, weight: np.ndarray, residual: np.ndarray, staying: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A change of one course (n,), for S sizes of the scatter.
 
@@ -131,7 +134,7 @@ def weigh_shape(
         course: from 0 to 1, (n,).
         size: standard deviation of the prior of the change.
         weight: of the flights, (S, n).
-        left: values less their weighted mean, (S, n).
+        residual: values less their weighted mean, (S, n).
         staying: log likelihood of no change, (S,).
 
     Returns:
@@ -139,8 +142,9 @@ def weigh_shape(
     """
     apart = course - (weight @ course / weight.sum(axis=1))[:, None]
     precision = (weight * apart**2).sum(axis=1)
-    slope = (weight * apart * left).sum(axis=1) / precision
+    slope = (weight * apart * residual).sum(axis=1) / precision
     told = precision * size**2
+    # log Bayes factor of a linear term with a Gaussian prior (BDA3, 14): ½ (b² p t/(1 + t) - log(1 + t)), t = p s²
     won = 0.5 * (slope**2 * precision * told / (1.0 + told) - np.log1p(told))
     return staying + won, slope, precision
 

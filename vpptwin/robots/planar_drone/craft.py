@@ -59,6 +59,7 @@ class PlanarDrone(Robot):
             "find_positions": "vpptwin.robots.planar_drone.display.overlay:read_pose",
             "make_overlay": "vpptwin.robots.planar_drone.display.overlay:overlay_craft",
             "tell_robot": "vpptwin.robots.planar_drone.display.panels:tell_craft",
+            "regress_drag": "vpptwin.robots.planar_drone.thrust_stand.drag:regress_thrust",
             "find_triggers": "vpptwin.robots.planar_drone.display.panels:find_flips",
         }
     )
