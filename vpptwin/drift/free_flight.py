@@ -31,42 +31,25 @@ VAGUE = 0.5
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """The paper's estimate of drag: accelerations against thrust commands (System Identification, item 2).
+    """The paper's estimate of drag: accelerations against thrust commands (System Identification, item 2)."""
 
-    Attributes:
-        k_d: N s²/m².
-        std: its standard deviation, neighbouring samples taken as alike over a tenth of a second.
-        samples: number used.
-    """
-
-    k_d: float
-    std: float
-    samples: int
+    k_d: float  # N s²/m²
+    std: float  # its standard deviation, neighbouring samples taken as alike over a tenth of a second
+    samples: int  # number used
 
 
 @dataclass(frozen=True)
 class FlightFit:
-    """What flights tell of chosen parameters.
+    """What flights tell of chosen parameters."""
 
-    Attributes:
-        values: (effect id, parameter) → estimate; not of effects that nothing shows.
-        alike: pairs whose errors correlate, with their correlation, the worst first.
-        vague: parameters that were hardly seen.
-        before: errors on held-out windows of the twin as it was.
-        after: and with the values.
-        windows: fitted, and held out.
-        drag: the paper's simple estimate, where drag was asked for and the log allows it.
-        warnings: about the logs.
-    """
-
-    values: dict[Key, Estimate]
-    alike: list[tuple[Key, Key, float]]
-    vague: list[Key]
-    before: Score
-    after: Score
-    windows: tuple[int, int]
-    drag: LeastSquares | None
-    warnings: list[str]
+    values: dict[Key, Estimate]  # (effect id, parameter) → estimate; not of effects that nothing shows
+    alike: list[tuple[Key, Key, float]]  # pairs whose errors correlate, with their correlation, the worst first
+    vague: list[Key]  # parameters that were hardly seen
+    before: Score  # errors on held-out windows of the twin as it was
+    after: Score  # and with the values
+    windows: tuple[int, int]  # fitted, and held out
+    drag: LeastSquares | None  # the paper's simple estimate, where drag was asked for and the log allows it
+    warnings: list[str]  # about the logs
 
 
 def parse_parameters(spec: TwinSpec, text: str) -> list[str]:

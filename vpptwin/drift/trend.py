@@ -32,30 +32,18 @@ SHARE = 0.9
 
 @dataclass(frozen=True)
 class Trend:
-    """What a parameter did over a number of flights.
+    """What a parameter did over a number of flights."""
 
-    Attributes:
-        kind: the likeliest way, `constant` where no change is clear.
-        evidence: twice the logarithm of how much likelier any change is than none; -inf with too few flights.
-        evidences: the same of every way to change.
-        since: number of the flight from which on it is otherwise (`step`) or changes (`line`, `bend`).
-        between: the first and last flight of which that may be true, with a probability of `SHARE`.
-        first, last: level at the first and the last flight, and their standard deviations.
-        change: last less first, and its standard deviation.
-        scatter: between flights, beyond their own deviations; the median of what is likely.
-        fitted: the level at every flight, (n,).
-    """
-
-    kind: Kind
-    evidence: float
-    evidences: dict[Kind, float]
-    since: int
-    between: tuple[int, int]
-    first: tuple[float, float]
-    last: tuple[float, float]
-    change: tuple[float, float]
-    scatter: float
-    fitted: np.ndarray
+    kind: Kind  # the likeliest way, `constant` where no change is clear
+    evidence: float  # twice the logarithm of how much likelier any change is than none; -inf with too few flights
+    evidences: dict[Kind, float]  # the same of every way to change
+    since: int  # number of the flight from which on it is otherwise (`step`) or changes (`line`, `bend`)
+    between: tuple[int, int]  # the first and last flight of which that may be true, with a probability of `SHARE`
+    first: tuple[float, float]  # level at the first and the last flight, and their standard deviations
+    last: tuple[float, float]  # level at the first and the last flight, and their standard deviations
+    change: tuple[float, float]  # last less first, and its standard deviation
+    scatter: float  # between flights, beyond their own deviations; the median of what is likely
+    fitted: np.ndarray  # the level at every flight, (n,)
 
 
 @dataclass(frozen=True)

@@ -36,52 +36,30 @@ class Pilot(Protocol):
 
 @dataclass(frozen=True)
 class Noise:
-    """Readings' errors of N flights at unit variance, each flight's its own.
+    """Readings' errors of N flights at unit variance, each flight's its own."""
 
-    Attributes:
-        fast: gyro, accelerometer x and z, rotor speeds, currents, at every sample of the IMU, (N, K, 7).
-        pose: x, z, θ at every tick, (N, T, 3).
-    """
-
-    fast: np.ndarray
-    pose: np.ndarray
+    fast: np.ndarray  # gyro, accelerometer x and z, rotor speeds, currents, at every sample of the IMU, (N, K, 7)
+    pose: np.ndarray  # x, z, θ at every tick, (N, T, 3)
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """What N flights did: K samples of the IMU, T ticks of the policy; the log starts with sample and tick `lead`.
+    """What N flights did: K samples of the IMU, T ticks of the policy; the log starts with sample and tick `lead`."""
 
-    Attributes:
-        twin: that flew them.
-        step: time between samples [s].
-        period: time between ticks [s].
-        lead: samples and ticks before the log, (2,).
-        pose: (N, K, 3) m, m, rad.
-        velocity: (N, K, 3) m/s, rad/s.
-        blade_pitch: commanded, (N, K, 2) rad.
-        throttle: (N, K, 2).
-        speed: of the rotors, (N, K, 2) rad/s.
-        command: of the policy, (N, T, 2) N, rad/s.
-        target: (N, T, 3) m, m, rad.
-        noise: of the readings.
-        diverged: when numbers stopped making sense, (N,) s; infinite where they never did.
-        actuators: their state at the end, (N,) records.
-    """
-
-    twin: Twin
-    step: float
-    period: float
-    lead: tuple[int, int]
-    pose: np.ndarray
-    velocity: np.ndarray
-    blade_pitch: np.ndarray
-    throttle: np.ndarray
-    speed: np.ndarray
-    command: np.ndarray
-    target: np.ndarray
-    noise: Noise
-    diverged: np.ndarray
-    actuators: np.ndarray
+    twin: Twin  # that flew them
+    step: float  # time between samples [s]
+    period: float  # time between ticks [s]
+    lead: tuple[int, int]  # samples and ticks before the log, (2,)
+    pose: np.ndarray  # (N, K, 3) m, m, rad
+    velocity: np.ndarray  # (N, K, 3) m/s, rad/s
+    blade_pitch: np.ndarray  # commanded, (N, K, 2) rad
+    throttle: np.ndarray  # (N, K, 2)
+    speed: np.ndarray  # of the rotors, (N, K, 2) rad/s
+    command: np.ndarray  # of the policy, (N, T, 2) N, rad/s
+    target: np.ndarray  # (N, T, 3) m, m, rad
+    noise: Noise  # of the readings
+    diverged: np.ndarray  # when numbers stopped making sense, (N,) s; infinite where they never did
+    actuators: np.ndarray  # their state at the end, (N,) records
 
 
 def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:

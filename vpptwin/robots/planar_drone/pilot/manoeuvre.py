@@ -19,43 +19,26 @@ SHORTEST, LONGEST = 5.0, 600.0
 
 @dataclass(frozen=True)
 class Setting:
-    """One number of a manoeuvre that may be chosen.
+    """One number of a manoeuvre that may be chosen."""
 
-    Attributes:
-        name: as in `--set NAME=VALUE`.
-        unit: SI unit, "" for none.
-        default: value when nothing is said.
-        low, high: bounds; inside them the manoeuvre is safe.
-        meaning: in a few words.
-    """
-
-    name: str
-    unit: str
-    default: float
-    low: float
-    high: float
-    meaning: str
+    name: str  # as in `--set NAME=VALUE`
+    unit: str  # SI unit, "" for none
+    default: float  # value when nothing is said
+    low: float  # bounds; inside them the manoeuvre is safe
+    high: float  # bounds; inside them the manoeuvre is safe
+    meaning: str  # in a few words
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A named manoeuvre.
+    """A named manoeuvre."""
 
-    Attributes:
-        name: as in `--manoeuvre NAME`.
-        summary: what is flown, in a phrase.
-        reveals: ids of effects that it is made to show.
-        settings: what may be chosen.
-        fill: fills a plan, given the settings by name.
-        duration: when nothing is said [s].
-    """
-
-    name: str
-    summary: str
-    reveals: tuple[str, ...]
-    settings: tuple[Setting, ...]
-    fill: Callable[..., None] = field(repr=False)
-    duration: float = 20.0
+    name: str  # as in `--manoeuvre NAME`
+    summary: str  # what is flown, in a phrase
+    reveals: tuple[str, ...]  # ids of effects that it is made to show
+    settings: tuple[Setting, ...]  # what may be chosen
+    fill: Callable[..., None] = field(repr=False)  # fills a plan, given the settings by name
+    duration: float = 20.0  # when nothing is said [s]
 
     def choose(self, given: Mapping[str, float]) -> dict[str, float]:
         """All settings, those given in place of the defaults.

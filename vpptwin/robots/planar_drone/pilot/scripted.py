@@ -22,15 +22,10 @@ INTEGRAL, MOST_TRIM, NEAR = 3.0, 1.5, 0.3
 
 @dataclass(frozen=True)
 class Script:
-    """Targets over time, each holding until the next.
+    """Targets over time, each holding until the next."""
 
-    Attributes:
-        time: when each target begins, (M,) s, rising from 0.
-        target: x, z, θ, (M, 3) m, m, rad; θ is a multiple of π.
-    """
-
-    time: np.ndarray
-    target: np.ndarray
+    time: np.ndarray  # when each target begins, (M,) s, rising from 0
+    target: np.ndarray  # x, z, θ, (M, 3) m, m, rad; θ is a multiple of π
 
     def at(self, time: float) -> np.ndarray:
         """The target at a time [s], (3,)."""

@@ -29,40 +29,24 @@ PITCH_LEVELS, SPEED_SPREAD = 5, 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Readings:
-    """What a stand tells at n times; only the rotors that turn, r of them.
+    """What a stand tells at n times; only the rotors that turn, r of them."""
 
-    Attributes:
-        pitch: commanded, (n, r) rad.
-        throttle: commanded, (n, r).
-        speed: (n, r) rad/s.
-        current: (n, r) A.
-        thrust: of all together, (n,) N.
-        torque: likewise about the thrust axis, (n,) N m; None where the stand has no such channel.
-        voltage: of the battery, (n,) V.
-    """
-
-    pitch: np.ndarray
-    throttle: np.ndarray
-    speed: np.ndarray
-    current: np.ndarray
-    thrust: np.ndarray
-    torque: np.ndarray | None
-    voltage: np.ndarray
+    pitch: np.ndarray  # commanded, (n, r) rad
+    throttle: np.ndarray  # commanded, (n, r)
+    speed: np.ndarray  # (n, r) rad/s
+    current: np.ndarray  # (n, r) A
+    thrust: np.ndarray  # of all together, (n,) N
+    torque: np.ndarray | None  # likewise about the thrust axis, (n,) N m; None where the stand has no such channel
+    voltage: np.ndarray  # of the battery, (n,) V
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchRun(Readings):
-    """One run on one grid of time.
+    """One run on one grid of time."""
 
-    Attributes:
-        path: of the log.
-        dt: s.
-        warnings: about the log.
-    """
-
-    path: Path
-    dt: float
-    warnings: list[str]
+    path: Path  # of the log
+    dt: float  # s
+    warnings: list[str]  # about the log
 
     @property
     def time(self) -> np.ndarray:
@@ -72,15 +56,10 @@ class BenchRun(Readings):
 
 @dataclass(frozen=True, kw_only=True)
 class Levels(Readings):
-    """Means over stretches in which nothing was changed.
+    """Means over stretches in which nothing was changed."""
 
-    Attributes:
-        run: index of the run, (n,).
-        slope: what speed changes by meanwhile, (n, r) rad/s².
-    """
-
-    run: np.ndarray
-    slope: np.ndarray
+    run: np.ndarray  # index of the run, (n,)
+    slope: np.ndarray  # what speed changes by meanwhile, (n, r) rad/s²
 
     @property
     def group(self) -> np.ndarray:
