@@ -113,10 +113,7 @@ def test_view_follows_the_craft(browser: Browser) -> None:
 def test_live_server_plays_until_interrupted(tmp_path: Path) -> None:
     """The printed address shows a running animation; Ctrl-C ends it quietly."""
     imports = "from tests.viz.conftest import make_flight; from vpptwin.viz.pages.playback import play_live"
-    with (
-        serve("-c", f"{imports}; play_live(make_flight())") as address,
-        Browser(tmp_path, offline=False) as browser,
-    ):
+    with serve("-c", f"{imports}; play_live(make_flight())") as address, Browser(tmp_path, offline=False) as browser:
         browser.open(address)
         deadline = time.monotonic() + 30.0
         while not browser.evaluate("viewer.animator.duration") and time.monotonic() < deadline:

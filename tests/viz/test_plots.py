@@ -40,10 +40,7 @@ PLOTS = {
         lambda: error_by_horizon(HORIZONS, ERRORS, HALVED, 0.0006, [(-0.6, -0.4)] * 5, "position rmse [m]"),
         ["horizon [s]", "position rmse [m]", "before", "after", "sensor noise"],
     ),
-    "residual_before": (
-        lambda: plot_residual()[0],
-        ["rail velocity [m/s]", "residual force along x [N]", "before"],
-    ),
+    "residual_before": (lambda: plot_residual()[0], ["rail velocity [m/s]", "residual force along x [N]", "before"]),
     "residual_after": (lambda: plot_residual()[1], ["rail velocity [m/s]", "residual force along x [N]", "after"]),
     "prediction_overlay": (
         lambda: prediction_overlay(TIME, LOG, LOG + 0.1, LOG + 0.01, "x [m]", RESTARTS),

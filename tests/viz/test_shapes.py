@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from vpptwin.viz.scene.geoms import read_paint
-from vpptwin.viz.scene.meshes import (
-    SEGMENTS,
-    make_capsule,
-    make_cone,
-    make_cylinder,
-    make_geom,
-    make_ribbon,
-)
+from vpptwin.viz.scene.meshes import SEGMENTS, make_capsule, make_cone, make_cylinder, make_geom, make_ribbon
 
 # A polygon of n corners has n/(2 pi) sin(2 pi/n) of its circle's area.
 POLYGON = SEGMENTS / (2 * np.pi) * np.sin(2 * np.pi / SEGMENTS)
