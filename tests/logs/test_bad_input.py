@@ -36,19 +36,16 @@ MS = 10**6  # ns
 STRING = "std_msgs/msg/String"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "part"),
-    [
-        ("empty.mcap", b"", "is empty (0 bytes)"),
-        ("picture.mcap", b"\x89PNG\r\n\x1a\n" + b"\0" * 99, "is a PNG picture"),
-        ("notes.mcap", b"Flew twice.\nLanded once.\n", "is text, starting with b'Flew twice."),
-        ("ros1.mcap", b"#ROSBAG V2.0\n", "expected a whole bag; run `rosbag reindex`"),
-        ("bag.db3", b"SQLite format 3\0", "expected a whole bag; run `ros2 bag reindex`"),
-        ("noise.mcap", bytes(range(200, 256)), "is not MCAP"),
-        ("start.mcap", b"\x89MCAP0", "ends after 6 bytes"),
-        ("zeros.mcap", b"\x89MCAP0\r\n" + b"\0" * 999, "ends without a footer"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "part"), [
+    ("empty.mcap", b"", "is empty (0 bytes)"),
+    ("picture.mcap", b"\x89PNG\r\n\x1a\n" + b"\0" * 99, "is a PNG picture"),
+    ("notes.mcap", b"Flew twice.\nLanded once.\n", "is text, starting with b'Flew twice."),
+    ("ros1.mcap", b"#ROSBAG V2.0\n", "expected a whole bag; run `rosbag reindex`"),
+    ("bag.db3", b"SQLite format 3\0", "expected a whole bag; run `ros2 bag reindex`"),
+    ("noise.mcap", bytes(range(200, 256)), "is not MCAP"),
+    ("start.mcap", b"\x89MCAP0", "ends after 6 bytes"),
+    ("zeros.mcap", b"\x89MCAP0\r\n" + b"\0" * 999, "ends without a footer"),
+])  # fmt: skip
 def test_files_of_another_kind_are_refused(tmp_path: Path, name: str, content: bytes, part: str) -> None:
     """What is no MCAP file is named as what it is."""
     (tmp_path / name).write_bytes(content)
@@ -110,16 +107,13 @@ def test_damaged_bytes_never_crash(whole: Path, data: st.DataObject, tmp_path_fa
     assert len(flight.streams["/mocap/pose"]) == 400
 
 
-@pytest.mark.parametrize(
-    ("profile", "encoding", "schema", "part"),
-    [
-        ("ros1", "ros1", "ros1msg", "MCAP profile 'ros1'"),
-        ("", "json", "jsonschema", "message encoding 'json' on /mocap/pose"),
-        ("", "protobuf", "protobuf", "message encoding 'protobuf' on /mocap/pose"),
-        ("ros2", "cdr", "ros2idl", "definition 'ros2idl' on /mocap/pose"),
-        ("ros2", "cdr", "", "definition '' on /mocap/pose"),
-    ],
-)
+@pytest.mark.parametrize(("profile", "encoding", "schema", "part"), [
+    ("ros1", "ros1", "ros1msg", "MCAP profile 'ros1'"),
+    ("", "json", "jsonschema", "message encoding 'json' on /mocap/pose"),
+    ("", "protobuf", "protobuf", "message encoding 'protobuf' on /mocap/pose"),
+    ("ros2", "cdr", "ros2idl", "definition 'ros2idl' on /mocap/pose"),
+    ("ros2", "cdr", "", "definition '' on /mocap/pose"),
+])  # fmt: skip
 def test_other_encodings_are_refused(tmp_path: Path, profile: str, encoding: str, schema: str, part: str) -> None:
     """MCAP holds many things; what is not ROS 2's CDR with embedded definitions is named."""
     path = tmp_path / "log.mcap"

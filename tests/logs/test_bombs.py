@@ -23,7 +23,7 @@ from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, stamp_header
 from tests.measured import run_measured
 from vpptwin.logs import read_flight
 from vpptwin.logs.formats.container import read_container
-from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.raw import Query
 from vpptwin.logs.formats.unpack import FREE, MAX_RATIO
 from vpptwin.system.errors import InputError
 
@@ -88,7 +88,8 @@ def test_what_logs_do_unpack_to_is_read(tmp_path: Path) -> None:
     count = FREE // len(MESSAGE)
     data = zstandard.compress(MESSAGE * count)
     raw = read_container(
-        write_chunks(tmp_path / "full.mcap", [Chunk("zstd", data, 0, 0, 0, len(MESSAGE) * count)]), Wish(lambda _: True)
+        write_chunks(tmp_path / "full.mcap", [Chunk("zstd", data, 0, 0, 0, len(MESSAGE) * count)]),
+        Query(lambda _: True),
     )
     assert raw.channels == []
     assert raw.log_time == (EPOCH, EPOCH)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.logs.test_foreign import read_all, read_joint, write_csv
+from tests.logs.test_foreign import read_all, read_joint, read_stream, write_csv
 from vpptwin.mapping.survey import survey
 from vpptwin.system.errors import InputError
 
@@ -49,7 +49,7 @@ SHEETS = {
 def test_spreadsheets_are_read(tmp_path: Path, name: str, encoding: str) -> None:
     """Numbers whose thousands are parted, titles above the names; the clock is the column with a unit of time."""
     log = write_csv(tmp_path / "run.csv", SHEETS[name].encode(encoding))
-    stream = read_joint(log, "run", position="Weg").joints["/joint_states"]["j"]
+    stream = read_stream(log, "run", position="Weg")
     assert stream["position"].tolist() == PLACE.tolist()
     np.testing.assert_allclose(stream.time, TIME)
 
@@ -123,7 +123,7 @@ def test_cells_of_any_length_are_read(tmp_path: Path) -> None:
     long = write_odd(tmp_path / "run.csv", "y" * 200_000, 299)
     with pytest.raises(InputError, match="line 301: 'yyy"):
         read_joint(long, "run", position="odd")
-    assert len(read_joint(long, "run", position="x").joints["/joint_states"]["j"]) == COUNT
+    assert len(read_stream(long, "run", position="x")) == COUNT
     first = write_csv(tmp_path / "first.csv", "t,x," + "z" * 300_000 + "\n" + sheet("", ".", "", ",").lstrip() * 2)
     with pytest.raises(InputError, match="line 1: 3 cells; expected 2 cells a line"):
         read_joint(first, "first", position="x")

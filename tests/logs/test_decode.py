@@ -33,7 +33,7 @@ from vpptwin.logs.formats import decode as decoding
 from vpptwin.logs.formats.container import read_container
 from vpptwin.logs.formats.decode import Batch, DecodeError, decode_channel
 from vpptwin.logs.formats.layout import LayoutError, compose_message, locate_fields, parse_definition
-from vpptwin.logs.formats.raw import Block, RawChannel, Wish
+from vpptwin.logs.formats.raw import Block, Query, RawChannel
 from vpptwin.logs.messages import DEFINITIONS, compose_definition
 
 RANGES = {"bool": (0, 1), "int8": (-128, 127), "uint8": (0, 255), "byte": (0, 255)}
@@ -77,7 +77,7 @@ def read_channel(bag: Bag) -> RawChannel:
     """Write a bag of one channel and read it undecoded."""
     with tempfile.TemporaryDirectory() as folder:
         bag.path = Path(folder) / "bag.mcap"
-        (channel,) = read_container(bag.write(), Wish(lambda _: True)).channels
+        (channel,) = read_container(bag.write(), Query(lambda _: True)).channels
     return channel
 
 

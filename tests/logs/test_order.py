@@ -91,17 +91,14 @@ def test_time_starts_at_the_first_stamp_of_all_topics(tmp_path: Path) -> None:
     assert flight.streams["/imu/data"].time.tolist() == [0.0, 0.001, 0.002]
 
 
-@pytest.mark.parametrize(
-    ("stamps", "message"),
-    [
-        ([100, 110, 120, 130, 40], "time runs backwards on /mocap/pose, message 5 of 5 is stamped 0.900 s before"),
-        ([104, 103, 102, 101, 100], "time runs backwards on /mocap/pose, message 5 of 5 is stamped 0.040 s before"),
-        ([100, 101, 102, 103, 0], "1 of 5 messages have no header stamp"),
-        ([0, 0, 0], "3 of 3 messages have no header stamp"),
-        ([100, 100, 100, 101], None),
-        ([100, 100, 100], "2 of 3 messages repeat a stamp"),
-    ],
-)
+@pytest.mark.parametrize(("stamps", "message"), [
+    ([100, 110, 120, 130, 40], "time runs backwards on /mocap/pose, message 5 of 5 is stamped 0.900 s before"),
+    ([104, 103, 102, 101, 100], "time runs backwards on /mocap/pose, message 5 of 5 is stamped 0.040 s before"),
+    ([100, 101, 102, 103, 0], "1 of 5 messages have no header stamp"),
+    ([0, 0, 0], "3 of 3 messages have no header stamp"),
+    ([100, 100, 100, 101], None),
+    ([100, 100, 100], "2 of 3 messages repeat a stamp"),
+])  # fmt: skip
 def test_impossible_clocks_are_refused(tmp_path: Path, stamps: list[int], message: str | None) -> None:
     """Clocks that run backwards or were never set are refused with topic and count (stamps in 10 ms, 0: unset)."""
     path = pose_bag(tmp_path / "log.mcap", [EPOCH + stamp * 10 * MS if stamp else 0 for stamp in stamps])

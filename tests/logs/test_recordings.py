@@ -17,7 +17,7 @@ from vpptwin.cli.main import main
 from vpptwin.logs import Flight, Stream, read_flight, write_flight
 from vpptwin.logs.formats.container import read_container
 from vpptwin.logs.formats.decode import decode_channel
-from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.raw import Query
 from vpptwin.logs.messages import compose_definition
 from vpptwin.logs.read import expand_logs
 from vpptwin.logs.spelling import list_flights
@@ -140,7 +140,7 @@ def test_every_compression_is_read(tmp_path: Path, compression: CompressionType)
 def test_files_without_chunks_are_read(tmp_path: Path) -> None:
     """Messages may lie in the file itself, between schemas, channels and records that mean nothing to us."""
     source = read_container(
-        Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), Wish(lambda _: True)
+        Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), Query(lambda _: True)
     )
     with (tmp_path / "b.mcap").open("wb") as file:
         writer = PlainWriter(file, use_chunking=False, use_statistics=False)
@@ -225,7 +225,7 @@ def test_a_written_flight_is_in_order_of_time(tmp_path: Path) -> None:
     streams = {"/battery": Stream(slow, {"voltage": 11.0 + 0 * slow})}
     joints = {"/joint_states": {"a": Stream(fast, {"position": fast, "effort": -fast})}}
     write_flight(tmp_path / "log.mcap", streams, joints)
-    raw = read_container(tmp_path / "log.mcap", Wish(lambda _: True))
+    raw = read_container(tmp_path / "log.mcap", Query(lambda _: True))
     stamps = np.concatenate([block.log_time for channel in raw.channels for block in channel.blocks])
     number = np.concatenate([block.number for channel in raw.channels for block in channel.blocks])
     assert (np.diff(stamps[np.argsort(number)].astype(np.int64)) >= 0).all()
@@ -244,15 +244,12 @@ def test_demo_flights_are_read(path: Path) -> None:
     assert 8.0 < np.median(np.hypot(imu["accel_x"], imu["accel_z"])) < 12.0
 
 
-@pytest.mark.parametrize(
-    ("name", "counts"),
-    [
-        ("pitch_attitude_steps", {"pitch": 1971, "slide": 790}),
-        ("pitch_free_decay", {"pitch": 5994, "slide": 2400}),
-        ("rail_velocity_doublets_1", {"pitch": 9471, "slide": 3790}),
-        ("rail_velocity_doublets_2", {"pitch": 7650, "slide": 3061}),
-    ],
-)
+@pytest.mark.parametrize(("name", "counts"), [
+    ("pitch_attitude_steps", {"pitch": 1971, "slide": 790}),
+    ("pitch_free_decay", {"pitch": 5994, "slide": 2400}),
+    ("rail_velocity_doublets_1", {"pitch": 9471, "slide": 3790}),
+    ("rail_velocity_doublets_2", {"pitch": 7650, "slide": 3061}),
+])  # fmt: skip
 def test_the_antx_rig_is_read(shared_data: Path, name: str, counts: dict[str, int]) -> None:
     """Joints that come in messages of their own at their own rates; two actuators in one message."""
     flight = read_flight(shared_data / "antx" / f"{name}.mcap")
@@ -263,16 +260,13 @@ def test_the_antx_rig_is_read(shared_data: Path, name: str, counts: dict[str, in
     assert flight.streams == {}
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        ("wrong_encoding.mcap", "message encoding 'wrong_format' on /test_topic, /array_topic; expected 'cdr'"),
-        ("service_events.mcap", "only /test_service1/_service_event (test_msgs/srv/BasicTypes_Event)"),
-        ("old_schema_name.mcap", "only topic1 (test_msgs/BasicTypes)"),
-        ("talker.mcap", "only /rosout (rcl_interfaces/msg/Log), /parameter_events"),
-        ("split_0.mcap", "only AAA (std_msgs/msg/String), BBB"),
-    ],
-)
+@pytest.mark.parametrize(("name", "part"), [
+    ("wrong_encoding.mcap", "message encoding 'wrong_format' on /test_topic, /array_topic; expected 'cdr'"),
+    ("service_events.mcap", "only /test_service1/_service_event (test_msgs/srv/BasicTypes_Event)"),
+    ("old_schema_name.mcap", "only topic1 (test_msgs/BasicTypes)"),
+    ("talker.mcap", "only /rosout (rcl_interfaces/msg/Log), /parameter_events"),
+    ("split_0.mcap", "only AAA (std_msgs/msg/String), BBB"),
+])  # fmt: skip
 def test_bags_of_ros_itself_are_told_apart(shared_data: Path, name: str, part: str) -> None:
     """None is a flight, and each refusal says what it is instead."""
     with pytest.raises(InputError) as caught:
@@ -285,7 +279,7 @@ def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
     """The definition parser and the bulk decoder handle what ROS 2's own tests record."""
     seen = {}
     for path in list_flights(shared_data / "rosbag2"):
-        for channel in read_container(path, Wish(lambda channel: channel.encoding == "cdr")).channels:
+        for channel in read_container(path, Query(lambda channel: channel.encoding == "cdr")).channels:
             if channel.topic == "topic1":
                 (batch,) = decode_channel(channel, ["float64_value", "uint8_value"])
                 seen[channel.topic] = len(batch.number)
@@ -297,7 +291,7 @@ def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
 def test_split_bags_of_ros_itself_are_complete(shared_data: Path) -> None:
     """Both halves of the recording hold as many messages as their summaries say."""
     paths = [shared_data / "rosbag2" / f"split_{k}.mcap" for k in (1, 0)]
-    counts = [sum(channel.count for channel in read_container(path, Wish(lambda _: False)).channels) for path in paths]
+    counts = [sum(channel.count for channel in read_container(path, Query(lambda _: False)).channels) for path in paths]
     assert counts == [1240, 1246]
     with pytest.raises(InputError, match="none of our topics"):
         read_flight(paths)

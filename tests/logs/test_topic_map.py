@@ -140,27 +140,24 @@ def test_a_mapped_topic_is_not_read_twice(tmp_path: Path) -> None:
     assert set(flight.streams) == {"/mocap/pose"}
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        ("/mocap: {topic: /a}", "/mocap; expected one of /mocap/pose"),
-        ("/imu/data: {topik: /a}", "/imu/data.topik: Extra inputs"),
-        ("/imu/data: {topic: /a, feilds: {}}", "/imu/data.feilds: Extra inputs are not permitted"),
-        ("/imu/data: {topic: 3}", "/imu/data.topic: Input should be a valid string"),
-        ("/imu/data: {topic: /a, fields: {gyro: x}}", "/imu/data.fields.gyro; expected one of the columns rate"),
-        ("/imu/data: {topic: /a, fields: {rate: {scale: 2}}}", "/imu/data.fields.rate.path: Field required"),
-        ("/imu/data: {topic: /a, fields: {rate: {path: x, scale: fast}}}", "/imu/data.fields.rate.scale"),
-        ("/imu/data: {topic: /a, fields: {rate: {path: x, axis: y}}}", "/imu/data.fields.rate.axis"),
-        ("/imu/data: {topic: /a, fields: {rate: {path: [x, y]}}}", "/imu/data.fields.rate.path: 2 fields"),
-        ("/rotor/state: {topic: /a, fields: {speed: {path: x, scale: [1, 2, 3]}}}", "speed.scale: 3 factors"),
-        ("/mocap/pose: {topic: /a, fields: {theta: {path: q, axis: yaw}}}", "/mocap/pose.fields.theta.axis"),
-        ("/imu/data: {topic: /a, stamp: {path: t, unit: min}}", "/imu/data.stamp.unit"),
-        ("/joint_states: {topic: /a, fields: {slide: x}}", "/joint_states.fields; expected only a topic"),
-        ("- /imu/data", "list at top level"),
-        ("", "NoneType at top level"),
-        ("/imu/data: {topic: /a", "no readable YAML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "part"), [
+    ("/mocap: {topic: /a}", "/mocap; expected one of /mocap/pose"),
+    ("/imu/data: {topik: /a}", "/imu/data.topik: Extra inputs"),
+    ("/imu/data: {topic: /a, feilds: {}}", "/imu/data.feilds: Extra inputs are not permitted"),
+    ("/imu/data: {topic: 3}", "/imu/data.topic: Input should be a valid string"),
+    ("/imu/data: {topic: /a, fields: {gyro: x}}", "/imu/data.fields.gyro; expected one of the columns rate"),
+    ("/imu/data: {topic: /a, fields: {rate: {scale: 2}}}", "/imu/data.fields.rate.path: Field required"),
+    ("/imu/data: {topic: /a, fields: {rate: {path: x, scale: fast}}}", "/imu/data.fields.rate.scale"),
+    ("/imu/data: {topic: /a, fields: {rate: {path: x, axis: y}}}", "/imu/data.fields.rate.axis"),
+    ("/imu/data: {topic: /a, fields: {rate: {path: [x, y]}}}", "/imu/data.fields.rate.path: 2 fields"),
+    ("/rotor/state: {topic: /a, fields: {speed: {path: x, scale: [1, 2, 3]}}}", "speed.scale: 3 factors"),
+    ("/mocap/pose: {topic: /a, fields: {theta: {path: q, axis: yaw}}}", "/mocap/pose.fields.theta.axis"),
+    ("/imu/data: {topic: /a, stamp: {path: t, unit: min}}", "/imu/data.stamp.unit"),
+    ("/joint_states: {topic: /a, fields: {slide: x}}", "/joint_states.fields; expected only a topic"),
+    ("- /imu/data", "list at top level"),
+    ("", "NoneType at top level"),
+    ("/imu/data: {topic: /a", "no readable YAML"),
+])  # fmt: skip
 def test_mistakes_in_a_map_name_the_key(tmp_path: Path, text: str, part: str) -> None:
     """Every mistake is told on one line with the file and the key."""
     refuse(tmp_path / "unread.mcap", part, "map.yaml", topics=write_map(tmp_path, text))

@@ -12,8 +12,8 @@ from mcap.writer import Writer
 from tests.logs.test_foreign import read_joint, write_csv
 from vpptwin.logs.formats.decode import _make_decoder
 from vpptwin.logs.formats.layout import parse_definition
-from vpptwin.logs.formats.raw import RawChannel, RawFile, Wish
-from vpptwin.logs.formats.tables import number_apart
+from vpptwin.logs.formats.raw import Query, RawChannel, RawFile
+from vpptwin.logs.formats.tables import make_unique
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.mapping import inspect
 from vpptwin.mapping.survey import survey
@@ -60,7 +60,7 @@ def write_channels(path: Path, count: int) -> Path:
 def test_many_channels_are_each_looked_at_once(tmp_path: Path) -> None:
     """Whatever is asked of each topic, the list of channels is walked through once, and a type is understood once."""
     log = write_channels(tmp_path / "log.mcap", 300)
-    (file,) = open_recording(log, Wish(lambda channel: True)).files
+    (file,) = open_recording(log, Query(lambda channel: True)).files
     channels = Counted[RawChannel](file.channels)
     recording = Recording(log, (RawFile(log, "ros2", channels, file.log_time),))
     Counted.walks = 0
@@ -80,7 +80,7 @@ def test_many_channels_are_each_looked_at_once(tmp_path: Path) -> None:
 def test_names_of_columns_are_told_apart_in_one_pass(names: list[str]) -> None:
     """Whether they are all others or all one."""
     Name.compared = 0
-    apart = number_apart(map(Name, names))
+    apart = make_unique(map(Name, names))
     assert len(set(map(str, apart))) == 2000
     assert apart[1] in ("q1", "q_2")
     assert Name.compared < 10_000

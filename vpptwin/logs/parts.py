@@ -33,7 +33,7 @@ class Span:
         return (since >= self.start) & (since < self.end)
 
 
-def part_span(path: Path, origin: list[int] | None = None) -> tuple[Path, Span | None]:
+def split_span(path: Path, origin: list[int] | None = None) -> tuple[Path, Span | None]:
     """A log and which stretch of it is given, of which one end may be left out; files of a recording share `origin`."""
     given = _SPAN.fullmatch(str(path))
     if given is None or not (given.group(2) or given.group(3)) or os.path.exists(path):
@@ -44,7 +44,7 @@ def part_span(path: Path, origin: list[int] | None = None) -> tuple[Path, Span |
     return Path(given.group(1)), Span(start, end, [] if origin is None else origin)
 
 
-def part_number(path: Path | str) -> tuple[str, int | None]:
+def split_number(path: Path | str) -> tuple[str, int | None]:
     """What stands before and behind the # of a name, None where that is no number of a test or episode."""
     before, mark, number = str(path).rpartition("#")
     is_number = bool(mark) and number.isdecimal() and len(number) < 10
@@ -53,14 +53,14 @@ def part_number(path: Path | str) -> tuple[str, int | None]:
 
 def split_test(path: Path) -> tuple[Path, int | None]:
     """File and number of FILE#TEST, a file alone without one."""
-    file, number = part_number(path)
+    file, number = split_number(path)
     is_test = number is not None and file.lower().endswith(FILES_OF_TESTS) and os.path.isfile(file)
     return (Path(file), number) if is_test else (path, None)
 
 
 def split_episode(path: Path) -> tuple[Path, int | None]:
     """Folder and number of FOLDER#EPISODE of a LeRobot data set, anything else without one."""
-    folder, number = part_number(path)
+    folder, number = split_number(path)
     return (Path(folder), number) if number is not None and is_lerobot(Path(folder)) else (path, None)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, SPATIAL_COLUMNS, is_joint_state, is_spatial
 from vpptwin.logs.check import check_gyro
 from vpptwin.logs.flight import Flight, Stream
-from vpptwin.logs.formats.raw import RawChannel, Wish
+from vpptwin.logs.formats.raw import Query, RawChannel
 from vpptwin.logs.formats.tables import is_packed
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_flights, spell
@@ -50,7 +50,7 @@ def read_flight(
         return named or is_joint_state(channel.message_type) or is_spatial(channel.message_type)
 
     take = Condenser(str(spell(path)), topics)
-    recording = open_recording(path, Wish(is_wanted, topics.list_fields(), topics.list_stamps(), take))
+    recording = open_recording(path, Query(is_wanted, topics.list_fields(), topics.list_stamps(), take))
     warnings: list[str] = [note for file in recording.files for note in file.notes]
 
     def put_in_order(samples: Samples) -> Samples:

@@ -12,12 +12,12 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.logs.formats.container import list_channels
 from vpptwin.logs.formats.decode import Batch, DecodeError, decode_channel
-from vpptwin.logs.formats.raw import LARGE, RawChannel, RawFile, Wish
+from vpptwin.logs.formats.raw import LARGE, Query, RawChannel, RawFile
 from vpptwin.logs.formats.readers import MCAP, find_format, name_table, read_file, read_start
 from vpptwin.logs.formats.tables import find_elsewhere, find_field, is_packed
 from vpptwin.logs.formats.unpack import ZSTD
 from vpptwin.logs.messages import shorten_type
-from vpptwin.logs.parts import part_span
+from vpptwin.logs.parts import split_span
 from vpptwin.logs.spelling import PathLike, find_files, spell
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import Stamp
@@ -95,7 +95,7 @@ class Recording:
                 raise refuse_messages(self.path, channel, paths, error, found) from None
 
 
-def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording:
+def open_recording(path: PathLike | Sequence[PathLike], query: Query) -> Recording:
     """Read the raw messages of a recording, however it is spelled, or of a list of files, as far as wanted.
 
     Raises:
@@ -103,14 +103,14 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
     """
     paths = find_files(path)
     files, origin = list[RawFile](), list[int]()
-    wish = replace(wish, names=name_tables([part_span(given)[0] for given in paths], wish))
+    query = replace(query, names=name_tables([split_span(given)[0] for given in paths], query))
     for given in paths:
-        plain, span = part_span(given, origin)
-        files.append(read_file(plain, replace(wish, span=span)))
+        plain, span = split_span(given, origin)
+        files.append(read_file(plain, replace(query, span=span)))
         channels = [channel for file in files for channel in file.channels]
         held = sum(block.payload.nbytes for channel in channels for block in channel.blocks)
-        if wish.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
-            wish.take(channels)
+        if query.take is not None and (held > LARGE or any(channel.batches for channel in channels)):
+            query.take(channels)
     if origin and not any(channel.count for file in files for channel in file.channels):
         advice = "look with `vpptwin inspect` how long the log is"
         raise InputError(f"{spell(path)} holds no messages", "a stretch in which there are some", advice)
@@ -121,14 +121,14 @@ def open_recording(path: PathLike | Sequence[PathLike], wish: Wish) -> Recording
     return Recording(spell(path), tuple(files))
 
 
-def name_tables(paths: Sequence[Path], wish: Wish) -> dict[str, str]:
+def name_tables(paths: Sequence[Path], query: Query) -> dict[str, str]:
     """What the only table of a recording is called → as the twin calls it, so that it takes its next run.
 
     A twin that names fields of several topics, or of one that is there beside the table, means what it says.
     """
-    if len(wish.fields) != 1:
+    if len(query.fields) != 1:
         return {}
-    (wanted,), topics = wish.fields, dict[str, str | None]()
+    (wanted,), topics = query.fields, dict[str, str | None]()
     for path in paths:
         start = read_start(path)
         form = find_format(path, start) if not start.startswith(ZSTD) else find_format(path.with_suffix(""), b"")

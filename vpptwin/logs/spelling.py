@@ -18,7 +18,7 @@ import yaml
 
 from vpptwin.logs.formats.lerobot import find_episode, list_episodes, read_info
 from vpptwin.logs.formats.readers import FORMATS, LOG
-from vpptwin.logs.parts import is_lerobot, is_part, part_number, part_span, split_episode, split_test
+from vpptwin.logs.parts import is_lerobot, is_part, split_episode, split_number, split_span, split_test
 from vpptwin.system.errors import InputError
 from vpptwin.system.plain import read_yaml
 
@@ -46,7 +46,7 @@ def list_flights(log: PathLike) -> list[Path]:
     given = spell(log)
     if (found := expand(given)) != [given]:
         return [flight for each in found for flight in list_flights(each)]
-    plain, span = part_span(given)
+    plain, span = split_span(given)
     if span is not None:
         return [_cut(flight, given, plain) for flight in list_flights(plain)]
     if not os.path.isdir(given) or is_bag(given):
@@ -107,8 +107,8 @@ def find_files(log: PathLike | Sequence[PathLike]) -> list[Path]:
             found, action = f"{given} is a pipe or a device", "write it to a file first, and give that"
             raise InputError(found, "a file, as logs are read more than once", action)
         return [given]
-    pieces, (plain, span) = split_sum(str(given)), part_span(given)
-    if len(pieces) > 1 and (span is None or any(part_span(Path(piece))[1] for piece in pieces[:-1])):
+    pieces, (plain, span) = split_sum(str(given)), split_span(given)
+    if len(pieces) > 1 and (span is None or any(split_span(Path(piece))[1] for piece in pieces[:-1])):
         return [file for piece in pieces for each in expand(piece) for file in find_files(each)]
     within = list_flights(given)
     if len(within) > 1:
@@ -139,7 +139,7 @@ def list_sources(log: PathLike) -> list[Path]:
     """
     found: list[Path] = []
     for file in find_files(log):
-        plain = part_span(file)[0]
+        plain = split_span(file)[0]
         folder, episode = split_episode(plain)
         if episode is not None:
             found += [folder / "meta" / "info.json", *find_episode(folder, episode, read_info(folder))]
@@ -155,7 +155,7 @@ def list_parts(log: PathLike) -> list[tuple[Path, float, float]]:
         InputError: as `find_files`.
     """
     found = []
-    for plain, span in map(part_span, find_files(log)):
+    for plain, span in map(split_span, find_files(log)):
         folder, mark, number = str(plain).rpartition("#") if is_part(plain) else (str(plain), "", "")
         place = Path(f"{Path(folder).resolve()}{mark}{number}")
         found.append((place, span.start if span else 0.0, span.end if span else math.inf))
@@ -184,8 +184,8 @@ def name_log(log: PathLike) -> str:
 
 def stem_log(log: PathLike) -> str:
     """What files that belong to a log are called: its name without ending, in signs that links and shells take."""
-    plain, span = part_span(spell(log))
-    files = [part_span(Path(piece))[0] for piece in split_sum(str(plain))]
+    plain, span = split_span(spell(log))
+    files = [split_span(Path(piece))[0] for piece in split_sum(str(plain))]
     stems = []
     for file in files:
         plain_file, number = split_test(file)
@@ -213,7 +213,7 @@ def _is_there(text: str) -> bool:
 
 def _strip(text: str) -> str:
     """A log without its stretch, test and episode."""
-    return part_number(part_span(Path(text))[0])[0]
+    return split_number(split_span(Path(text))[0])[0]
 
 
 def is_bag(folder: Path) -> bool:

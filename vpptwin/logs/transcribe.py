@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mcap.well_known import MessageEncoding
 
-from vpptwin.logs.formats.raw import RawChannel, Wish
+from vpptwin.logs.formats.raw import Query, RawChannel
 from vpptwin.logs.formats.tables import pack_rows
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_sources
@@ -44,7 +44,7 @@ def transcribe(log: PathLike, out: Path) -> Recording:
             for channel in channels:
                 channel.forget()
 
-        recording = open_recording(log, Wish(lambda c: c.encoding == MessageEncoding.CDR, take=take, texts=True))
+        recording = open_recording(log, Query(lambda c: c.encoding == MessageEncoding.CDR, take=take, texts=True))
         for raw in recording.files:
             take(raw.channels)
         writer.add_metadata({"source": ", ".join(os.fspath(file.path.name) for file in recording.files)})

@@ -16,7 +16,7 @@ from mcap.well_known import MessageEncoding
 
 from vpptwin.logs.channels import is_joint_state
 from vpptwin.logs.formats.layout import STAMP, LayoutError, describe_columns, locate_fields, parse_definition
-from vpptwin.logs.formats.raw import RawChannel, RawFile, Wish
+from vpptwin.logs.formats.raw import Query, RawChannel, RawFile
 from vpptwin.logs.formats.tables import NAMES, is_text
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike
@@ -217,7 +217,7 @@ def survey(log: PathLike | Sequence[PathLike]) -> tuple[Recording, list[Signal]]
                 )
                 channel.forget()
 
-    recording = open_recording(log, Wish(lambda channel: channel.encoding == MessageEncoding.CDR, take=take))
+    recording = open_recording(log, Query(lambda channel: channel.encoding == MessageEncoding.CDR, take=take))
     for channel in {c.topic: c for file in recording.files for c in file.channels if c.is_kept}.values():
         note(recording, channel)
     for topic, error in refused.items():

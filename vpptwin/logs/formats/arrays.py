@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.logs.formats.headings import find_times, part_units, split_time
-from vpptwin.logs.formats.raw import Wish, refuse_damaged
+from vpptwin.logs.formats.headings import find_times, split_time, split_units
+from vpptwin.logs.formats.raw import Query, refuse_damaged
 from vpptwin.logs.formats.tables import Table, choose_fields, find_named, name_field, name_topic
 from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError
@@ -163,7 +163,7 @@ def simplify(value: Any) -> Any:  # noqa: ANN401
     return value
 
 
-def read_arrays(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_arrays(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Tables of a MATLAB file up to version 7, of a NumPy archive, or of one test of it: of arrays with their time.
 
     The only one is called as the file, others as their variables.
@@ -172,7 +172,7 @@ def read_arrays(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterato
     beside = list_tests(content) if split_test(path)[1] is None and holds_table(content) else []
     notes += [f"{path.name}: {name} is a test beside: {path}#{k}" for k, (name, _) in enumerate(beside[:3])]
     content = choose_test(path, content)
-    groups = list(list_tables("", content, wish))
+    groups = list(list_tables("", content, query))
     if not groups:
         held = ", ".join(f"{k} {describe(v)}" for k, v in content.items()) or "nothing"
         found = f"{path} holds {held[:300]}"
@@ -181,18 +181,18 @@ def read_arrays(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterato
     for group in groups:
         called = topic if len(groups) == 1 or not group.name else name_topic(Path(group.name.replace(".", "_")))
         units: dict[str, str] = {}
-        given = dict(zip(part_units(list(group.columns), units), group.columns.values()))
-        times = find_times(path, called, list(given), wish.stamps.get(called), units)
+        given = dict(zip(split_units(list(group.columns), units), group.columns.values()))
+        times = find_times(path, called, list(given), query.stamps.get(called), units)
         time = given[times.name]
         said = {name: f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()}
-        if named := find_named(wish, called, {name: name_field(name) for name in group.odd}):
+        if named := find_named(query, called, {name: name_field(name) for name in group.odd}):
             found = f"{path}: {called}: {said[named[0]]}"
             raise InputError(found, "one at each time", "save it with a time of its own, or resample it")
         long = [said[name] for name, count in group.odd.items() if count > _SHORT]
-        if long and called not in wish.fields:
+        if long and called not in query.fields:
             notes.append(f"{called}: {', '.join(long[:8])}: left out")
         counted = times.count(time, notes if times.stamp is None else [])
-        yield Table(called, counted, given, units, choose_fields(wish, called, given))
+        yield Table(called, counted, given, units, choose_fields(query, called, given))
 
 
 def choose_test(path: Path, content: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -221,7 +221,7 @@ def refuse_tests(path: Path, names: list[str]) -> InputError:
 
 def holds_table(content: Mapping[str, Any]) -> bool:
     """Whether arrays with their time are in a file, or in a structure."""
-    return next(list_tables("", content, Wish(lambda _: True)), None) is not None
+    return next(list_tables("", content, Query(lambda _: True)), None) is not None
 
 
 def list_tests(content: Mapping[str, Any], above: str = "") -> list[tuple[str, Mapping[str, Any]]]:
@@ -236,7 +236,7 @@ def list_tests(content: Mapping[str, Any], above: str = "") -> list[tuple[str, M
         if not any(holds_table(part) for _, part in structures):
             continue
         for number, part in structures:
-            group = next(list_tables("", part, Wish(lambda _: True)), None)
+            group = next(list_tables("", part, Query(lambda _: True)), None)
             held = f"{len(next(iter(group.columns.values())))} times" if group else "no time"
             label = find_label(part)
             found.append((f"{name}({number}) ({label + ', ' if label else ''}{held})", part))
@@ -268,11 +268,11 @@ def describe(value: object) -> str:
     )
 
 
-def list_tables(name: str, content: Mapping[str, Any], wish: Wish) -> Iterator[Group]:
+def list_tables(name: str, content: Mapping[str, Any], query: Query) -> Iterator[Group]:
     """Every group of arrays with its time, depth first."""
     content = unpack_signals(content)
     arrays = {k: v for k, v in content.items() if isinstance(v, np.ndarray) and v.dtype.kind in "iufb" and v.size > 1}
-    named = {stamp.path for stamp in wish.stamps.values()}
+    named = {stamp.path for stamp in query.stamps.values()}
     clocks = [k for k, v in arrays.items() if v.ndim == 1 and (split_time(k)[0] or k in named)]
     if clocks:
         length = len(arrays[clocks[0]])
@@ -286,10 +286,10 @@ def list_tables(name: str, content: Mapping[str, Any], wish: Wish) -> Iterator[G
                 yield Group(f"{name}.{key}".strip("."), {"time": rows[:, 0], key: rows[:, 1:]})
     for key, value in content.items():
         if isinstance(value, Mapping):
-            yield from list_tables(f"{name}.{key}".strip("."), value, wish)
+            yield from list_tables(f"{name}.{key}".strip("."), value, query)
         elif isinstance(value, list) and is_signals(value):
             for part in value:
-                yield from list_tables(f"{name}.{find_label(part)}".strip("."), part, wish)
+                yield from list_tables(f"{name}.{find_label(part)}".strip("."), part, query)
 
 
 def unpack_signals(content: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, refuse_damaged, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, Query, RawChannel, RawFile, refuse_damaged, show_reading
 from vpptwin.logs.formats.unpack import unpack_message
 from vpptwin.system.errors import InputError, escape_text, load_extra
 
@@ -19,13 +19,13 @@ _LENGTH = struct.Struct("<I")
 _MESSAGE = b"\x02"
 
 
-def read_bag(path: Path, wish: Wish) -> RawFile:
+def read_bag(path: Path, query: Query) -> RawFile:
     """Read a ROS 1 bag, or one SQLite file of a rosbag2."""
     with path.open("rb") as file:
         is_first = file.read(7) == b"#ROSBAG"
     load_extra("rosbags.typesys", path)
     try:
-        return _read_bag1(path, wish) if is_first else _read_sqlite(path, wish)
+        return _read_bag1(path, query) if is_first else _read_sqlite(path, query)
     except InputError:
         raise
     except Exception as error:  # the library raises of its own and whatever its unpacking does
@@ -33,7 +33,7 @@ def read_bag(path: Path, wish: Wish) -> RawFile:
         raise refuse_damaged(path, "bag", error, advice) from None
 
 
-def _read_bag1(path: Path, wish: Wish) -> RawFile:
+def _read_bag1(path: Path, query: Query) -> RawFile:
     from rosbags.rosbag1 import Reader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -58,7 +58,7 @@ def _read_bag1(path: Path, wish: Wish) -> RawFile:
         texts = {
             c.id: (c.topic, c.msgtype, store.generate_msgdef(c.msgtype, ros_version=2)[0]) for c in reader.connections
         }
-        gather = _Gather(path, wish, texts)
+        gather = _Gather(path, query, texts)
         for key, stamp, raw in show_reading(path, iterable=list_messages(reader), unit=" messages"):
             if gather.note(key, stamp):
                 gather.add(key, stamp, bytes(store.ros1_to_cdr(raw, texts[key][1])))
@@ -93,7 +93,7 @@ def list_messages(reader: Any) -> Iterator[tuple[int, int, bytes]]:  # noqa: ANN
                 yield _LENGTH.unpack(fields[b"conn"])[0], seconds * 10**9 + nanoseconds, content
 
 
-def _read_sqlite(path: Path, wish: Wish) -> RawFile:
+def _read_sqlite(path: Path, query: Query) -> RawFile:
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
     from rosbags.typesys import Stores, get_typestore
@@ -111,7 +111,7 @@ def _read_sqlite(path: Path, wish: Wish) -> RawFile:
             else:
                 text = ""  # which a topic that is wanted is refused for
             texts[connection.id] = connection.topic, connection.msgtype, text
-        gather, messages = _Gather(path, wish, texts), reader.messages(reader.connections)
+        gather, messages = _Gather(path, query, texts), reader.messages(reader.connections)
         for connection, stamp, raw in show_reading(path, iterable=messages, unit=" messages"):
             if gather.note(connection.id, stamp):
                 gather.add(connection.id, stamp, unpack_message(bytes(raw)))
@@ -123,14 +123,14 @@ def _read_sqlite(path: Path, wish: Wish) -> RawFile:
 class _Gather:
     """Messages one by one, into channels."""
 
-    def __init__(self, path: Path, wish: Wish, texts: dict[Any, tuple[str, str, str]]) -> None:
-        self.path, self.number, self.times, self.span = path, 0, (2**63, -1), wish.span
-        self.held_bytes = HeldBytes(wish.take)
+    def __init__(self, path: Path, query: Query, texts: dict[Any, tuple[str, str, str]]) -> None:
+        self.path, self.number, self.times, self.span = path, 0, (2**63, -1), query.span
+        self.held_bytes = HeldBytes(query.take)
         self.channels = {
             key: RawChannel(escape_text(topic), escape_text(kind), MessageEncoding.CDR, SchemaEncoding.ROS2, text)
             for key, (topic, kind, text) in texts.items()
         }
-        self.wanted = {key for key, channel in self.channels.items() if wish.channel(channel)}
+        self.wanted = {key for key, channel in self.channels.items() if query.channel(channel)}
         self.held: dict[tuple[Any, int], list[tuple[int, int, bytes]]] = {}
 
     def note(self, key: Any, stamp: int) -> bool:  # noqa: ANN401

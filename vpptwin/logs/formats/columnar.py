@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from vpptwin.logs.formats.arrays import refuse_tests
-from vpptwin.logs.formats.headings import find_times, part_units
-from vpptwin.logs.formats.raw import Wish, refuse_damaged
+from vpptwin.logs.formats.headings import find_times, split_units
+from vpptwin.logs.formats.raw import Query, refuse_damaged
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
 from vpptwin.logs.parts import split_test
 from vpptwin.system.errors import InputError, load_extra
@@ -21,7 +21,7 @@ _BUFFER = 1 << 16  # bytes of a column read at once
 ROWS_OF_SETS = ("index", "frame_index", "episode_index", "task_index")  # bookkeeping of LeRobot
 
 
-def read_parquet(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_parquet(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Rows of a Parquet file, in pieces."""
     file, number = split_test(path)
     held = list_file_episodes(file)
@@ -30,7 +30,7 @@ def read_parquet(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterat
     if number is not None and number not in held:
         found, expected = f"{path}: no episode {number}", ", ".join(f"#{n}" for n in held[:12]) or f"{file}"
         raise InputError(found, expected, "correct the number")
-    yield from read_rows(path, file, topic, wish.stamps.get(topic), wish, notes, number, {})
+    yield from read_rows(path, file, topic, query.stamps.get(topic), query, notes, number, {})
 
 
 def list_file_episodes(file: Path) -> list[int]:
@@ -47,7 +47,7 @@ def list_file_episodes(file: Path) -> list[int]:
 
 
 def read_rows(
-    path: Path, file: Path, topic: str, stamp: Stamp | None, wish: Wish, notes: list[str], episode: int | None,
+    path: Path, file: Path, topic: str, stamp: Stamp | None, query: Query, notes: list[str], episode: int | None,
     names: Mapping[str, list[str]],
 ) -> Iterator[Table]:  # fmt: skip
     """Rows of a Parquet file, those of one episode if it has several; `names` are those of elements of lists."""
@@ -57,7 +57,7 @@ def read_rows(
         content = parquet.ParquetFile(file, pre_buffer=False, buffer_size=_BUFFER)  # else all of it is held
         units: dict[str, str] = {}
         widths: dict[str, int] = {}
-        given = dict(zip(part_units(content.schema_arrow.names, units), content.schema_arrow.names))
+        given = dict(zip(split_units(content.schema_arrow.names, units), content.schema_arrow.names))
         times = find_times(path, topic, list(given), stamp, units)
         clock = times.name
         fields: dict[str, str] | None = None
@@ -70,8 +70,8 @@ def read_rows(
             stamps = held[clock].get(clock, np.empty(0, bool))
             if stamps.dtype.kind not in "iuf" or stamps.ndim > 1:
                 raise InputError(f"{path}: {clock} holds no numbers", "a column of times", "name another as its stamp")
-            fields = choose_fields(wish, topic, [column for columns in held.values() for column in columns])
-            if topic not in wish.fields and (unread := [name for name, columns in held.items() if not columns]):
+            fields = choose_fields(query, topic, [column for columns in held.values() for column in columns])
+            if topic not in query.fields and (unread := [name for name, columns in held.items() if not columns]):
                 notes.append(f"{topic}: {list_some('no numbers in', unread)}")
             given = {n: given[n] for n, columns in held.items() if n == clock or not fields.keys().isdisjoint(columns)}
             break
@@ -86,7 +86,7 @@ def read_rows(
             for name, source in given.items():
                 columns |= read_arrow(pa, name, batch.column(source), units, names, widths)
             for lost in (fields or {}).keys() - columns.keys():
-                if lost in find_named(wish, topic, fields or {}):
+                if lost in find_named(query, topic, fields or {}):
                     raise InputError(f"{path}: {lost} holds lists of several lengths", "one length", "save it so")
                 columns[lost] = np.full((batch.num_rows, *([widths[lost]] if lost in widths else [])), np.nan)
             is_empty = False

@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from tqdm import tqdm
 from zstandard import ZstdError
 
-from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, Wish, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, Query, RawChannel, RawFile, show_reading
 from vpptwin.logs.formats.tables import is_packed, keep_apart
 from vpptwin.logs.formats.unpack import Unpacker
 from vpptwin.system.errors import InputError, escape_text
@@ -56,9 +56,9 @@ def _blame(offset: int, what: str) -> Iterator[None]:
 class _Scan:
     """What has been read of a file so far."""
 
-    def __init__(self, wish: Wish, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm) -> None:
-        self.wish, self.unpacker, self.mapped, self.bar = wish, unpacker, mapped, bar
-        self.held, self.forgotten = HeldBytes(wish.take), 0
+    def __init__(self, query: Query, unpacker: Unpacker, mapped: mmap.mmap, bar: tqdm) -> None:
+        self.query, self.unpacker, self.mapped, self.bar = query, unpacker, mapped, bar
+        self.held, self.forgotten = HeldBytes(query.take), 0
         self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, RawChannel] = {}
@@ -119,10 +119,10 @@ class _Scan:
         known = self.schemas.get(record.schema_id, Schema(id=0, data=b"", encoding="", name=""))
         text = known.data.decode("utf-8", "replace")
         topic, kind = name_channel(record, known)
-        topic = self.wish.names.get(topic, topic) if is_packed(kind) else topic
+        topic = self.query.names.get(topic, topic) if is_packed(kind) else topic
         channel = RawChannel(topic, kind, record.message_encoding, known.encoding, text)
         self.channels[record.id] = channel
-        if self.wish.channel(channel):
+        if self.query.channel(channel):
             self.keep.add(record.id)
 
     def store(self, data: bytes | memoryview, found: list[tuple[int, int, int, int]]) -> None:
@@ -134,7 +134,7 @@ class _Scan:
         self.count += len(found)
         self.log_time = (min(self.log_time[0], int(log_time.min())), max(self.log_time[1], int(log_time.max())))
         content, size = np.frombuffer(data, np.uint8), 0
-        inside = self.wish.span.choose(log_time.astype(np.int64)) if self.wish.span else np.ones(len(found), bool)
+        inside = self.query.span.choose(log_time.astype(np.int64)) if self.query.span else np.ones(len(found), bool)
         for identifier in np.unique(channel[inside]).tolist():
             mine = (channel == identifier) & inside
             if identifier in self.channels:
@@ -166,11 +166,11 @@ def list_channels(path: Path) -> dict[str, str] | None:
     return dict(name_channel(c, known.get(c.schema_id)) for c in summary.channels.values()) if summary else None
 
 
-def read_container(path: Path, wish: Wish) -> RawFile:
+def read_container(path: Path, query: Query) -> RawFile:
     """Take an MCAP file apart: all of its channels, those wanted with their payloads."""
     bar = show_reading(path, unit="B", total=path.stat().st_size)
     with path.open("rb") as file, bar, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
-        scan = _Scan(wish, Unpacker(path, path.stat().st_size), mapped, bar)
+        scan = _Scan(query, Unpacker(path, path.stat().st_size), mapped, bar)
         view = memoryview(mapped)
         body = view[len(MCAP0_MAGIC) :]
         try:

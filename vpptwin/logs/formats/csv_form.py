@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, cast
 
-from vpptwin.logs.formats.headings import clean_unit, part_units, split_time
+from vpptwin.logs.formats.headings import clean_unit, split_time, split_units
 from vpptwin.logs.formats.raw import refuse_damaged
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import UNITS
@@ -88,7 +88,7 @@ def sniff(path: Path, notes: list[str]) -> CsvForm:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
     delimiter = told.group(1) if told else find_delimiter(sample)
     places, rows, place, size = list[int](), list[list[str]](), 0, 0  # the line each row begins in, and its cells
-    for line, row in part_rows(path, (f"{line}\n" for line in lines[start:]), delimiter):
+    for line, row in split_rows(path, (f"{line}\n" for line in lines[start:]), delimiter):
         if any(row) or len(row) > 1:
             places.append(place)
             rows.append([cell.strip() for cell in row])
@@ -114,7 +114,7 @@ def sniff(path: Path, notes: list[str]) -> CsvForm:
         if len(names) != width or not comment.startswith("#"):
             names = [f"c{i}" for i in range(width)]
     units: dict[str, str] = {}
-    names = part_units(names, units)
+    names = split_units(names, units)
     if united is not None:
         units |= {name: clean_unit(cell) for name, cell in zip(names, rows[united]) if cell}
     columns = list(zip(*body)) or [()] * width
@@ -127,7 +127,7 @@ def sniff(path: Path, notes: list[str]) -> CsvForm:
     return CsvForm(encoding, delimiter, decimal, start + places[begin], names, units, kinds, first, is_folded, grouped)
 
 
-def part_rows(path: Path, lines: io.TextIOBase | Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+def split_rows(path: Path, lines: io.TextIOBase | Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
     """Number of the line in which each row ends, from 1 on, and its cells."""
     reader = csv.reader(lines, delimiter=delimiter)
     try:
@@ -155,7 +155,7 @@ def find_kinds(first: Sequence[Sequence[str]], more: Sequence[Sequence[str]]) ->
         if not any(column):  # blank, where NaN would say that numbers come
             found = Counter(kind for row in more[len(first) :] if len(row) == width and (kind := find_kind(row[place])))
         kind = found.most_common(1)[0][0] if found else "number"
-        widths = Counter(len(part_list(cell)) for cell in column if cell.startswith(LISTS)) if kind == "list" else {}
+        widths = Counter(len(split_list(cell)) for cell in column if cell.startswith(LISTS)) if kind == "list" else {}
         ragged = bool(widths) and 2 * max(widths.values()) <= sum(widths.values())
         kinds.append("text" if ragged else kind)
     return kinds
@@ -183,12 +183,12 @@ def find_heads(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> tuple[int
         return last + 1, last, None
     known = sum(clean_unit(word) in UNITS for word in rows[last])
     united: dict[str, str] = {}
-    part_units(rows[last], united)
+    split_units(rows[last], united)
     is_named = 2 * known < filled and (bool(united) or any(split_time(cell)[0] for cell in rows[last]))
     return (last + 1, last, None) if is_named else (last + 1, before, last)
 
 
-def part_list(cell: str) -> list[str]:
+def split_list(cell: str) -> list[str]:
     """The elements of a list in a cell."""
     return re.findall(r"[^,;\s]+", cell.strip("[]()"))
 

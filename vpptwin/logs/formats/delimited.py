@@ -20,12 +20,12 @@ from vpptwin.logs.formats.csv_form import (
     UNPACKING_ERRORS,
     CsvForm,
     open_bytes,
-    part_list,
-    part_rows,
     sniff,
+    split_list,
+    split_rows,
 )
 from vpptwin.logs.formats.headings import find_times
-from vpptwin.logs.formats.raw import Wish, refuse_damaged
+from vpptwin.logs.formats.raw import Query, refuse_damaged
 from vpptwin.logs.formats.tables import NAMES, Table, choose_fields, find_named, list_some
 from vpptwin.system.errors import InputError, load_extra
 
@@ -42,16 +42,16 @@ _FORMS = {
 """Arrow's type of a column → what its cells should be."""
 
 
-def read_csv(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Rows of a CSV file, which may be gzipped, in pieces."""
     pa = load_extra("pyarrow", path)
     form = sniff(path, notes)
-    times = find_times(path, topic, form.names, wish.stamps.get(topic), form.units)
+    times = find_times(path, topic, form.names, query.stamps.get(topic), form.units)
     clock = times.name
-    fields = choose_fields(wish, topic, form.names)
-    needed = {clock, *find_named(wish, topic, fields)}
+    fields = choose_fields(query, topic, form.names)
+    needed = {clock, *find_named(query, topic, fields)}
     told = {name for name, kind in zip(form.names, form.kinds)
-            if wish.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
+            if query.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
     wanted = [name for name in form.names if name in told and (name in fields or name == clock)]
     times.unit = "ns" if is_date(form, clock) else None
     cells, number = Cells(path, form, clock, needed, pa), 0
@@ -106,7 +106,7 @@ class Cells:
         """Number of the line in which each row of values ends, and its cells."""
         with open_bytes(self.path) as file:
             text = io.TextIOWrapper(file, self.form.encoding, "replace", newline=None)
-            for line, row in part_rows(self.path, text, self.form.delimiter):
+            for line, row in split_rows(self.path, text, self.form.delimiter):
                 if line > self.form.skip and row:
                     yield line, row
 
@@ -269,7 +269,7 @@ def read_lists(cells: Cells, column: Any, name: str, number: int) -> np.ndarray:
     from pyarrow import compute
 
     first = cells.form.first[cells.places[name]]
-    width = len(part_list(first))
+    width = len(split_list(first))
     parts = compute.split_pattern_regex(compute.utf8_trim(column.fill_null(""), "[]() \t\r\n"), r"[,;\s]+")
     widths = compute.list_value_length(parts).to_numpy(zero_copy_only=False)
     empty = ~np.asarray(column.is_valid().to_numpy(zero_copy_only=False))

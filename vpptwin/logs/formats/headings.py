@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.formats.tables import list_names, number_apart
+from vpptwin.logs.formats.tables import list_names, make_unique
 from vpptwin.system.errors import InputError
 from vpptwin.system.fields import NANOSECONDS, Stamp
 
@@ -49,7 +49,7 @@ def clean_unit(text: str) -> str:
     return _WORDS.get(text, text)
 
 
-def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
+def split_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
     """Names without the units that some of them bring, each once; nameless ones are called by their place."""
     firsts, said = list[str](), list[str]()
     for place, given in enumerate(names):
@@ -57,7 +57,7 @@ def part_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
         is_index = match is not None and match.group(2).isdigit()
         firsts.append((match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}")
         said.append(match.group(2) if match is not None and not is_index else "")
-    parted = number_apart(firsts)
+    parted = make_unique(firsts)
     units |= {name: clean_unit(unit) for name, unit in zip(parted, said) if unit}
     for name in parted:
         ending = _ENDING.fullmatch(name)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vpptwin.logs.formats.columnar import read_rows
-from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.raw import Query
 from vpptwin.logs.formats.tables import Table
 from vpptwin.logs.parts import split_episode
 from vpptwin.system.errors import InputError, load_extra
@@ -92,15 +92,15 @@ def read_info(folder: Path) -> Info:
         raise InputError(found, "that of a LeRobot data set", "copy it again") from None
 
 
-def read_lerobot(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_lerobot(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Rows of one episode of a LeRobot data set, named FOLDER#EPISODE."""
     folder, episode = split_episode(path)
     assert episode is not None
     info, found = read_info(folder), False
     for file in find_episode(folder, episode, info):
         try:
-            clock = wish.stamps.get(topic) or Stamp(path="timestamp", unit="s")
-            for table in read_rows(path, file, topic, clock, wish, notes, episode, info.name_elements()):
+            clock = query.stamps.get(topic) or Stamp(path="timestamp", unit="s")
+            for table in read_rows(path, file, topic, clock, query, notes, episode, info.name_elements()):
                 found = True
                 yield table
         except InputError as error:

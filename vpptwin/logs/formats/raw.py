@@ -99,7 +99,7 @@ Take = Callable[[Sequence[RawChannel]], None]
 
 
 @dataclass(frozen=True)
-class Wish:
+class Query:
     """What of a log is wanted."""
 
     channel: Callable[[RawChannel], bool]  # tells whether a channel's messages are

@@ -19,7 +19,7 @@ from vpptwin.logs.formats.columnar import list_file_episodes, read_parquet
 from vpptwin.logs.formats.container import read_container
 from vpptwin.logs.formats.delimited import read_csv
 from vpptwin.logs.formats.lerobot import read_lerobot
-from vpptwin.logs.formats.raw import RawFile, Wish
+from vpptwin.logs.formats.raw import Query, RawFile
 from vpptwin.logs.formats.tables import Table, keep_tables, name_topic
 from vpptwin.logs.formats.unpack import ZSTD, unpack_file
 from vpptwin.logs.formats.vehicles import read_dataflash, read_ulog, read_usd
@@ -37,8 +37,8 @@ class FileFormat:
     Attributes:
         endings: of names of such files in a folder of logs, in small letters.
         magic: pattern of the bytes that such files begin with.
-        read_tables: yields named columns over time of (path, topic, wish, notes); or else
-        read_messages: takes (path, wish) apart into channels of messages.
+        read_tables: yields named columns over time of (path, topic, query, notes); or else
+        read_messages: takes (path, query) apart into channels of messages.
         by_ending: whether the ending tells the format where the first bytes tell none.
         is_single: whether it holds one table as a rule, which is called as the file.
         list_tests: numbers of the tests of a file that may hold several.
@@ -46,8 +46,8 @@ class FileFormat:
 
     endings: tuple[str, ...] = ()
     magic: bytes = b"(?!)"
-    read_tables: Callable[[Path, str, Wish, list[str]], Iterator[Table]] | None = None
-    read_messages: Callable[[Path, Wish], RawFile] | None = None
+    read_tables: Callable[[Path, str, Query, list[str]], Iterator[Table]] | None = None
+    read_messages: Callable[[Path, Query], RawFile] | None = None
     by_ending: bool = False
     is_single: bool = False
     list_tests: Callable[[Path], list[int]] | None = None
@@ -111,22 +111,22 @@ def read_start(path: Path) -> bytes:
     return start
 
 
-def read_file(path: Path, wish: Wish) -> RawFile:
+def read_file(path: Path, query: Query) -> RawFile:
     """The channels of a file of any format, as far as wanted."""
     start = read_start(path)
     if start.startswith(ZSTD):
         with unpack_file(path) as plain:
             try:
-                return replace(read_file(plain, wish), path=path)
+                return replace(read_file(plain, query), path=path)
             except InputError as error:
                 raise InputError(error.found.replace(str(plain), str(path)), error.expected, error.action) from None
     form = find_format(path, start)
     if form is not None and form.read_messages is not None:
-        return form.read_messages(path, wish)
+        return form.read_messages(path, query)
     if form is not None and form.read_tables is not None:
         notes: list[str] = []
         name = name_table(path, form)
-        return keep_tables(path, form.read_tables(path, wish.names.get(name, name), wish, notes), wish, notes)
+        return keep_tables(path, form.read_tables(path, query.names.get(name, name), query, notes), query, notes)
     for signature, (found, action) in _FOREIGN.items():
         if start.startswith(signature):
             raise InputError(f"{path} is {found}", LOG, action)

@@ -13,7 +13,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from vpptwin.logs.channels import CHANNELS, JOINT_TOPICS
 from vpptwin.logs.formats.layout import CODES, LayoutError, compose_message, parse_definition
-from vpptwin.logs.formats.raw import Block, HeldBytes, RawChannel, RawFile, TableRows, Wish, extend_all, show_reading
+from vpptwin.logs.formats.raw import Block, HeldBytes, Query, RawChannel, RawFile, TableRows, extend_all, show_reading
 from vpptwin.logs.messages import compose_definition, shorten_type
 from vpptwin.system.errors import InputError, escape_text
 
@@ -36,18 +36,18 @@ class Table:
     fields: Mapping[str, str] | None = None  # column wanted -> its name in messages; None where nobody has chosen yet
 
 
-def choose_fields(wish: Wish, topic: str, columns: Iterable[str]) -> dict[str, str]:
+def choose_fields(query: Query, topic: str, columns: Iterable[str]) -> dict[str, str]:
     """Which of all columns of a topic are wanted -> what messages call them."""
-    paths, names = wish.fields.get(topic), name_fields(columns)
+    paths, names = query.fields.get(topic), name_fields(columns)
     if paths is None:
         return names
-    named = find_named(wish, topic, names)
+    named = find_named(query, topic, names)
     return {n: names[n] for n in named} if len(named) >= len({path.split("[")[0] for path in paths}) - 1 else names
 
 
-def find_named(wish: Wish, topic: str, names: Mapping[str, str]) -> list[str]:
+def find_named(query: Query, topic: str, names: Mapping[str, str]) -> list[str]:
     """The columns that somebody names, of those that messages call so."""
-    paths = wish.fields.get(topic, ())
+    paths = query.fields.get(topic, ())
     wanted = {name for path in paths for given in (path, path.split("[")[0]) for name in list_names(given)}
     return [column for column, name in names.items() if column in wanted or name in wanted]
 
@@ -124,10 +124,10 @@ def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: I
 def name_fields(columns: Iterable[str]) -> dict[str, str]:
     """Column -> a field's name of its own."""
     columns = list(columns)
-    return dict(zip(columns, number_apart(list_names(column)[2] for column in columns)))
+    return dict(zip(columns, make_unique(list_names(column)[2] for column in columns)))
 
 
-def number_apart(names: Iterable[str]) -> list[str]:
+def make_unique(names: Iterable[str]) -> list[str]:
     """Names as they are, each once: those that come again get a number."""
     counts: dict[str, int] = {}
     apart: dict[str, None] = {}
@@ -140,27 +140,27 @@ def number_apart(names: Iterable[str]) -> list[str]:
     return list(apart)
 
 
-def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str]) -> RawFile:
+def keep_tables(path: Path, tables: Iterable[Table], query: Query, notes: list[str]) -> RawFile:
     """The tables of a log as channels, each with a definition of messages that would held its rows.
 
     Args:
         path: of the log.
         tables: of any number of topics, each in the order of its rows.
-        wish: what is kept of them.
+        query: what is kept of them.
         notes: warnings, which may still grow while tables are read.
     """
     channels: dict[str, RawChannel] = {}
     fields: dict[str, Mapping[str, str]] = {}
-    first, last, number, held = 2**63, -1, 0, HeldBytes(wish.take)
+    first, last, number, held = 2**63, -1, 0, HeldBytes(query.take)
     bar = show_reading(path, unit=" rows")
     for table in tables:
         bar.update(len(table.time))
-        if wish.span is not None:
-            rows = wish.span.choose(table.time)
+        if query.span is not None:
+            rows = query.span.choose(table.time)
             table = replace(table, time=table.time[rows], columns={n: c[rows] for n, c in table.columns.items()})
         count = len(table.time)
         if table.topic not in channels:
-            names = table.fields if table.fields is not None else choose_fields(wish, table.topic, table.columns)
+            names = table.fields if table.fields is not None else choose_fields(query, table.topic, table.columns)
             fields[table.topic] = {column: name for column, name in names.items() if column in table.columns}
             kind = _PACKAGE + _name_type(keep_apart(table.topic))
             text = define_message(table.columns, fields[table.topic], table.units)
@@ -173,9 +173,9 @@ def keep_tables(path: Path, tables: Iterable[Table], wish: Wish, notes: list[str
             found = f"{path}: {table.topic} has times {table.time.min() / 1e9:.4g} to {table.time.max() / 1e9:.4g} s"
             raise InputError(found, "times within 68 years of 1970", "say which unit the time has")
         first, last = min(first, max(int(table.time.min()), 0)), max(last, int(table.time.max()), 0)
-        if wish.channel(channel):
+        if query.channel(channel):
             kept = {name: table.columns[column] for column, name in fields[table.topic].items()
-                    if wish.texts or not is_text(table.columns[column]) or NAMES.fullmatch(column)}  # fmt: skip
+                    if query.texts or not is_text(table.columns[column]) or NAMES.fullmatch(column)}  # fmt: skip
             piece = channel.rows[-1] if channel.rows else None
             pairs = [(piece.time, table.time), *((piece.columns[n], data) for n, data in kept.items())] if piece else []
             if piece is None or piece.number + len(piece.time) != number or not extend_all(pairs):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.logs.formats.raw import Wish
+from vpptwin.logs.formats.raw import Query
 from vpptwin.logs.formats.tables import Table
 from vpptwin.system.errors import InputError, load_extra
 
@@ -27,11 +27,11 @@ _FMT = 128  # the message that describes others
 _PAGE = 528  # bytes
 
 
-def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_ulog(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Topics of a PX4 ULog, of large ones stretch by stretch; a topic's second instance is called TOPIC_1."""
     pyulog = load_extra("pyulog", path)
     corrupt, lost, empty = False, [], True
-    for stretch in part_ulog(path, notes):
+    for stretch in split_ulog(path, notes):
         try:
             with contextlib.redirect_stdout(io.StringIO()):
                 log = pyulog.ULog(stretch, disable_str_exceptions=True)
@@ -57,7 +57,7 @@ def read_ulog(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[
         notes.append(f"{path.name}: the logger lost {len(lost)} times, {sum(lost) / 1e3:.2f} s in all")
 
 
-def part_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
+def split_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
     """A ULog as several: each has the formats and the subscriptions before it, and a stretch of whole messages.
 
     The last has what is left, of which a warning is added to the notes if it is no whole message.
@@ -83,7 +83,7 @@ def part_ulog(path: Path, notes: list[str]) -> Iterator[io.BytesIO]:
         notes.append(f"{path.name} ends within a message: what is before it is used")
 
 
-def read_dataflash(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_dataflash(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Messages of an ArduPilot DataFlash log by their names; those of an instance I of several are called NAME_I."""
     make = load_extra("pymavlink.DFReader", path).DFFormat
     forms = {_FMT: make(_FMT, "FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
@@ -175,7 +175,7 @@ def widen(values: np.ndarray) -> np.ndarray:
     return values.astype("f4") if values.dtype == np.float16 else values
 
 
-def read_usd(path: Path, topic: str, wish: Wish, notes: list[str]) -> Iterator[Table]:
+def read_usd(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator[Table]:
     """Events of a Crazyflie's SD-card log, versions 1 and 2 of Bitcraze's documentation."""
     data = path.read_bytes()
     if len(data) < 9 or data[0] != 0xBC:

@@ -35,7 +35,7 @@ def build_stream(samples: Samples, time: np.ndarray, path: str, warnings: list[s
                 "name single fields or array elements in the topic map",
             )
         wild |= find_wild(label, column, made) | find_huge(label, time, column.name, made)
-    stream = leave_out(Stream(time, values), wild, samples.label, warnings)
+    stream = drop_samples(Stream(time, values), wild, samples.label, warnings)
     if "theta" in stream.values:
         stream.values["theta"] = np.unwrap(stream.values["theta"])
     return stream
@@ -47,10 +47,10 @@ def build_joint_stream(samples: Samples, time: np.ndarray, path: str, warnings: 
     for column, data in samples.fields.items():
         check_finite(label, time, column, data)
         wild |= find_huge(label, time, column, data)
-    return leave_out(Stream(time, samples.fields), wild, samples.label, warnings)
+    return drop_samples(Stream(time, samples.fields), wild, samples.label, warnings)
 
 
-def leave_out(stream: Stream, wild: np.ndarray, label: str, warnings: list[str]) -> Stream:
+def drop_samples(stream: Stream, wild: np.ndarray, label: str, warnings: list[str]) -> Stream:
     """A stream without impossible samples, (n,) bool, of which a warning tells."""
     if not wild.any():
         return stream
