@@ -413,7 +413,7 @@ def test_rosbag2_in_sqlite_is_read(
             base.execute("UPDATE messages SET data = ? WHERE id = ?", (ZstdCompressor().compress(data), key))
     assert np.array_equal(read_flight(tmp_path / "bag").streams["/mocap/pose"]["x"], expected["x"])
     whole = survey(tmp_path / "bag")[1]
-    monkeypatch.setattr("vpptwin.logs.formats.bags._GATHERED", 10)
+    monkeypatch.setattr("vpptwin.logs.formats.bags._MAX_GATHERED", 10)
     monkeypatch.setattr("vpptwin.system.progress.QUIET_S", 0.0)
     monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 500)
     parts = survey(tmp_path / "bag")[1]

@@ -46,8 +46,8 @@ def load_file(path: Path, notes: list[str]) -> dict[str, Any]:
     """The variables of a file, structures of arrays as mappings, arrays of structures and cells as lists."""
     about = path.stat()
     load = _load if about.st_size < _MAX_CACHED else _load.__wrapped__
-    content, said = load(path, (about.st_mtime_ns, about.st_size))
-    notes += said
+    content, noted = load(path, (about.st_mtime_ns, about.st_size))
+    notes += noted
     return content
 
 
@@ -184,11 +184,11 @@ def read_arrays(path: Path, topic: str, query: Query, notes: list[str]) -> Itera
         given = dict(zip(split_units(list(group.columns), units), group.columns.values()))
         times = find_times(path, called, list(given), query.stamps.get(called), units)
         time = given[times.name]
-        said = {name: f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()}
+        mismatch = {name: f"{name} has {count} values for {len(time)} times" for name, count in group.odd.items()}
         if named := find_named(query, called, {name: name_field(name) for name in group.odd}):
-            found = f"{path}: {called}: {said[named[0]]}"
+            found = f"{path}: {called}: {mismatch[named[0]]}"
             raise InputError(found, "one at each time", "save it with a time of its own, or resample it")
-        long = [said[name] for name, count in group.odd.items() if count > _SHORT]
+        long = [mismatch[name] for name, count in group.odd.items() if count > _SHORT]
         if long and called not in query.fields:
             notes.append(f"{called}: {', '.join(long[:8])}: left out")
         counted = times.count(time, notes if times.stamp is None else [])

@@ -14,7 +14,7 @@ from vpptwin.logs.formats.raw import Block, HeldBytes, Query, RawChannel, RawFil
 from vpptwin.logs.formats.unpack import unpack_message
 from vpptwin.system.errors import InputError, escape_text, load_extra
 
-_GATHERED = 1 << 14  # messages of a channel that are kept apart at most
+_MAX_GATHERED = 1 << 14  # messages of a channel that are kept apart at most
 _LENGTH = struct.Struct("<I")
 _MESSAGE = b"\x02"
 
@@ -85,8 +85,8 @@ def list_messages(reader: Any) -> Iterator[tuple[int, int, bytes]]:  # noqa: ANN
             content, place = take(data, place)
             fields, at = {}, 0
             while at < len(head):
-                said, at = take(head, at)
-                name, _, value = said.partition(b"=")
+                entry, at = take(head, at)
+                name, _, value = entry.partition(b"=")
                 fields[name] = value
             if fields[b"op"] == _MESSAGE:
                 seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
@@ -146,7 +146,7 @@ class _Gather:
         """Keep a message."""
         held = self.held.setdefault((key, len(content)), [])
         held.append((self.number, stamp, content))
-        if len(held) == _GATHERED:
+        if len(held) == _MAX_GATHERED:
             self.store((key, len(content)))
 
     def store(self, place: tuple[Any, int]) -> None:

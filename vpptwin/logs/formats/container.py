@@ -136,11 +136,11 @@ class _Scan:
         content, size = np.frombuffer(data, np.uint8), 0
         inside = self.query.span.choose(log_time.astype(np.int64)) if self.query.span else np.ones(len(found), bool)
         for identifier in np.unique(channel[inside]).tolist():
-            mine = (channel == identifier) & inside
+            members = (channel == identifier) & inside
             if identifier in self.channels:
-                self.channels[identifier].count += int(np.count_nonzero(mine))
-            for width in np.unique(length[mine]).tolist() if identifier in self.keep else ():
-                rows = np.flatnonzero(mine & (length == width))
+                self.channels[identifier].count += int(np.count_nonzero(members))
+            for width in np.unique(length[members]).tolist() if identifier in self.keep else ():
+                rows = np.flatnonzero(members & (length == width))
                 # An empty message at the very end has no window of its own, so it borrows the one before.
                 windows = sliding_window_view(content, max(width, 1))
                 payload = windows[start[rows].astype(np.intp) - (width == 0), :width]

@@ -81,12 +81,12 @@ def sniff(path: Path, notes: list[str]) -> CsvForm:
     lines = re.split(r"\r\n|\n|\r", text)
     lines = lines[:-1] if len(head) >= _SAMPLE and len(lines) > 1 else lines
     start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), len(lines))
-    told = re.fullmatch(r'"?sep=(.)"?[;,\t]*', lines[start]) if start < len(lines) else None  # which Excel obeys
-    start += told is not None
+    marked = re.fullmatch(r'"?sep=(.)"?[;,\t]*', lines[start]) if start < len(lines) else None  # which Excel obeys
+    start += marked is not None
     sample = [line for line in lines[start:] if line.strip()][:_LINES]
     if not sample:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
-    delimiter = told.group(1) if told else find_delimiter(sample)
+    delimiter = marked.group(1) if marked else find_delimiter(sample)
     places, rows, place, size = list[int](), list[list[str]](), 0, 0  # the line each row begins in, and its cells
     for line, row in split_rows(path, (f"{line}\n" for line in lines[start:]), delimiter):
         if any(row) or len(row) > 1:
@@ -224,32 +224,32 @@ def find_delimiter(lines: Sequence[str]) -> str:
         width, same = Counter(len(row) for row in reversed(rows)).most_common(1)[0]
         columns = list(zip(*(row for row in rows if len(row) == width)))
         cells = [[cell.strip() for cell in column[-_MIN_LINES:]] for column in columns]
-        told = sum(all(is_number(cell) or DATE.fullmatch(cell) for cell in column) for column in cells) / width
-        return same / len(rows) * (0.1 + told) + 0.05 * (len(rows[0]) == width) if width > 1 else 0.0
+        numeric = sum(all(is_number(cell) or DATE.fullmatch(cell) for cell in column) for column in cells) / width
+        return same / len(rows) * (0.1 + numeric) + 0.05 * (len(rows[0]) == width) if width > 1 else 0.0
 
     return max(";\t,| ", key=rate)  # of equals the first: semicolons part what commas are fractions of
 
 
 def find_decimal(columns: Sequence[Sequence[str]]) -> str:
     """What fractions begin with, a dot or a comma, by the cells of columns."""
-    told = Counter[str]()
+    certain = Counter[str]()
     doubt = Counter[str]()
     for column in columns:
         marks = Counter[str]()
         for cell in column:
             if match := GROUPED.fullmatch(cell):
                 end = match.group(3) or match.group(5) or (match.group(7) or "")
-                told[end[:1]] += bool(end)
+                certain[end[:1]] += bool(end)
                 marks["" if end else match.group(1)[:1]] += 1
             elif COMMA_NUMBER.fullmatch(cell):
-                told[","] += 1
+                certain[","] += 1
             elif "." in cell and NUMBER.fullmatch(cell):
-                told["."] += 1
+                certain["."] += 1
             else:
                 marks["whole"] += len(cell.lstrip("+-")) == 3 and cell.lstrip("+-").isdigit()
         for mark, other in ((".", ","), (",", ".")):  # thousands follow hundreds, or else these are fractions
             doubt[other if marks["whole"] else mark] += marks[mark]
-    return max(".,", key=lambda mark: (told[mark], doubt[mark]))
+    return max(".,", key=lambda mark: (certain[mark], doubt[mark]))
 
 
 def is_number(cell: str) -> bool:

@@ -57,8 +57,8 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         log_time = rows.time if rows.time.min() >= 0 else np.maximum(rows.time, 0)
         yield Batch(number, log_time.view(np.uint64), values, {})
     for held in channel.batches:
-        told = {path: held.texts[path] for path in texts}
-        yield Batch(held.number, held.log_time, {path: held.values[path] for path in paths}, told)
+        strings = {path: held.texts[path] for path in texts}
+        yield Batch(held.number, held.log_time, {path: held.values[path] for path in paths}, strings)
     reference = _ReferenceDecoder(channel)
     try:
         definitions = parse_definition(channel.message_type, channel.definition)

@@ -50,9 +50,9 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
     clock = times.name
     fields = choose_fields(query, topic, form.names)
     needed = {clock, *find_named(query, topic, fields)}
-    told = {name for name, kind in zip(form.names, form.kinds)
+    readable = {name for name, kind in zip(form.names, form.kinds)
             if query.texts or kind != "text" or name in needed or NAMES.fullmatch(name)}  # fmt: skip
-    wanted = [name for name in form.names if name in told and (name in fields or name == clock)]
+    wanted = [name for name in form.names if name in readable and (name in fields or name == clock)]
     times.unit = "ns" if is_date(form, clock) else None
     cells, number = Cells(path, form, clock, needed, pa), 0
     for batch in convert_batches(cells, wanted):
@@ -62,10 +62,10 @@ def read_csv(path: Path, topic: str, query: Query, notes: list[str]) -> Iterator
         yield Table(topic, times.count(columns[clock], notes), columns, form.units, fields)
     if not number:
         raise InputError(f"{path} has no rows", "a row of names, then rows of numbers", "check what wrote it")
-    unread = [name for name in form.names if name in fields and name not in told]
+    unread = [name for name in form.names if name in fields and name not in readable]
     lost = [f"{name} ({count}, the first {cell[:40]!r})" for name, (count, cell) in cells.lost.items()]
-    said = list_some("no numbers in", unread), list_some("cells that are not as the others in", lost)
-    notes += [f"{topic}: {note}" for note in said if note]
+    lost_notes = list_some("no numbers in", unread), list_some("cells that are not as the others in", lost)
+    notes += [f"{topic}: {note}" for note in lost_notes if note]
 
 
 class CellError(Exception):
@@ -130,9 +130,9 @@ def drop_blank(cells: Cells, columns: dict[str, np.ndarray], number: int) -> dic
     """Columns without the rows that are empty; `number` rows came before."""
     path, clock, time = cells.path, cells.clock, columns[cells.clock]
     if time.dtype.kind not in "iuf" or time.ndim > 1:
-        line, said = cells.find_line(number), time.reshape(len(time), -1)[0, 0]
+        line, cell = cells.find_line(number), time.reshape(len(time), -1)[0, 0]
         expected = "a number, or a date like 2026-01-31 12:00:00.5"
-        found = f"{path}, line {line}: {said!r} as {clock}"
+        found = f"{path}, line {line}: {cell!r} as {clock}"
         raise InputError(found, expected, "convert it, or name another column")
     blank = ~np.isfinite(time)
     if not blank.any():
@@ -258,8 +258,8 @@ def read_numbers(cells: Cells, column: Any) -> tuple[np.ndarray, np.ndarray]:  #
     text = compute.if_else(grouped, compute.replace_substring_regex(text, parts, ""), text)
     text = compute.replace_substring(text, cells.form.decimal, ".")
     good = compute.match_substring_regex(text, rf"(?i)^(?:{NUMBER.pattern})$")
-    told = compute.if_else(compute.and_(good, compute.not_equal(text, "")), text, None)
-    values = np.asarray(told.cast(cells.pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
+    numbers = compute.if_else(compute.and_(good, compute.not_equal(text, "")), text, None)
+    values = np.asarray(numbers.cast(cells.pa.float64()).to_numpy(zero_copy_only=False), dtype=float)
     wrong = compute.and_(compute.is_valid(column), compute.invert(good.fill_null(True)))
     return values, np.asarray(wrong.to_numpy(zero_copy_only=False))
 

@@ -51,14 +51,14 @@ def clean_unit(text: str) -> str:
 
 def split_units(names: Sequence[str], units: dict[str, str]) -> list[str]:
     """Names without the units that some of them bring, each once; nameless ones are called by their place."""
-    firsts, said = list[str](), list[str]()
+    firsts, brought = list[str](), list[str]()
     for place, given in enumerate(names):
         match = _UNIT.fullmatch(given)
         is_index = match is not None and match.group(2).isdigit()
         firsts.append((match.group(1) if match and match.group(1) and not is_index else given) or f"c{place}")
-        said.append(match.group(2) if match is not None and not is_index else "")
+        brought.append(match.group(2) if match is not None and not is_index else "")
     parted = make_unique(firsts)
-    units |= {name: clean_unit(unit) for name, unit in zip(parted, said) if unit}
+    units |= {name: clean_unit(unit) for name, unit in zip(parted, brought) if unit}
     for name in parted:
         ending = _ENDING.fullmatch(name)
         if ending and name not in units:

@@ -83,12 +83,12 @@ def find_format(path: Path, start: bytes) -> FileFormat | None:
     """The format of a file that begins so, None for what is no log."""
     if split_episode(path)[1] is not None:
         return LEROBOT
-    told = [form for form in FORMATS if re.match(form.magic, start, re.DOTALL)]
-    if not told:
+    fitting = [form for form in FORMATS if re.match(form.magic, start, re.DOTALL)]
+    if not fitting:
         name, is_foreign = split_test(path)[0].name.lower(), start.startswith(tuple(_FOREIGN))
-        told = [form for form in FORMATS if form.by_ending and name.endswith(form.endings)]
-        told = [form for form in told if not (form is CSV and is_foreign)]
-    return told[0] if told else None
+        fitting = [form for form in FORMATS if form.by_ending and name.endswith(form.endings)]
+        fitting = [form for form in fitting if not (form is CSV and is_foreign)]
+    return fitting[0] if fitting else None
 
 
 def name_table(path: Path, form: FileFormat) -> str:

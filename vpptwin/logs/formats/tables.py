@@ -109,16 +109,15 @@ def list_field_names(channel: RawChannel) -> frozenset[str]:
 
 def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: Iterable[str]) -> str:
     """Which of these fields another topic has and this one lacks: `no Roll, which is in /ATT`; "" for none."""
-    told: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
     known = list_field_names(channel)
     for path in paths:
         names = {re.split(r"[.\[]", name)[0] for name in list_names(path)}
         for other in channels if not names & known else ():
             if names & list_field_names(other):
-                told.setdefault(other.topic, []).append(path)
-    return "; ".join(
-        f"no {', '.join(found)}, which {'is' if len(found) == 1 else 'are'} in {topic}" for topic, found in told.items()
-    )
+                missing.setdefault(other.topic, []).append(path)
+    verbs = {topic: "is" if len(names) == 1 else "are" for topic, names in missing.items()}
+    return "; ".join(f"no {', '.join(names)}, which {verbs[topic]} in {topic}" for topic, names in missing.items())
 
 
 def name_fields(columns: Iterable[str]) -> dict[str, str]:
@@ -201,8 +200,8 @@ def define_message(columns: Mapping[str, np.ndarray], names: Mapping[str, str], 
         base = "string" if is_text(data) else "bool" if data.dtype == bool else _TYPES[data.dtype.str[1:]]
         array = f"[{data.shape[1]}]" if data.ndim > 1 else ""
         unit = f" [{units[column]}]" if column in units else ""
-        said = escape_text(f"{column}{unit}".replace("=", ":"))
-        lines.append(f"{base}{array} {names[column]}" + (f"  # {said}" if said != names[column] else ""))
+        comment = escape_text(f"{column}{unit}".replace("=", ":"))
+        lines.append(f"{base}{array} {names[column]}" + (f"  # {comment}" if comment != names[column] else ""))
     _, _, rest = compose_definition("geometry_msgs/msg/PoseStamped").partition("=" * 80)
     sections = [part for part in rest.split("=" * 80) if "MSG: std_msgs" in part or "MSG: builtin" in part]
     return "\n".join(lines) + "\n" + "".join("=" * 80 + section.rstrip("\n") + "\n" for section in sections)

@@ -135,13 +135,13 @@ def find_messages(
         place += form.len
         if form.name in ("FMT", "FMTU"):
             values = struct.unpack(form.msg_struct, data[place - form.len + 3 : place])
-            said: list[Any] = [v.partition(b"\0")[0].decode("latin-1") if isinstance(v, bytes) else v for v in values]
+            fields: list[Any] = [v.partition(b"\0")[0].decode("latin-1") if isinstance(v, bytes) else v for v in values]
             if form.name == "FMT":
-                kind, size, name, codes, columns = said
+                kind, size, name, codes, columns = fields
                 if size > len(_HEAD):  # else nothing would come behind it
                     forms[kind] = make(kind, name, size, codes, columns, oldfmt=forms.get(kind))
-            elif (about := forms.get(said[1])) is not None:
-                about.set_unit_ids(said[2], {})  # which tell what counts instances
+            elif (about := forms.get(fields[1])) is not None:
+                about.set_unit_ids(fields[2], {})  # which tell what counts instances
     return starts, place, lost
 
 

@@ -68,11 +68,10 @@ def check_steps(samples: Samples, path: str) -> None:
     stamp, logged = ((times - times[:1]) * 1e-9 for times in (samples.stamp, samples.log_time))
     between, apart = np.diff(stamp), np.diff(logged)
     period = float(np.median(between))
-    told = (
-        abs(logged[-1] - stamp[-1]) <= ALIKE * stamp[-1] + MAX_OFFSET
-        and 0.5 < np.median(apart) / max(period, 1e-9) < 2.0
-    )
-    leaps = np.flatnonzero((np.abs(between - apart) > STEP) & (apart < 3.0 * period + 0.5 * STEP)) if told else ()
+    ratio = float(np.median(apart)) / max(period, 1e-9)
+    if abs(logged[-1] - stamp[-1]) > ALIKE * stamp[-1] + MAX_OFFSET or not 0.5 < ratio < 2.0:
+        return  # log times tell nothing
+    leaps = np.flatnonzero((np.abs(between - apart) > STEP) & (apart < 3.0 * period + 0.5 * STEP))
     late = logged - stamp
     for at in leaps:
         before, after = late[max(at + 1 - STEADY, 0) : at + 1], late[at + 1 : at + 1 + STEADY]

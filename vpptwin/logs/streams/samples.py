@@ -59,15 +59,15 @@ def read_fields(recording: Recording, topic: str, clock: Stamp, paths: list[str]
     Raises:
         InputError: if messages do not decode, or stamps are no times.
     """
-    told = recording.is_table(topic) and clock.unit is None and clock.path != LOG_TIME
-    stamp_paths = [STAMP] if told else list_stamp_fields(clock)
+    is_stamped = recording.is_table(topic) and clock.unit is None and clock.path != LOG_TIME
+    stamp_paths = [STAMP] if is_stamped else list_stamp_fields(clock)
     parts: dict[str, list[np.ndarray]] = {path: [] for path in paths}
     numbers, stamps, log_times = [], [], []
     for batch in recording.decode(topic, [*stamp_paths, *paths]):
         numbers.append(batch.number)
         log_times.append(batch.log_time.view(np.int64))
         label_of = f"{recording.path}: {topic}"
-        stamps.append(batch.values[STAMP] if told else _read_stamps(label_of, clock, batch.values, log_times[-1]))
+        stamps.append(batch.values[STAMP] if is_stamped else _read_stamps(label_of, clock, batch.values, log_times[-1]))
         for path, held in parts.items():
             held.append(batch.values[path])
     if not numbers:
@@ -178,8 +178,8 @@ def read_spatial(recording: Recording, topic: str) -> Samples:
         return found
     fields = {n: np.stack([found.fields[path] for path in paths], axis=1).astype(float) for n, paths in parts.items()}
     # ROS marks what an IMU or an odometry does not tell by NaN, or by zeros throughout.
-    told = {name: values for name, values in fields.items() if values.any() and not np.isnan(values).all()}
-    return replace(found, fields=told)
+    known = {name: values for name, values in fields.items() if values.any() and not np.isnan(values).all()}
+    return replace(found, fields=known)
 
 
 def list_vectors(message_type: str) -> dict[str, list[str]]:
