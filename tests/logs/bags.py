@@ -113,7 +113,7 @@ def write_payloads(
 
 
 def refuse(
-    path: Path | list[Path], *parts: str, topics: Path | None = None, read: Callable[..., object] = read_flight
+    path: Path | str | list[Path], *parts: str, topics: Path | None = None, read: Callable[..., object] = read_flight
 ) -> None:
     """Require that reading fails with one short line that holds these parts, and says what to do."""
     with pytest.raises(InputError) as caught:

@@ -19,7 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from tests.bad_files import swing
 from tests.diagnosis.made_up import FLIP
-from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, stamp_header
+from tests.logs.bags import EPOCH, JOINTS, POSE, Bag, make_pose, refuse, stamp_header
 from tests.measured import run_measured
 from vpptwin.logs import read_flight
 from vpptwin.logs.formats.container import read_container
@@ -106,11 +106,8 @@ def test_a_clock_set_forward_is_refused(tmp_path: Path, ahead: int, place: int) 
     stamps = [k + ahead * 100 * (k >= place % 1200) for k in range(1200)]
     poses = [swing(k, stamp) for k, stamp in enumerate(stamps)]
     path = Bag(tmp_path / "ahead.mcap").add("/mocap/pose", POSE, poses).write()
-    with pytest.raises(InputError) as caught:
-        read_flight(path)
     message = 1200 if place < 0 else 601
-    for part in (f"leaps forward by {ahead + 0.01:.4g} s before message {message} of 1200", "clock that was set"):
-        assert part in str(caught.value)
+    refuse(path, f"leaps forward by {ahead + 0.01:.4g} s before message {message} of 1200", "clock that was set")
 
 
 def test_milliseconds_called_seconds_are_asked_for_their_unit(tmp_path: Path) -> None:
@@ -137,8 +134,7 @@ def test_a_clock_set_forward_costs_nothing(tmp_path: Path, usual: float) -> None
 def test_rare_messages_over_months_are_refused(tmp_path: Path) -> None:
     """A leap of half an hour between any two is one too."""
     poses = [make_pose(EPOCH + k * 1800 * 10**9) for k in range(1000)]
-    with pytest.raises(InputError, match=r"1000 messages over 1\.798e"):
-        read_flight(Bag(tmp_path / "rare.mcap").add("/mocap/pose", POSE, poses).write())
+    refuse(Bag(tmp_path / "rare.mcap").add("/mocap/pose", POSE, poses).write(), "1000 messages over 1.798e")
 
 
 @pytest.mark.parametrize("stamp", [np.nan, np.inf, 1e300, -1e12])

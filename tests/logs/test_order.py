@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, pose_bag
+from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, pose_bag, refuse
 from tests.logs.test_foreign import read_joint
 from vpptwin.logs import read_flight
 from vpptwin.logs.streams.timeline import order_stamps
@@ -33,9 +33,8 @@ def test_stamps_not_log_times_give_the_time(tmp_path: Path) -> None:
 
 def test_late_messages_are_sorted(tmp_path: Path) -> None:
     """A message up to half a second late takes its place, with one warning that counts such messages."""
-    flight = read_flight(
-        pose_bag(tmp_path / "log.mcap", [EPOCH + k * 100 * MS for k in (0, 2, 3, 4, 5, 6, 1, 7, 8, 9)])
-    )
+    stamps = [EPOCH + k * 100 * MS for k in (0, 2, 3, 4, 5, 6, 1, 7, 8, 9)]
+    flight = read_flight(pose_bag(tmp_path / "log.mcap", stamps))
     pose = flight.streams["/mocap/pose"]
     assert np.array_equal(pose.time, np.arange(10) / 10)
     assert pose["x"].tolist() == [0.01 * k for k in (0, 6, 1, 2, 3, 4, 5, 7, 8, 9)]  # x tells the place in record order
@@ -67,9 +66,8 @@ def test_any_disorder_within_half_a_second_is_undone(stamps: list[int], jitter: 
 
 def test_gaps_are_warned_of(tmp_path: Path) -> None:
     """A lost second of tracking is told with its length and place, and does no other harm."""
-    flight = read_flight(
-        pose_bag(tmp_path / "log.mcap", [EPOCH + k * 10 * MS for k in range(300) if not 100 < k < 200])
-    )
+    stamps = [EPOCH + k * 10 * MS for k in range(300) if not 100 < k < 200]
+    flight = read_flight(pose_bag(tmp_path / "log.mcap", stamps))
     assert flight.warnings == ("1 gap over 0.05 s on /mocap/pose, the longest 1 s at 1.000 s",)
     assert len(flight.streams["/mocap/pose"]) == 201
 
@@ -120,8 +118,7 @@ def test_two_clocks_are_refused(tmp_path: Path) -> None:
     """A tracker on wall time and an IMU on time since boot cannot be put together."""
     bag = Bag(tmp_path / "log.mcap").add("/mocap/pose", POSE, make_poses(3))
     bag.add("/imu/data", IMU, [make_imu(10**9 + k * MS) for k in range(3)])
-    with pytest.raises(InputError, match=r"/mocap/pose is stamped 1699999999 s after /imu/data ends"):
-        read_flight(bag.write())
+    refuse(bag.write(), "/mocap/pose is stamped 1699999999 s after /imu/data ends")
 
 
 def write_rounded(path: Path, rate: float, spell: Callable[[int], str]) -> Path:
@@ -155,12 +152,10 @@ def test_runs_that_follow_one_another_are_not_laid_over_each_other(
     """A clock that starts again is told by `inspect` too, however large the log is; other topics are shown."""
     log = tmp_path / "log.csv"
     log.write_text("t,q\n" + "".join(f"{k % 400 / 100},{k}\n" for k in range(1600)))
-    with pytest.raises(InputError, match=r"log\.csv: time runs backwards on /log, message 401 of 1600"):
-        survey(log)
+    refuse(log, "log.csv: time runs backwards on /log, message 401 of 1600", read=survey)
     monkeypatch.setattr("vpptwin.logs.formats.delimited._BLOCK", 2000)
     monkeypatch.setattr("vpptwin.logs.formats.raw.LARGE", 4000)
-    with pytest.raises(InputError, match=r"time runs backwards on /log"):
-        survey(log)
+    refuse(log, "time runs backwards on /log", read=survey)
     poses = pose_bag(tmp_path / "poses.mcap", EPOCH + 10 * MS * np.arange(50))
     recording, signals = survey([log, poses])
     assert {signal.topic for signal in signals} == {"/mocap/pose"}

@@ -11,7 +11,7 @@ from mcap.writer import Writer as PlainWriter
 from mcap_ros2.writer import Writer
 from zstandard import ZstdCompressor
 
-from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, make_poses, pose_bag, stamp_header
+from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, Message, make_imu, make_poses, pose_bag, refuse, stamp_header
 from vpptwin.cli.main import main
 from vpptwin.logs import Flight, Stream, read_flight, write_flight
 from vpptwin.logs.formats.container import read_container
@@ -131,9 +131,8 @@ def test_files_that_overlap_are_joined(tmp_path: Path) -> None:
 
 def test_files_without_chunks_are_read(tmp_path: Path) -> None:
     """Messages may lie in the file itself, between schemas, channels and records that mean nothing to us."""
-    source = read_container(
-        Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9)).write(), Query(lambda _: True)
-    )
+    bag = Bag(tmp_path / "a.mcap").add("/mocap/pose", POSE, make_poses(9))
+    source = read_container(bag.write(), Query(lambda _: True))
     with (tmp_path / "b.mcap").open("wb") as file:
         writer = PlainWriter(file, use_chunking=False, use_statistics=False)
         writer.start("ros2")
@@ -169,12 +168,10 @@ def make_state(k: int, **values: object) -> Message:
 
 def test_joints_may_come_in_any_messages(tmp_path: Path) -> None:
     """Joints that come together, apart, or in another order give one stream each."""
-    states = [
-        make_state(0, name=["a", "b"], position=[0.0, 10.0]),
-        make_state(1, name=["b", "a"], position=[11.0, 1.0]),
-    ]
-    states += [make_state(2, name=["a"], position=[2.0]), make_state(2, name=["b"], position=[12.0])]
-    states += [make_state(3, name=[])]
+    states = [make_state(0, name=["a", "b"], position=[0.0, 10.0]),
+              make_state(1, name=["b", "a"], position=[11.0, 1.0]),
+              make_state(2, name=["a"], position=[2.0]), make_state(2, name=["b"], position=[12.0]),
+              make_state(3, name=[])]  # fmt: skip
     joints = read_flight(Bag(tmp_path / "log.mcap").add("/robot", JOINTS, states).write()).joints["/robot"]
     assert joints["a"]["position"].tolist() == [0.0, 1.0, 2.0]
     assert joints["b"]["position"].tolist() == [10.0, 11.0, 12.0]
@@ -261,10 +258,7 @@ def test_the_antx_rig_is_read(shared_data: Path, name: str, counts: dict[str, in
 ])  # fmt: skip
 def test_bags_of_ros_itself_are_told_apart(shared_data: Path, name: str, part: str) -> None:
     """None is a flight, and each refusal says what it is instead."""
-    with pytest.raises(InputError) as caught:
-        read_flight(shared_data / "rosbag2" / name)
-    assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refuse(shared_data / "rosbag2" / name, part)
 
 
 def test_bags_of_ros_itself_decode(shared_data: Path) -> None:
@@ -285,8 +279,7 @@ def test_split_bags_of_ros_itself_are_complete(shared_data: Path) -> None:
     paths = [shared_data / "rosbag2" / f"split_{k}.mcap" for k in (1, 0)]
     counts = [sum(channel.count for channel in read_container(path, Query(lambda _: False)).channels) for path in paths]
     assert counts == [1240, 1246]
-    with pytest.raises(InputError, match="none of our topics"):
-        read_flight(paths)
+    refuse(paths, "none of our topics")
 
 
 def list_streams(flight: Flight) -> dict[tuple[str, ...], Stream]:
@@ -348,10 +341,8 @@ def test_numbers_that_find_no_room_are_refused_and_a_stretch_is_read(
     assert part.joints["/joint_states"]["q"]["position"].tolist() == list(range(250, 261))
     assert main(["convert", f"{log}@2-4", str(tmp_path / "part.mcap")]) == 0
     assert "200 messages on 1 topics" in capsys.readouterr().out
-    with pytest.raises(InputError, match="@20-30 holds no messages; expected a stretch in which there are some"):
-        read_flight(f"{log}@20-30")
-    with pytest.raises(InputError, match="from 3 to 2 s; expected a start before the end"):
-        read_flight(f"{log}@3-2")
+    refuse(f"{log}@20-30", "@20-30 holds no messages; expected a stretch in which there are some")
+    refuse(f"{log}@3-2", "from 3 to 2 s; expected a start before the end")
 
 
 def test_a_stretch_of_split_files_counts_from_their_first(tmp_path: Path) -> None:
