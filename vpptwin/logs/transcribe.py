@@ -38,8 +38,9 @@ def transcribe(log: PathLike, out: Path) -> Recording:
     with open_bar(desc="convert", unit=" messages") as bar, FlightWriter(out) as writer:
 
         def take(channels: Sequence[RawChannel]) -> None:
+            numbers = [writer.add_channel(channel) for channel in channels]
             for place, time, content in list_messages(channels):
-                writer.write_raw(channels[place], time, content)
+                writer.write_raw(numbers[place], time, content)
                 bar.update()
             for channel in channels:
                 channel.forget()

@@ -175,14 +175,18 @@ class FlightWriter:
         content = self._encoders[kind](message.fields)
         self._writer.add_message(self._find_channel(topic, kind, {}), stamp, content, stamp, self._sequence[topic])
 
-    def write_raw(self, channel: RawChannel, time: int, content: bytes) -> None:
-        """Write a message of a channel as it was recorded at a log time [ns]."""
+    def add_channel(self, channel: RawChannel) -> int:
+        """Declare a channel as it was recorded, and its number; once, however often it is called."""
         key = id(channel)  # of several with one topic
         if key not in self._channels:
             schema = self._find_schema(channel.message_type, channel.definition, channel.schema_encoding)
             metadata = {"offered_qos_profiles": ""}
             self._channels[key] = self._writer.register_channel(channel.topic, channel.encoding, schema, metadata)
-        self._writer.add_message(self._channels[key], time, content, time)
+        return self._channels[key]
+
+    def write_raw(self, channel: int, time: int, content: bytes) -> None:
+        """Write a message of a channel by its number, recorded at a log time [ns]."""
+        self._writer.add_message(channel, time, content, time)
 
     def _find_schema(self, message_type: str, definition: str, encoding: str = SchemaEncoding.ROS2) -> int:
         key = message_type, definition
