@@ -13,6 +13,7 @@ BIASES = {int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)}
 """Actuators whose force the compiled step foresees, as friction answers to it."""
 FILTERS = mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT
 JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
+JOINTS = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
 FREE = [-np.inf, np.inf]
 
 
@@ -26,7 +27,7 @@ def simplify_actuators(spec: mujoco.MjSpec) -> None:
         bounded = is_limited(actuator.actlimited, actuator.actrange)
         if kind in FILTERS and not bounded:
             noted[LAG] = actuator.dynprm[0]
-        elif kind == mujoco.mjtDyn.mjDYN_INTEGRATOR and turns_joint(actuator) and actuator.biasprm[1]:
+        elif kind == mujoco.mjtDyn.mjDYN_INTEGRATOR and actuator.trntype in JOINTS and actuator.biasprm[1]:
             asked = is_limited(actuator.ctrllimited, actuator.ctrlrange)
             noted[INTEGRATES], noted[LOW : HIGH + 1] = 1.0, actuator.actrange if bounded else FREE
             noted[SLOWEST : FASTEST + 1] = actuator.ctrlrange if asked else FREE
@@ -57,11 +58,6 @@ def is_limited(flag: int, bounds: np.ndarray) -> bool:
     return bool(
         flag == mujoco.mjtLimited.mjLIMITED_TRUE or (flag == mujoco.mjtLimited.mjLIMITED_AUTO and np.any(bounds))
     )
-
-
-def turns_joint(actuator: mujoco.MjsActuator) -> bool:
-    """Whether an actuator acts on a joint."""
-    return bool(actuator.trntype in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def tell_control(model: mujoco.MjModel, actuator: int) -> str:

@@ -60,7 +60,11 @@ def check_declaration(effect: Effect, where: str, known: tuple[str, ...]) -> Non
             raise InputError(f"{where}: parameter {parameter!r}", "a Parameter", SEE)
         if not re.fullmatch(r"[A-Za-z]\w*", str(parameter.name), flags=re.ASCII):
             raise InputError(f"{where}: parameter {parameter.name!r}", "a word, such as force", "rename it")
-    for state in check_states(effect, where):
+    if not isinstance(effect.states, tuple) or not all(isinstance(state, State) for state in effect.states):
+        raise InputError(f"{where}: states {effect.states!r}", "a tuple of State objects", SEE)
+    if effect.states and effect.stage is Stage.CONSTANT:
+        raise InputError(f"{where}: states of {effect.stage}", "a stage that acts every step", "leave them out")
+    for state in effect.states:
         if not re.fullmatch(r"[A-Za-z]\w*", str(state.name), flags=re.ASCII) or not isinstance(state.unit, str):
             raise InputError(f"{where}: state {state.name!r}, unit {state.unit!r}", "a word and a text", "correct it")
         number = isinstance(state.start, (int, float)) and math.isfinite(state.start)
@@ -85,15 +89,6 @@ def check_text(text: object, where: str) -> None:
     """Refuse what is no line of text: it stands in lists, verdicts and pages."""
     if not isinstance(text, str) or not text.isprintable():
         raise InputError(f"{where} {text!r}", "a line of text", "correct it")
-
-
-def check_states(effect: Effect, where: str) -> tuple[State, ...]:
-    """The states of an effect, if that is what they are."""
-    if not isinstance(effect.states, tuple) or not all(isinstance(state, State) for state in effect.states):
-        raise InputError(f"{where}: states {effect.states!r}", "a tuple of State objects", SEE)
-    if effect.states and effect.stage is Stage.CONSTANT:
-        raise InputError(f"{where}: states of {effect.stage}", "a stage that acts every step", "leave them out")
-    return effect.states
 
 
 def check_parameter(parameter: Parameter, where: str) -> None:

@@ -42,7 +42,14 @@ def extend_catalogue(catalogue: tuple[Effect, ...], files: Sequence[Path], rig: 
         for effect in read_effects(file, rig):
             check_name(effect, file, sources)
             sources[effect.id] = str(file)
-            extended.append(bind_effect(effect, file, rig))
+            try:
+                extended.append(effect.bind(rig.nominal))
+            except KeyError as error:
+                known = "none: no vehicle here"
+                if rig.rotorcraft is not None:
+                    known = "a key of the vehicle file, such as servo.time_constant"
+                found = f"{file}: effect {effect.id}: nominal {error}"
+                raise InputError(found, known, "give `off` itself") from error
     for i, effect in enumerate(extended[len(catalogue) :], len(catalogue)):
         where = f"{sources[effect.id]}: effect {effect.id}"
         check_effect(effect, where, rig, tuple(sources))
@@ -127,14 +134,3 @@ def check_name(effect: Effect, file: Path, sources: dict[str, str]) -> None:
     if other is not None:
         found = f"{file}: effect {effect.id!r}, like {other!r} of {sources[other]}"
         raise InputError(found, "an id of its own", "rename it")
-
-
-def bind_effect(effect: Effect, file: Path, rig: Robot) -> Effect:
-    """The effect with off values of the rig, where its parameters name any."""
-    try:
-        return effect.bind(rig.nominal)
-    except KeyError as error:
-        known = "none: no vehicle here"
-        if rig.rotorcraft is not None:
-            known = "a key of the vehicle file, such as servo.time_constant"
-        raise InputError(f"{file}: effect {effect.id}: nominal {error}", known, "give `off` itself") from error

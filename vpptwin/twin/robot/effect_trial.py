@@ -7,7 +7,7 @@ import math
 import re
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -105,19 +105,14 @@ def compile_effect(effect: Effect, where: str) -> Callable[..., Any]:
     except NumbaError as error:
         name = Path(function.__code__.co_filename).name
         place = re.search(r'File "[^"]*' + re.escape(name) + r'", line (\d+)', str(error))
-        line = f"{name}:{place[1]}: " if place else ""
-        raise InputError(f"{where} does not compile: {line}{shorten_reason(str(error))}", FAST, "rewrite it") from error
+        plain = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+        lines = [line.strip() for line in plain.splitlines() if line.strip()]
+        telling = [line for line in lines if not line.startswith(("Failed in", "File ", "-", "<source"))]
+        reason = (f"{name}:{place[1]}: " if place else "") + (telling or ["numba refuses it"])[0].rstrip(".:")
+        raise InputError(f"{where} does not compile: {reason}", FAST, "rewrite it") from error
     except Exception:  # what it raises is told with the other cases
         return compiled
     return compiled
-
-
-def shorten_reason(message: str) -> str:
-    """The line of numba's message that says what is wrong."""
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", message)
-    lines = [line.strip() for line in plain.splitlines()]
-    telling = [line for line in lines if line and not line.startswith(("Failed in", "File ", "-", "<source"))]
-    return (telling or ["numba refuses it"])[0].rstrip(".:")
 
 
 def call(effect: Effect, where: str, action: Callable[[], Any]) -> Any:  # noqa: ANN401
@@ -191,7 +186,8 @@ def try_constants(effect: Effect, where: str, rig: Robot) -> None:
                 refuse_undeclared(effect, where, str(error.__cause__.args[0]))
             raise
         for name in [*table]:
-            if name not in nominal or (not same(table[name], nominal[name]) and name not in effect.writes):
+            changed = not np.array_equal(table[name], nominal[name][None]) if name in nominal else True
+            if name not in nominal or (changed and name not in effect.writes):
                 refuse_undeclared(effect, where, name)
             if np.shape(table[name]) != (1, *nominal[name].shape):
                 found = f"{where} makes {name} of shape {np.shape(table[name])}"
@@ -199,13 +195,8 @@ def try_constants(effect: Effect, where: str, rig: Robot) -> None:
             if not np.isfinite(table[name]).all():
                 expected = "finite numbers everywhere within the bounds"
                 raise InputError(f"{where} makes {name} {table[name][0]} at {given}", expected, "correct it")
-            if case == 0 and not same(table[name], nominal[name]):
+            if case == 0 and changed:
                 refuse_active(where, f"{name} {table[name][0]} for {nominal[name]}", given)
-
-
-def same(values: np.ndarray, nominal: np.ndarray) -> bool:
-    """Whether nothing was changed."""
-    return np.array_equal(values, nominal[None])
 
 
 def refuse_undeclared(effect: Effect, where: str, name: str) -> None:
@@ -220,7 +211,8 @@ def list_constants(effect: Effect, where: str, rig: Robot) -> dict[str, np.ndarr
     constants = nominal_constants(rig.servo_lag, records)
     for name in effect.writes:
         if name not in constants and name not in MODEL_FIELDS:
-            expected = ", ".join(suggest(name, [*constants, *MODEL_FIELDS]))
+            close = difflib.get_close_matches(name, [*constants, *MODEL_FIELDS], n=3, cutoff=0.4)
+            expected = ", ".join(close or ["dof_damping", "body_mass"])
             raise InputError(f"{where}: writes {name!r}", f"a constant such as {expected}", "correct it")
         if name not in constants:
             holder = rig.model.opt if name.startswith("opt.") else rig.model
@@ -228,8 +220,3 @@ def list_constants(effect: Effect, where: str, rig: Robot) -> dict[str, np.ndarr
     if not effect.writes:
         raise InputError(f"{where}: writes nothing", "the constants that it changes, as writes=(...)", "declare them")
     return constants
-
-
-def suggest(name: str, known: Sequence[str]) -> list[str]:
-    """Names that are close to a wrong one."""
-    return difflib.get_close_matches(name, known, n=3, cutoff=0.4) or ["dof_damping", "body_mass"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -14,10 +14,9 @@ from vpptwin.effects.joint import HINGE_ACCELERATION, SLIDE_ACCELERATION
 from vpptwin.engine.callback import WORDS, left_alone
 from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.actuation import BIASES, GAINS, simplify_actuators
-from vpptwin.twin.robot.bounds import MOST_BYTES, bound_memory, check_claims, check_size
 from vpptwin.twin.robot.manifold import BALL, FREE
 from vpptwin.twin.robot.parts import read_parts
-from vpptwin.twin.robot.trial import try_model
+from vpptwin.twin.robot.trial import MAX_BYTES, bound_memory, check_claims, check_size, try_model
 from vpptwin.twin.robot.urdf import check_urdf, drive_joints, explain_urdf, is_urdf, tell_drives
 
 HEAVY = 1e6
@@ -50,7 +49,7 @@ def compile_model(
     elements = read_parts(path)
     check_claims(path, elements)
     check_urdf(path, elements)
-    try_model(path, elements, MOST_BYTES)
+    try_model(path, elements, MAX_BYTES)
     try:
         with bound_memory(), left_alone():  # a callback in Python would fail there
             model = specify_model(path, adapt).compile()
@@ -61,7 +60,9 @@ def compile_model(
         raise (is_urdf(elements) and explain_urdf(path, elements, str(error))) or told from error
     if model.nv == 0:
         raise InputError(f"{path}: no joints", "an MJCF with at least one joint", "add one")
-    check_names(path, bytes(model.names).decode("utf-8", "replace").split("\0"))
+    for name in bytes(model.names).decode("utf-8", "replace").split("\0"):
+        if not name.isprintable():  # it becomes names of effects, and stands in verdicts and pages
+            raise InputError(f"{path}: the name {name!r}", "letters that can be shown", "rename it")
     if check is not None:
         check(model, path)
     check_size(model, path)
@@ -89,17 +90,6 @@ def specify_model(path: Path, adapt: Adapt) -> mujoco.MjSpec:
             joint.parent.simple = 0  # whose centre of mass effects may move
     spec.nuserdata = WORDS  # marks our simulations to the compiled step
     return spec
-
-
-def check_names(path: Path, names: Iterable[str]) -> None:
-    """Refuse names that cannot be shown: they become names of effects, and stand in verdicts and pages.
-
-    Raises:
-        InputError: naming the first.
-    """
-    for name in names:
-        if not name.isprintable():
-            raise InputError(f"{path}: the name {name!r}", "letters that can be shown", "rename it")
 
 
 def check_engine(model: mujoco.MjModel, path: Path) -> None:
@@ -183,17 +173,9 @@ def describe_joints(model: mujoco.MjModel) -> list[tuple[str, bool, float]]:
     The typical force accelerates what the joint carries by SLIDE_ACCELERATION or HINGE_ACCELERATION: for bounds and
     first steps of a fit, nothing finer.
     """
-    inertia = inertia_at_rest(model)
-    described = []
-    for i in range(model.njnt):
-        kind = int(model.jnt_type[i])
-        if kind not in (SLIDE, HINGE) or not model.joint(i).name:
-            continue
-        rotary = kind == HINGE
-        dof = model.jnt_dofadr[i]
-        typical = HINGE_ACCELERATION if rotary else SLIDE_ACCELERATION
-        described.append((model.joint(i).name, rotary, float(inertia[dof, dof]) * typical))
-    return described
+    forces, simple = typical_forces(model), np.flatnonzero(np.isin(model.jnt_type, (SLIDE, HINGE)))
+    named = [(model.joint(i).name, int(model.jnt_type[i]), float(forces[model.jnt_dofadr[i]])) for i in simple]
+    return [(name, kind == HINGE, force) for name, kind, force in named if name]
 
 
 def find_free(model: mujoco.MjModel) -> list[int]:

@@ -14,11 +14,11 @@ from typing import NamedTuple
 from vpptwin.system.errors import InputError
 from vpptwin.system.plain import open_regular
 
-MOST_PARTS = 1000
+MAX_PARTS = 1000
 """Files of MJCF that one model may be made of, one that is attached twice counted twice."""
-MOST_NAMED = 1_000_000
+MAX_NAMED = 1_000_000
 """Places where files that it names may lie."""
-MOST_TEXT = 1 << 26
+MAX_TEXT = 1 << 26
 """Bytes of one of its files."""
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 
@@ -94,8 +94,8 @@ def read_parts(path: Path) -> list[Element]:
             continue
         read.add(os.path.realpath(file))
         count += 1
-        if count > MOST_PARTS:
-            raise InputError(f"{path}: more than {MOST_PARTS} files", "fewer", "attach fewer models in models")
+        if count > MAX_PARTS:
+            raise InputError(f"{path}: more than {MAX_PARTS} files", "fewer", "attach fewer models in models")
         home = Path(models[-1]).parent
         for tag, given, number in read_elements(file, times):
             found.append(Element(file, tag, given, number))
@@ -118,11 +118,11 @@ def read_elements(file: Path, times: float) -> Sequence[tuple[str, dict[str, str
     claims = Claims(times)
     try:
         with open_regular(file) as content:
-            text = content.read(MOST_TEXT + 1)
+            text = content.read(MAX_TEXT + 1)
     except OSError:
         return []
-    if len(text) > MOST_TEXT:
-        raise InputError(f"{file}: more than {MOST_TEXT >> 20} MB", "less", "keep meshes in files of their own")
+    if len(text) > MAX_TEXT:
+        raise InputError(f"{file}: more than {MAX_TEXT >> 20} MB", "less", "keep meshes in files of their own")
     claims.feed(text.decode("iso-8859-1"))
     return claims.found
 
@@ -136,7 +136,7 @@ def check_files(path: Path, elements: Sequence[Element]) -> None:
     folders = {""} | {value for e in elements for name, value in e.given.items() if name in FOLDERS}
     homes = {e.file.parent for e in elements}
     named = {value: e for e in elements for name, value in e.given.items() if name.startswith("file") and value}
-    if len(folders) * len(homes) * len(named) > MOST_NAMED:
+    if len(folders) * len(homes) * len(named) > MAX_NAMED:
         raise InputError(f"{path}: {len(named)} files in {len(folders)} folders", "fewer", "leave out most")
     for home, folder, value in product(homes, folders, named):
         for name in {value, value.replace("\\", "/").rpartition("/")[2]}:

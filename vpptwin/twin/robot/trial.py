@@ -1,4 +1,7 @@
-"""Models of anyone's are compiled in a process of their own first: MuJoCo crashes on some, and on some never ends."""
+"""Models of anyone's are compiled in a process of their own first: MuJoCo crashes on some, and on some never ends.
+
+How large they may be is bounded too, as an MJCF may ask for any amount of memory.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,25 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
 
 from vpptwin.system.errors import InputError
 from vpptwin.system.resources import models_dir
-from vpptwin.twin.robot.parts import Element
+from vpptwin.twin.robot.parts import Element, multiply
 
+MAX_BYTES = 1 << 30
+"""Memory that compiling a model may take [bytes]."""
+MAX_DATA = 1 << 28
+"""What one simulation of it may take [bytes]."""
+MAX_COPIES = 100_000
+"""How often `replicate` and `composite` may repeat an element."""
+MAX_CELLS = 4_000_000
+SIDES = (("nrow", "ncol"), ("width", "height"))
+"""Cells of a height field or texture: they are counted before MuJoCo allocates, which it does not survive unharmed."""
 SECONDS = 60
 """Processor time that compiling a model may take [s]."""
 PATIENCE = 3.0 * SECONDS
@@ -77,3 +91,47 @@ def try_model(path: Path, elements: list[Element], room: int) -> None:
         found = f"{path}: MuJoCo crashes on it ({signal.Signals(died).name})"
         raise InputError(found, "an MJCF that compiles", "take out its parts one by one until it does")
     _sound.add(state)
+
+
+@contextmanager
+def bound_memory() -> Iterator[None]:
+    """Let this process grow by `MAX_BYTES` at most; beyond, what asks for memory fails. Nothing where it can't be."""
+    try:
+        import resource
+
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limits = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min([used + MAX_BYTES, *limits]), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def check_claims(path: Path, elements: Iterable[Element]) -> None:
+    """Refuse an MJCF that repeats an element, or spans a grid, so often that MuJoCo would not come back.
+
+    Raises:
+        InputError: naming the element.
+    """
+    for _, tag, given, times in elements:
+        for largest, number in ((MAX_COPIES, times), *((MAX_CELLS, multiply(given, *sides)) for sides in SIDES)):
+            if number > largest:
+                named = " ".join(f"{name}={value!r}" for name, value in given.items() if value[:1].isdecimal())
+                raise InputError(f"{path}: <{tag} {named}>", f"at most {largest} of anything", "lower it")
+
+
+def check_size(model: mujoco.MjModel, path: Path) -> None:
+    """Refuse a model whose simulations take more than `MAX_DATA` each.
+
+    Raises:
+        InputError: with what one takes.
+    """
+    size = mujoco.mj_sizeModel(model) + int(model.narena)
+    if size > MAX_DATA:
+        found = f"{path}: a model of {size / 1e6:.0f} MB with what it asks for in <size>"
+        raise InputError(found, f"at most {MAX_DATA / 1e6:.0f} MB", "leave out meshes and height fields, lower <size>")
