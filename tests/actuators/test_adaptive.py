@@ -85,36 +85,25 @@ def test_rotor_speed_through_full_pitch_steps() -> None:
     assert np.abs(track("full steps", False).speed / NOMINAL.rotor.speed - 1.0).max() > 0.02
 
 
-def stuck(time: float, speed: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The current of the first rotors hangs at 3 A from 3 s to 5 s."""
-    shown = current.copy()
-    if 3.0 <= time < 5.0:
-        shown[0] = 3.0
-    return speed, shown
+def spoil(sensor: int, reading: float) -> Spoil:
+    """The speed (0) or the current (1) of the first rotors reads so from 3 s to 5 s."""
 
+    def show(time: float, *readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shown = [each.copy() for each in readings]
+        if 3.0 <= time < 5.0:
+            shown[sensor][0] = reading
+        return shown[0], shown[1]
 
-def blind(time: float, speed: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The speed of the first rotors is missing from 3 s to 5 s."""
-    shown = speed.copy()
-    if 3.0 <= time < 5.0:
-        shown[0] = np.nan
-    return shown, current
-
-
-def dark(time: float, speed: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The current of the first rotors is missing from 3 s to 5 s."""
-    shown = current.copy()
-    if 3.0 <= time < 5.0:
-        shown[0] = np.nan
-    return speed, shown
+    return show
 
 
 @pytest.mark.parametrize(
-    ("spoil", "code"), [(stuck, STUCK_CURRENT), (blind, NO_SPEED), (dark, NO_CURRENT)], ids=["stuck", "blind", "dark"]
-)
-def test_a_sensor_fault_falls_back_to_the_map(spoil: Spoil, code: int) -> None:
+    ("sensor", "reading", "code"), [(1, 3.0, STUCK_CURRENT), (0, np.nan, NO_SPEED), (1, np.nan, NO_CURRENT)],
+    ids=["stuck", "blind", "dark"],
+)  # fmt: skip
+def test_a_sensor_fault_falls_back_to_the_map(sensor: int, reading: float, code: int) -> None:
     """It says so within a tenth of a second; thrust is then the map's; afterwards it is as good as before."""
-    ours = track_thrust(STANDS, "steps", DURATION, adaptive=True, seed=3, spoil=spoil)
+    ours = track_thrust(STANDS, "steps", DURATION, adaptive=True, seed=3, spoil=spoil(sensor, reading))
     by_map, untroubled = track("steps", False), track("steps", True)
     during, after = (ours.time >= 3.1) & (ours.time < 5.0), ours.time >= 5.1
     assert (ours.fault[during][:, 0] == code).all()

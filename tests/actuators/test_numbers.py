@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from vpptwin.actuators import blade, cascade, motor, servo
+from vpptwin.actuators import blade, controller, motor, servo
 from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.robots.planar_drone.vehicle import load_vehicle
 
@@ -21,9 +21,9 @@ CALLS: dict[str, Callable[[Draw], Any]] = {
     "compute_thrust": lambda draw: blade.compute_thrust(ROTOR, draw(0, 600), draw(-0.2, 0.2)),
     "compute_drag_torque": lambda draw: blade.compute_drag_torque(ROTOR, draw(0, 600), draw(-0.2, 0.2)),
     "pitch_for_thrust": lambda draw: blade.pitch_for_thrust(ROTOR, draw(-9, 9)),
-    "filter_gyro": lambda draw: cascade.filter_gyro(VEHICLE, draw(-9, 9), draw(-9, 9)),
-    "compute_torque": lambda draw: cascade.compute_torque(VEHICLE, draw(-9, 9), draw(-9, 9), draw(-9, 9), DT),
-    "allocate": lambda draw: cascade.allocate(VEHICLE, draw(-20, 20), draw(-2, 2)),
+    "filter_gyro": lambda draw: controller.filter_gyro(VEHICLE, draw(-9, 9), draw(-9, 9)),
+    "compute_torque": lambda draw: controller.compute_torque(VEHICLE, draw(-9, 9), draw(-9, 9), draw(-9, 9), DT),
+    "allocate": lambda draw: controller.allocate(VEHICLE, draw(-20, 20), draw(-2, 2)),
     "compute_current": lambda draw: motor.compute_current(MOTOR, draw(0, 12), draw(0, 600)),
     "step_speed": lambda draw: motor.step_speed(
         MOTOR, ROTOR, draw(0, 600), draw(-0.2, 0.2), draw(0, 12), draw(0.5, 2), DT

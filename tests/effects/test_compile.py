@@ -14,7 +14,8 @@ from vpptwin.effects import CATALOGUE, Craft, Effect, Motion, Rotor, Stage, effe
 CART_EFFECTS = effects_for_rig(
     [generic_place("slide", False, 1.0, room=1.0), generic_place("swing", True, 1.0, room=1.0)], {"motor": 1.0}
 )
-EVERY_STEP = [e for e in (*CATALOGUE, *CART_EFFECTS) if e.stage is not Stage.CONSTANT]
+EVERY_STEP = {e.apply: e for e in (*CATALOGUE, *CART_EFFECTS) if e.stage is not Stage.CONSTANT}.values()
+"""One effect of each law."""
 COUNT = 200
 ROUNDING = 4 * np.finfo(float).eps
 """numpy's exp on arrays and the C library's differ in the last bit, and a product and a sum follow it.

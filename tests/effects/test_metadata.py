@@ -12,74 +12,17 @@ from vpptwin.effects import CATALOGUE, Effect, Parameter, Stage, effects_for_rig
 from vpptwin.effects.actuator import list_loop_effects
 from vpptwin.effects.table import print_catalogue
 
-# Rows of SPEC 5: names of the parameters with their units.
-DAMPING, FORCE, STRIBECK = {"damping": "N s/m"}, {"force": "N"}, {"force": "N", "velocity": "m/s"}
-SPEC_EFFECTS: dict[str, dict[str, str]] = {
-    "rail_x.coulomb": FORCE,
-    "rail_z.coulomb": FORCE,
-    "rail_x.stiction": STRIBECK,
-    "rail_z.stiction": STRIBECK,
-    "rail_x.viscous": DAMPING,
-    "rail_z.viscous": DAMPING,
-    "pitch.viscous": {"damping": "N m s/rad"},
-    "rail_x.jamming": {"mu": ""},
-    "rail_z.jamming": {"mu": ""},
-    "rail_x.bias": FORCE,
-    "rail_z.bias": FORCE,
-    "pitch.bias": {"force": "N m"},
-    "rail_x.spring": {"stiffness": "N/m", "rest": "m"},
-    "rail_x.asymmetry": {"fraction": ""},
-    "rail_z.asymmetry": {"fraction": ""},
-    "rail_x.tight_spot": {"force": "N", "place": "m", "width": "m"},
-    "pitch.coulomb": {"torque": "N m"},
-    "rail.tilt": {"angle": "rad"},
-    "airframe.mass": {"mass": "kg"},
-    "airframe.inertia": {"inertia": "kg m^2"},
-    "carriage.mass": {"mass": "kg"},
-    "airframe.com": {"offset": "m"},
-    "airframe.com_height": {"offset": "m"},
-    "air.drag": {"k_d": "N s^2/m^2"},
-    "air.ground_effect": {"gain": "", "height": "m"},
-    "rotor.thrust_gain": {"gain": ""},
-    "rotor.asymmetry": {"fraction": ""},
-    "rotor.negative_thrust": {"loss": ""},
-    "rotor.stall": {"onset": "rad"},
-    "rotor.inflow": {"damping": "N s/(m rad)"},
-    "rotor.in_plane": {"damping": "N s/(m rad)"},
-    "rotor.drag": {"gain": ""},
-    "battery.sag": {"rate": "1/s"},
-    "servo.lag": {"time_constant": "s"},
-    "servo.rate_limit": {"rate": "rad/s"},
-    "servo.backlash": {"gap": "rad"},
-    "servo.trim": {"offset_1": "rad", "offset_2": "rad"},
-    "command.delay": {"delay": "s"},
-    "mocap.delay": {"delay": "s"},
-    "mocap.misalignment": {"angle": "rad"},
-    "mocap.scale": {"scale": ""},
-    "clock.drift": {"drift": "s/s"},
-    "gyro.bias": {"bias": "rad/s"},
-    "gyro.scale": {"scale": ""},
-}
-MORE_EFFECTS: dict[str, dict[str, str]] = {
-    "rail_x.lugre": {"compliance": "m/N"},
-    "rail_z.lugre": {"compliance": "m/N"},
-    "pitch.lugre": {"compliance": "rad/(N m)"},
-    "rail_x.elastic": {"share": "", "frequency": "Hz", "zeta": ""},
-    "contact.compliance": {"stiffness": "", "damping": ""},
-    "contact.friction": {"gain": ""},
-}
-"""What the catalogue has besides SPEC 5."""
-SPEC_JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
+JOINT_KINDS = {"coulomb", "stiction", "viscous", "bias", "spring", "inertia", "lugre", "offset", "load",
                     "rate_bias", "rate_scale", "cogging", "tight_spot", "fade",
                     "drag"}  # fmt: skip
-SPEC_ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
+ACTUATOR_KINDS = {"delay", "gain", "lag", "backlash", "rate_limit", "saturation", "dead_band", "sag"}
 BODY_KINDS = {"mass", "com", "payload", "tilt"}
 MOVED = {f"swing.{kind}" for kind in ("bias", "spring", "offset")}
 WEIGHED = {f"pole.{kind}": {"motor.gain"} for kind in ("mass", "payload", "com")} | {key: {"pole.com"} for key in MOVED}
 WEIGHED |= {"motor.gain": {"pole.mass", "pole.payload", "pole.com"}, "pole.com": {"motor.gain", *MOVED}}
 """Look-alikes of other targets: of a pole's weight, and of where it pulls."""
 CONTACT_KINDS = {"compliance", "friction"}
-SPEC_TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
+TOPICS = {"/mocap/pose", "/imu/data", "/rotor/command", "/rotor/state", "/battery", "/joint_states"}
 RATIOS = {"gain", "fraction", "mu", "loss", "scale", "share", "zeta"}
 """Parameters that are pure numbers, as are all of contacts."""
 SHAPES = {"velocity", "rest", "place", "width", "height", "frequency", "zeta", "place_x", "place_y", "place_z",
@@ -97,21 +40,11 @@ def is_limit(effect: Effect) -> bool:
     return effect.id.rpartition(".")[2] in LIMITS
 
 
-def test_the_catalogue_is_that_of_the_spec() -> None:
-    """Every row of SPEC 5 is there once, with its parameters and units, and besides them what is listed here."""
-    ids = [effect.id for effect in CATALOGUE]
-    assert len(set(ids)) == len(ids)
-    assert {e.id: {p.name: p.unit for p in e.parameters} for e in CATALOGUE} == SPEC_EFFECTS | MORE_EFFECTS
-
-
 def test_any_rig_has_the_generic_effects() -> None:
     """Every joint and every actuator of another rig has all the generic effects, once."""
-    wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in SPEC_JOINT_KINDS} - {
-        "slide.offset",
-        "swing.load",
-        "swing.fade",
-    }
-    wanted |= {f"motor.{kind}" for kind in SPEC_ACTUATOR_KINDS} | {"pole.mass", "pole.com", "pole.payload"}
+    wanted = {f"{joint}.{kind}" for joint in ("slide", "swing") for kind in JOINT_KINDS}
+    wanted -= {"slide.offset", "swing.load", "swing.fade"}
+    wanted |= {f"motor.{kind}" for kind in ACTUATOR_KINDS} | {"pole.mass", "pole.com", "pole.payload"}
     wanted |= {"mount.tilt"}
     wanted |= {f"contact.{kind}" for kind in CONTACT_KINDS}
     assert {effect.id for effect in CART_EFFECTS} == wanted
@@ -130,29 +63,12 @@ def test_ids_name_what_the_effect_acts_on(effect: Effect) -> None:
 def test_look_alikes_are_mutual(effects: tuple[Effect, ...]) -> None:
     """A look-alike is another effect of the same rig, listed once, and takes this one for its own look-alike."""
     known = {effect.id: effect for effect in effects}
+    assert len(known) == len(effects)
     for effect in effects:
         assert len(set(effect.look_alikes)) == len(effect.look_alikes)
         assert effect.id not in effect.look_alikes
         for alike in effect.look_alikes:
             assert effect.id in known[alike].look_alikes, f"{alike} does not list {effect.id}"
-
-
-def test_known_look_alikes_are_listed() -> None:
-    """The groups that a study of this rig found hard to tell apart are there."""
-    groups = (
-        ("rail_x.bias", "rail.tilt", "mocap.misalignment"),
-        ("airframe.mass", "rotor.thrust_gain", "servo.trim"),
-        ("rotor.asymmetry", "servo.trim", "airframe.com"),
-        ("rail_x.viscous", "air.drag", "rotor.in_plane"),
-        ("command.delay", "servo.lag"),
-        ("airframe.inertia", "gyro.scale", "rotor.thrust_gain"),
-        ("mocap.delay", "clock.drift"),
-        ("rail_x.asymmetry", "rail.tilt"),
-        ("rail_x.spring", "carriage.mass"),
-    )
-    for group in groups:
-        for effect_id in group:
-            assert set(group) - {effect_id} <= set(find_effect(CATALOGUE, effect_id).look_alikes)
 
 
 def test_what_scales_friction_comes_after_all_of_it() -> None:
@@ -165,10 +81,10 @@ def test_what_scales_friction_comes_after_all_of_it() -> None:
 
 @pytest.mark.parametrize("effect", CART_EFFECTS, ids=lambda effect: effect.id)
 def test_generic_ids_name_their_target(effect: Effect) -> None:
-    """A generic effect is called after the joint or actuator it acts on, with a kind of SPEC 5."""
+    """A generic effect is called after the joint or actuator it acts on, then by its kind."""
     target, _, kind = effect.id.rpartition(".")
-    special = {"motor": SPEC_ACTUATOR_KINDS, "pole": BODY_KINDS, "mount": BODY_KINDS, "contact": CONTACT_KINDS}
-    kinds = special.get(target, SPEC_JOINT_KINDS)
+    special = {"motor": ACTUATOR_KINDS, "pole": BODY_KINDS, "mount": BODY_KINDS, "contact": CONTACT_KINDS}
+    kinds = special.get(target, JOINT_KINDS)
     assert effect.target == ("" if target in ("mount", "contact") else target)
     assert kind in kinds
     alike = set(effect.look_alikes) - WEIGHED.get(effect.id, set())
@@ -179,12 +95,12 @@ def test_generic_ids_name_their_target(effect: Effect) -> None:
 
 @pytest.mark.parametrize("effect", EVERY_EFFECT)
 def test_effect_tells_what_a_report_needs(effect: Effect) -> None:
-    """An effect has parameters, signals of SPEC 3, an equation, and a summary that fits into a sentence."""
+    """An effect has parameters, topics of docs/logs.md, an equation, and a summary that fits into a sentence."""
     names = [p.name for p in effect.parameters]
     assert names
     assert len(set(names)) == len(names)
     assert effect.shows
-    assert set(effect.shows) <= SPEC_TOPICS
+    assert set(effect.shows) <= TOPICS
     assert effect.equation
     assert effect.summary
     assert not effect.summary.endswith(".")
@@ -215,7 +131,7 @@ def test_parameter_numbers_make_sense(effect: Effect, parameter: Parameter) -> N
 @pytest.mark.parametrize(("effect", "parameter"), EVERY_PARAMETER)
 def test_parameter_numbers_have_a_source(effect: Effect, parameter: Parameter) -> None:
     """Where the numbers come from is told in a few words: what kind of source first, and of an assumption why."""
-    assert re.match(r"(datasheet|paper|SPEC|vehicle\.yaml|assumption: \w)", parameter.source)
+    assert re.match(r"(datasheet|paper|vehicle\.yaml|assumption: \w)", parameter.source)
     assert len(parameter.source) <= 60
     assert bool(parameter.nominal) == parameter.source.startswith("vehicle.yaml")
 
@@ -274,15 +190,8 @@ def test_ids_are_apart_whatever_joints_and_actuators_are_called() -> None:
     """One may be called as all together are; then these have the names of all."""
     names = ("joints", "knee", "actuators")
     places = [generic_place(name, True, 1.0, driven=True) for name in names]
-    ids = [
-        e.id
-        for e in effects_for_rig(
-            places,
-            dict.fromkeys(names, 1.0),
-            whole=names,
-            drives={names: names},
-            loops=dict.fromkeys(names, list_loop_effects(9.0, -9.0, -1.0)),
-        )
-    ]
+    loops = dict.fromkeys(names, list_loop_effects(9.0, -9.0, -1.0))
+    found = effects_for_rig(places, dict.fromkeys(names, 1.0), whole=names, drives={names: names}, loops=loops)
+    ids = [effect.id for effect in found]
     assert len(ids) == len(set(ids))
     assert {f"joints+knee+actuators.{kind}" for kind in ("coulomb", "gain", "stiffness")} < set(ids)

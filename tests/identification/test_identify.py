@@ -15,11 +15,10 @@ from proving.thrust_stand_logs import write_bench
 from tests.viz.browser import Browser
 from vpptwin.actuators.blade import compute_thrust, max_thrust, pitch_for_thrust
 from vpptwin.actuators.file import equip, load_actuator
-from vpptwin.actuators.strength import strengthen_rotor
 from vpptwin.cli.main import main
 from vpptwin.robots.planar_drone.thrust_stand.actuator import Actuator, identify
 from vpptwin.robots.planar_drone.thrust_stand.bench import find_levels, read_bench
-from vpptwin.robots.planar_drone.vehicle import Rotor, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Rotor, load_vehicle, strengthen_rotor
 from vpptwin.twin import Twin, load_twin
 
 NOMINAL = load_vehicle()

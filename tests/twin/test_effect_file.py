@@ -114,109 +114,70 @@ def constant(body: str, writes: str) -> str:
     return HEAD + f"\ndef pull(constants, site, /, *, force):\n    {body}\n" + declared
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        pytest.param("def (:\n", r"own\.py:1: .*expected a Python file", id="syntax"),
-        pytest.param("\n\nimport nothing_of_the_kind\n", r"own\.py:3: ModuleNotFoundError: .*nothing_of", id="import"),
-        pytest.param("raise SystemExit(3)\n", r"own\.py:1: SystemExit: 3", id="exits"),
-        pytest.param("a = 1\n", r"own\.py: no effects in it; expected Effect objects", id="empty"),
-        pytest.param(
-            wrong("a wavy rail", "\\x1b[2Ja wavy rail"), r"summary '\\x1b\[2J.*; expected a line of text", id="escapes"
-        ),
-        pytest.param(wrong('unit="N"', "unit=1"), "unit 1; expected a line of text", id="unit"),
-        pytest.param(wrong('("/joint_states",)', '"/joint_states"'), "expected a tuple of topics", id="shows"),
-        pytest.param("def build_effects(model):\n    return [3]\n", "build_effects returns a int", id="no effect"),
-        pytest.param("def build_effects(model):\n    return 1 / 0\n", r"own\.py:2: ZeroDivisionError", id="builder"),
-        pytest.param(wrong("slide.wave", "slide.coulomb"), "like 'slide.coulomb' of the catalogue", id="taken"),
-        pytest.param(wrong("slide.wave", "slide_coulomb"), "like 'slide.coulomb' of the catalogue", id="clash"),
-        pytest.param(wrong("slide.wave", "rail_x.coulomb"), "like 'rail_x.coulomb' of the catalogue", id="the drone's"),
-        pytest.param(WAVE + EFFECT.replace("OWN", "TWO"), r"like 'slide.wave' of .*own\.py", id="twice"),
-        pytest.param(wrong("slide.wave", "wave"), "id 'wave'; expected two words with a dot", id="id"),
-        pytest.param(wrong("Stage.FORCE", '"force"'), "stage 'force'; expected one of", id="stage"),
-        pytest.param(wrong("(FORCE,)", "()"), "no parameters", id="no parameters"),
-        pytest.param(wrong("(FORCE,)", "(FORCE, FORCE)"), "each name once", id="same names"),
-        pytest.param(wrong("name=", ""), r"own\.py:4: TypeError: .* positional", id="positional"),
-        pytest.param(wrong("low=0.0", "low=0.5"), "low 0.5, off 0, high 2", id="bounds"),
-        pytest.param(wrong("size=0.1", "size=0.0"), "parameter force: size 0", id="size"),
-        pytest.param(wrong('"position")', '"warm")', WARM), "heat starts at 'warm'; .* position or", id="start"),
-        pytest.param(wrong('"position")', "np.inf)", WARM), "heat starts at inf", id="endless start"),
-        pytest.param(wrong('State("heat", "m", "position"),', '"heat",', WARM), r"states \('heat',\)", id="no state"),
-        pytest.param(wrong('"heat", "m"', '"he at", "m"', WARM), "state 'he at'", id="state's name"),
-        pytest.param(
-            wrong('"heat", "m"', '"force", "m"', WARM), "force, force; expected each name once", id="one name"
-        ),
-        pytest.param(
-            wrong("heat, dt, force", "heat, force", WARM), r"expected \(motion, heat, dt, force\)", id="no dt"
-        ),
-        pytest.param(
-            wrong(", heat + dt * abs(motion.velocity)", "", WARM), "a number, then heat", id="loses its state"
-        ),
-        pytest.param(wrong("-force *", "heat - force *", WARM), "not off at its off values", id="state acts while off"),
-        pytest.param(
-            wrong("Stage.FORCE", "Stage.CONSTANT", WARM), "states of Stage.CONSTANT", id="constant with states"
-        ),
-        pytest.param(
-            wrong('target="slide"', 'target="rail_x"'), "'rail_x'; expected a joint of the rig: slide", id="joint"
-        ),
-        pytest.param(wrong('target="slide"', 'target="lift"'), "'lift', which follows its log", id="driven"),
-        pytest.param(wrong(', target="slide"', ""), "acts on the craft; .*not the drone", id="craft"),
-        pytest.param(wrong("Stage.FORCE", "Stage.THRUST"), "acts on thrust", id="thrust"),
-        pytest.param(wrong('target="slide"', 'target="slide", needs=("guide",)'), "needs guide", id="needs"),
-        pytest.param(
-            wrong('target="slide"', 'target="slide", look_alikes=("slide.colomb",)'), "slide.coulomb", id="look-alike"
-        ),
-        pytest.param(
-            wrong("motion, /, force", "level, motion, /, force"), r"expected \(motion, force\)", id="arguments"
-        ),
-        pytest.param(
-            wrong("motion, /, force", "motion, /, strength").replace("-force", "-strength"),
-            r"pull\(motion, strength\); expected \(motion, force\)",
-            id="names",
-        ),
-        pytest.param(wrong("-force * np", "1e-12 - force * np"), "not off at its off values .*force 0", id="never off"),
-        pytest.param(wrong("-force *", "np.log(force - 1.0) *"), "returns nan at force", id="NaN"),
-        pytest.param(
-            wrong("-force * np", "-force / (motion.velocity * 0.0) * np"), "returns (nan|-?inf)", id="infinite"
-        ),
-        pytest.param(
-            WAVE.replace("np.sin(", "wave(") + "\ndef wave(x):\n    return x\n",
-            r"does not compile: own\.py:\d+: .*wave.*numba\.njit",
-            id="plain helper",
-        ),
-        pytest.param(wrong("np.sin(", "np.sine("), "no attribute 'sine'", id="no such function"),
-        pytest.param(wrong("return -force", "return 0.0, -force"), "returns .*; expected a number", id="two numbers"),
-        pytest.param(
-            wrong("Stage.FORCE", "Stage.FRICTION").replace("(motion, /", "(level, motion, /"),
-            "not off",
-            id="replaces friction",
-        ),
-        pytest.param(
-            constant('constants["dof_damping"][:, site.dof] += force', "()"), "writes nothing", id="undeclared"
-        ),
-        pytest.param(
-            constant('constants["dof_damping"][:, site.dof] += force', '("dof_dampin",)'),
-            "'dof_dampin'; expected a constant such as dof_damping",
-            id="no such constant",
-        ),
-        pytest.param(
-            constant('constants["body_mass"][:, 1] += force', '("dof_damping",)'), "uses 'body_mass'", id="other"
-        ),
-        pytest.param(
-            constant('constants["rate.bias"][:] += force', '("dof_damping",)'), "uses 'rate.bias'", id="sensor"
-        ),
-        pytest.param(constant('constants["dof_damping"] = force', '("dof_damping",)'), "of shape", id="shape"),
-        pytest.param(constant('constants["dof_damping"][:] = 0.1', '("dof_damping",)'), "not off", id="replaces"),
-        pytest.param(
-            constant('constants["dof_damping"][:] += force["a"]', '("dof_damping",)'), "raises .* in line", id="raises"
-        ),
-    ],
-)
-def test_mistakes_are_told_in_a_line(rig: Path, tmp_path: Path, text: str, line: str) -> None:
+MISTAKES = {
+    "syntax": ("def (:\n", r"own\.py:1: .*expected a Python file"),
+    "import": ("\n\nimport nothing_of_the_kind\n", r"own\.py:3: ModuleNotFoundError: .*nothing_of"),
+    "exits": ("raise SystemExit(3)\n", r"own\.py:1: SystemExit: 3"),
+    "empty": ("a = 1\n", r"own\.py: no effects in it; expected Effect objects"),
+    "escapes": (wrong("a wavy rail", "\\x1b[2Ja wavy rail"), r"summary '\\x1b\[2J.*; expected a line of text"),
+    "unit": (wrong('unit="N"', "unit=1"), "unit 1; expected a line of text"),
+    "shows": (wrong('("/joint_states",)', '"/joint_states"'), "expected a tuple of topics"),
+    "no effect": ("def build_effects(model):\n    return [3]\n", "build_effects returns a int"),
+    "builder": ("def build_effects(model):\n    return 1 / 0\n", r"own\.py:2: ZeroDivisionError"),
+    "taken": (wrong("slide.wave", "slide.coulomb"), "like 'slide.coulomb' of the catalogue"),
+    "clash": (wrong("slide.wave", "slide_coulomb"), "like 'slide.coulomb' of the catalogue"),
+    "the drone's": (wrong("slide.wave", "rail_x.coulomb"), "like 'rail_x.coulomb' of the catalogue"),
+    "twice": (WAVE + EFFECT.replace("OWN", "TWO"), r"like 'slide.wave' of .*own\.py"),
+    "id": (wrong("slide.wave", "wave"), "id 'wave'; expected two words with a dot"),
+    "stage": (wrong("Stage.FORCE", '"force"'), "stage 'force'; expected one of"),
+    "no parameters": (wrong("(FORCE,)", "()"), "no parameters"),
+    "same names": (wrong("(FORCE,)", "(FORCE, FORCE)"), "each name once"),
+    "positional": (wrong("name=", ""), r"own\.py:4: TypeError: .* positional"),
+    "bounds": (wrong("low=0.0", "low=0.5"), "low 0.5, off 0, high 2"),
+    "size": (wrong("size=0.1", "size=0.0"), "parameter force: size 0"),
+    "start": (wrong('"position")', '"warm")', WARM), "heat starts at 'warm'; .* position or"),
+    "endless start": (wrong('"position")', "np.inf)", WARM), "heat starts at inf"),
+    "no state": (wrong('State("heat", "m", "position"),', '"heat",', WARM), r"states \('heat',\)"),
+    "state's name": (wrong('"heat", "m"', '"he at", "m"', WARM), "state 'he at'"),
+    "one name": (wrong('"heat", "m"', '"force", "m"', WARM), "force, force; expected each name once"),
+    "no dt": (wrong("heat, dt, force", "heat, force", WARM), r"expected \(motion, heat, dt, force\)"),
+    "loses its state": (wrong(", heat + dt * abs(motion.velocity)", "", WARM), "a number, then heat"),
+    "state acts while off": (wrong("-force *", "heat - force *", WARM), "not off at its off values"),
+    "constant with states": (wrong("Stage.FORCE", "Stage.CONSTANT", WARM), "states of Stage.CONSTANT"),
+    "joint": (wrong('target="slide"', 'target="rail_x"'), "'rail_x'; expected a joint of the rig: slide"),
+    "driven": (wrong('target="slide"', 'target="lift"'), "'lift', which follows its log"),
+    "craft": (wrong(', target="slide"', ""), "acts on the craft; .*not the drone"),
+    "thrust": (wrong("Stage.FORCE", "Stage.THRUST"), "acts on thrust"),
+    "needs": (wrong('target="slide"', 'target="slide", needs=("guide",)'), "needs guide"),
+    "look-alike": (wrong('target="slide"', 'target="slide", look_alikes=("slide.colomb",)'), "slide.coulomb"),
+    "arguments": (wrong("motion, /, force", "level, motion, /, force"), r"expected \(motion, force\)"),
+    "names": (wrong("motion, /, force", "motion, /, strength").replace("-force", "-strength"),
+        r"pull\(motion, strength\); expected \(motion, force\)"),
+    "never off": (wrong("-force * np", "1e-12 - force * np"), "not off at its off values .*force 0"),
+    "NaN": (wrong("-force *", "np.log(force - 1.0) *"), "returns nan at force"),
+    "infinite": (wrong("-force * np", "-force / (motion.velocity * 0.0) * np"), "returns (nan|-?inf)"),
+    "plain helper": (WAVE.replace("np.sin(", "wave(") + "\ndef wave(x):\n    return x\n",
+        r"does not compile: own\.py:\d+: .*wave.*numba\.njit"),
+    "no such function": (wrong("np.sin(", "np.sine("), "no attribute 'sine'"),
+    "two numbers": (wrong("return -force", "return 0.0, -force"), "returns .*; expected a number"),
+    "replaces friction": (wrong("Stage.FORCE", "Stage.FRICTION").replace("(motion, /", "(level, motion, /"), "not off"),
+    "undeclared": (constant('constants["dof_damping"][:, site.dof] += force', "()"), "writes nothing"),
+    "no such constant": (constant('constants["dof_damping"][:, site.dof] += force', '("dof_dampin",)'),
+        "'dof_dampin'; expected a constant such as dof_damping"),
+    "other": (constant('constants["body_mass"][:, 1] += force', '("dof_damping",)'), "uses 'body_mass'"),
+    "sensor": (constant('constants["rate.bias"][:] += force', '("dof_damping",)'), "uses 'rate.bias'"),
+    "shape": (constant('constants["dof_damping"] = force', '("dof_damping",)'), "of shape"),
+    "replaces": (constant('constants["dof_damping"][:] = 0.1', '("dof_damping",)'), "not off"),
+    "raises": (constant('constants["dof_damping"][:] += force["a"]', '("dof_damping",)'), "raises .* in line"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_are_told_in_a_line(rig: Path, tmp_path: Path, mistake: str) -> None:
     """What is wrong, with file and place, what was expected, what to do; nothing of numba's pages."""
-    file = write_effects(tmp_path, text)
+    text, line = MISTAKES[mistake]
     with pytest.raises(InputError, match=line) as caught:
-        load_twin(rig, [file])
+        load_twin(rig, [write_effects(tmp_path, text)])
     said = str(caught.value)
     assert "own.py" in said
     assert "\n" not in said

@@ -11,7 +11,6 @@ import pytest
 from tests.measured import run_measured
 from vpptwin.system.errors import InputError
 from vpptwin.twin.robot import parts, trial
-from vpptwin.twin.robot.bounds import MOST_BYTES
 from vpptwin.twin.robot.model import compile_model
 
 BODY = '<worldbody><body name="{}"><joint name="{}" axis="0 1 0"/><geom size=".1" mass="1"/></body>{}</worldbody>'
@@ -128,19 +127,19 @@ def test_a_crash_is_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     """What no check foresees ends another process than ours: here MuJoCo itself on a circle that nobody looked for."""
     arm = write(tmp_path / "arm.xml", ATTACH.format("arm.xml"))
     with pytest.raises(InputError, match=r"MuJoCo crashes on it \(SIG(SEGV|ABRT|BUS)\)"):
-        trial.try_model(arm, [], MOST_BYTES)
+        trial.try_model(arm, [], trial.MAX_BYTES)
     os.mkfifo(tmp_path / "pipe.xml")
     waiting = write(tmp_path / "waiting.xml", NAMING["include"].format("pipe.xml"))
     monkeypatch.setattr(trial, "PATIENCE", 1.0)
     with pytest.raises(InputError, match="MuJoCo waits for a file"):
-        trial.try_model(waiting, [], MOST_BYTES)
+        trial.try_model(waiting, [], trial.MAX_BYTES)
 
 
 def test_processor_time_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of what nobody looked for beforehand."""
     monkeypatch.setattr(trial, "SECONDS", 1)
     with pytest.raises(InputError, match="MuJoCo needs more than 1 s"):
-        trial.try_model(write_doubling(tmp_path, 40), [], MOST_BYTES)
+        trial.try_model(write_doubling(tmp_path, 40), [], trial.MAX_BYTES)
 
 
 def test_a_model_is_tried_once(tmp_path: Path) -> None:
@@ -149,8 +148,8 @@ def test_a_model_is_tried_once(tmp_path: Path) -> None:
     spent = []
     for _ in range(2):
         before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_nvcsw
-        trial.try_model(arm, parts.read_parts(arm), MOST_BYTES)
-        trial.try_model(trial.models_dir() / "rail_rig.xml", [], MOST_BYTES)
+        trial.try_model(arm, parts.read_parts(arm), trial.MAX_BYTES)
+        trial.try_model(trial.models_dir() / "rail_rig.xml", [], trial.MAX_BYTES)
         spent.append(resource.getrusage(resource.RUSAGE_CHILDREN).ru_nvcsw - before)
     assert spent[0] > 0
     assert spent[1] == 0

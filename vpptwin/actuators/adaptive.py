@@ -49,8 +49,8 @@ LASTING = 20.0
 """How much more than noise from step to step the part of drag counts that a straight line does not have: it lasts."""
 LAG_DOUBT = 0.005
 """What the servo's lag may be off by [s]: while the blade moves, torque tells less."""
-SURPRISE = 3.0
-"""Standard deviations at which what a measurement says is cut off: a sensor that fails is not yet known to have."""
+MAX_INNOVATION = 3.0
+"""Standard deviations at which an innovation is cut off: a sensor that fails is not yet known to have."""
 TURN = 0.004
 """How far the pitch asked for has to turn back until the command takes up the play on the other side [rad]."""
 ROUND = 0.01
@@ -200,13 +200,14 @@ def update(
     u3 = a * p[3] + b * p[6] + c * p[8] + d * p[9]
     v0 = a * u0 + b * u1 + c * u2 + d * u3 + noise * noise + doubt * doubt
     variance = v0 + SPEED_NOISE * SPEED_NOISE
-    most = SURPRISE * np.sqrt(variance)
-    surprise = min(max(speed - predicted, -most), most)
+    # Gain K = P Hᵀ/S, S = H P Hᵀ + R; estimates grow by K y, y = z - h(x) the innovation (Särkkä 2013, section 5.2).
+    largest = MAX_INNOVATION * np.sqrt(variance)
+    innovation = min(max(speed - predicted, -largest), largest)
     k0, k1, k2, k3 = v0 / variance, u1 / variance, u2 / variance, u3 / variance
-    memory[SPEED] = predicted + k0 * surprise
-    memory[TRIM] = min(max(memory[TRIM] + k1 * surprise, -TRIM_MAX), TRIM_MAX)
-    memory[HALF_GAP] = min(max(memory[HALF_GAP] + k2 * surprise, 0.0), HALF_GAP_MAX)
-    memory[DRAG] = min(max(memory[DRAG] + k3 * surprise, DRAG_MIN), DRAG_MAX)
+    memory[SPEED] = predicted + k0 * innovation
+    memory[TRIM] = min(max(memory[TRIM] + k1 * innovation, -TRIM_MAX), TRIM_MAX)
+    memory[HALF_GAP] = min(max(memory[HALF_GAP] + k2 * innovation, 0.0), HALF_GAP_MAX)
+    memory[DRAG] = min(max(memory[DRAG] + k3 * innovation, DRAG_MIN), DRAG_MAX)
     p[0] = v0 * (1.0 - k0)
     p[1], p[2], p[3] = u1 * (1.0 - k0), u2 * (1.0 - k0), u3 * (1.0 - k0)
     p[4] += DRIFT[1] * DRIFT[1] * dt - k1 * u1

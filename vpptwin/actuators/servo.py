@@ -27,9 +27,10 @@ def step_lag(output: Number, command: Number, time_constant: Number, dt: float) 
         Output at the end of the step and its mean over the step.
     """
     ratio = np.maximum(time_constant, TINY) / dt
-    left = np.exp(-1.0 / ratio)
+    # y(dt) = u - e^(-dt/T) (u - y), mean u - T/dt (1 - e^(-dt/T)) (u - y): zero-order hold of 1/(T s + 1).
+    remaining = np.exp(-1.0 / ratio)
     gap = command - output
-    return command - left * gap, command - ratio * (1.0 - left) * gap
+    return command - remaining * gap, command - ratio * (1.0 - remaining) * gap
 
 
 @compilable()

@@ -14,10 +14,9 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from vpptwin.actuators.file import equip, load_actuator
-from vpptwin.actuators.strength import strengthen
 from vpptwin.effects import CATALOGUE, Effect, find_effect
 from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS, PlanarDrone
-from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, load_vehicle, strengthen
 from vpptwin.system.errors import InputError, suggest
 from vpptwin.system.fields import SignalEntry
 from vpptwin.system.installed import locate_effects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from vpptwin.actuators import strength
+from vpptwin.robots.planar_drone import vehicle
 from vpptwin.system.trust import check_trusted
 from vpptwin.train.config import TrainConfig
 from vpptwin.twin.spec import TwinSpec, load_twin
@@ -24,7 +24,7 @@ def load_trained_twin(config: TrainConfig, twin: str | Path | None = None) -> Tw
 
 
 def strengthen(spec: TwinSpec, thrust_to_weight: float | None, commanded: float | None = None) -> TwinSpec:
-    """A twin with rotors as `vpptwin.actuators.strength.strengthen` makes them; itself for None."""
+    """A twin with rotors as `vpptwin.robots.planar_drone.vehicle.strengthen` makes them; itself for None."""
     if thrust_to_weight is None:
         return spec
-    return spec.with_robot(rotorcraft=strength.strengthen(spec.vehicle, thrust_to_weight, commanded))
+    return spec.with_robot(rotorcraft=vehicle.strengthen(spec.vehicle, thrust_to_weight, commanded))

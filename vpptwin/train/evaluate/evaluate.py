@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vpptwin.actuators.strength import weigh
-from vpptwin.robots.planar_drone.vehicle import Vehicle
+from vpptwin.robots.planar_drone.vehicle import Vehicle, weigh
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import write_json
 from vpptwin.system.trust import trust
