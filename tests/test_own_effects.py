@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from tests.builders import VERDICT
 from vpptwin.cli.main import main
+from vpptwin.effects import generic_place
 from vpptwin.report.provenance import trace_origin
 from vpptwin.report.twin_file import compose_twin
 from vpptwin.system.errors import InputError
@@ -151,9 +154,14 @@ def test_without_the_file_something_is_unexplained(tmp_path: Path) -> None:
 
 def test_the_page_shows_the_example() -> None:
     """The code in docs/own_effects.md defines the effect that the example's file defines."""
-    code, _ = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)  # the other one evolves: tests/twin
-    names: dict[str, object] = {}
+    code, _, law = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)  # the second evolves: tests/twin
+    names: dict[str, Any] = {}
     exec(code, names)
+    exec(law, names)
+    settling = names["settling"](generic_place("slide", False, 2.0))
+    assert settling.id == "slide.settling"
+    assert settling.summary == "friction on joint slide that falls with speed"
+    assert settling.apply(0.5, names["Motion"](0.0, -0.1, -1.0, 0.0, 0.0, 1.0), np.e) == pytest.approx(1.5)
     shown, shipped = names["COGGING"], load_twin("nominal", [COGGING]).catalogue[-1]
     for field in ("id", "summary", "equation", "parameters", "stage", "look_alikes", "target", "follows"):
         assert getattr(shown, field) == getattr(shipped, field)
