@@ -37,10 +37,7 @@ def test_importing_it_loads_nothing() -> None:
     assert done.stdout.strip() == ""
     assert set(vpptwin.__all__) <= set(dir(vpptwin))
     assert (ROOT / "vpptwin/py.typed").is_file()
-
-
-def test_reading_a_twin_loads_no_compiler() -> None:
-    """`vpptwin effects` and every refusal of a twin wait for numba otherwise."""
+    # `vpptwin effects` and every refusal of a twin wait for numba otherwise.
     script = "import sys, vpptwin; vpptwin.load_twin('strong'); sys.exit('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False)
     assert done.returncode == 0
@@ -55,14 +52,11 @@ def test_every_name_leads_somewhere(name: str) -> None:
     assert f"import {found.__name__} as {name}\n" in written
 
 
-def test_a_wrong_name_is_told() -> None:
-    """As of any module."""
+def test_what_cannot_be_had_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wrong name as of any module; what takes an extra in a line, as the commands do."""
     with pytest.raises(AttributeError, match="no attribute 'diagnoze'"):
         _ = vpptwin.diagnoze  # type: ignore[attr-defined]
-
-
-def test_what_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a line, as the commands do; for whoever asks whether it is there, it is not."""
+    # In a line, as the commands do; for whoever asks whether it is there, it is not.
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "vpptwin.train.env.environments", raising=False)
     monkeypatch.delitem(vars(vpptwin), "make_env", raising=False)
@@ -70,10 +64,7 @@ def test_what_takes_an_extra_says_which(monkeypatch: pytest.MonkeyPatch) -> None
         _ = vpptwin.make_env
     assert not hasattr(vpptwin, "make_env")
     assert {"diagnose", "compare"} <= dict(inspect.getmembers(vpptwin)).keys()
-
-
-def test_what_is_installed_but_broken_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The reason stays in the message of the AttributeError."""
+    # The reason stays in the message of the AttributeError.
 
     def load(name: str) -> None:
         raise ImportError("libtorch.so: cannot open shared object file")

@@ -105,14 +105,10 @@ def test_diagnose_refuses_bad_topic_maps(name: str, shelf: Path, refusals: Refus
     refusals.check_diagnose(shelf / "sound.mcap", "--topic-map", shelf / f"{name}.map.yaml", parts=MAPS[name][1])
 
 
-def test_missing_twins_and_maps_are_refused(shelf: Path, refusals: Refusals) -> None:
-    """Paths that lead nowhere."""
+def test_missing_twins_and_a_log_twice_are_refused(shelf: Path, refusals: Refusals) -> None:
+    """Paths that lead nowhere; the same log under two names, which must not judge itself."""
     refusals.check_diagnose(shelf / "sound.mcap", "--twin", "rig.yaml", parts=["no readable twin rig.yaml", "nominal"])
     refusals.check_diagnose(shelf / "sound.mcap", "--topic-map", "m.yaml", parts=["no topic map m.yaml"])
-
-
-def test_a_flight_must_not_judge_itself(shelf: Path, refusals: Refusals) -> None:
-    """The same log twice, under two names."""
     again = shelf / ".." / shelf.name / "sound.mcap"
     refusals.check_diagnose(shelf / "sound.mcap", again, parts=["sound.mcap is given twice", "leave one out"])
 

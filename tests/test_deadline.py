@@ -49,10 +49,7 @@ def test_it_stops_once_and_only_where_it_may() -> None:
     assert deadline.attempt(["b", "c"], lambda: 1, 2) == 2
     assert deadline.not_done == ["b", "c"]
     assert deadline.code == 0
-
-
-def test_what_must_be_done_is_not_stopped_what_can_be_left_out_is() -> None:
-    """Held, it raises in attempts alone."""
+    # Held, it raises in attempts alone.
     now = [0.0]
     deadline = Deadline(10.0, lambda: now[0])
     deadline.held = True

@@ -134,10 +134,7 @@ def test_a_terminal_is_not_steered(capsys: pytest.CaptureFixture[str]) -> None:
         "a\\x1b[2J\\x1b]0;title\\x07b\\x9b31m\\r\\u202ec\ttab", "\rbar \x1b[1mbold\x1b[0m", "\\udcff",
         "[red]a[/red] [/b] :bug:\\x1b[5m", "",
     ]  # fmt: skip
-
-
-def test_what_an_encoding_lacks_is_shown_as_escapes() -> None:
-    """On a terminal of another alphabet nothing fails."""
+    # On a terminal of another alphabet nothing fails.
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding="latin-1")
     Screen(stream).write("chi² → 1\n")

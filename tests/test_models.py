@@ -91,16 +91,13 @@ def test_nominal_model_has_no_effects(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(model.opt.wind, 0.0)
 
 
-def test_planar_moves_only_the_craft(vehicle: Vehicle) -> None:
+def test_planar_and_rig_agree_with_vehicle(vehicle: Vehicle, rig: mujoco.MjModel) -> None:
     """The free craft carries no rig mass and meets neither limit nor contact."""
     planar, craft = load_model("vpp_planar"), vehicle.airframe
     np.testing.assert_allclose(mass_matrix(planar), np.diag([craft.mass, craft.mass, craft.inertia]), rtol=1e-12)
     assert not planar.jnt_limited.any()
     assert not (planar.geom_contype | planar.geom_conaffinity).any()
-
-
-def test_rig_agrees_with_vehicle(rig: mujoco.MjModel, vehicle: Vehicle) -> None:
-    """Carriage and slider add their mass to x, the slider to z; travel and rail height are those of vehicle.yaml."""
+    # Carriage and slider add their mass to x, the slider to z; travel and rail height are those of vehicle.yaml.
     assert rig.body("carriage").mass[0] == vehicle.rig.carriage_mass
     assert rig.body("slider").mass[0] == vehicle.rig.slider_mass
     moving_z = vehicle.airframe.mass + vehicle.rig.slider_mass

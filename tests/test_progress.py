@@ -22,10 +22,7 @@ def test_a_file_gets_a_few_lines(capfd: pytest.CaptureFixture[str], monkeypatch:
     assert 2 <= len(told) <= 5
     assert "refitting" in told[-1]
     assert "100 steps" in told[-1]
-
-
-def test_nothing_before_the_first_step(capfd: pytest.CaptureFixture[str]) -> None:
-    """What is refused at once leaves no bar."""
+    # What is refused at once leaves no bar.
     with open_bar(desc="diagnose") as bar:
         tell_stage(bar, "reading")
     assert capfd.readouterr().err.strip() == ""

@@ -53,16 +53,10 @@ def test_effects_drawn_together_are_no_look_alikes() -> None:
         hidden = set(draw_together(rng, 3, ALL))
         assert len(hidden) == 3
         assert max(len(group & hidden) for group in LOOK_ALIKES) < 2
-
-
-def test_look_alikes_alone_cannot_be_drawn_together() -> None:
-    """Two kinds of dry friction of one rail: refused in a line, not tried for ever."""
+    # Two kinds of dry friction of one rail: refused in a line, not tried for ever.
     with pytest.raises(ValueError, match="no 2 effects that can be told apart among"):
         draw_together(np.random.default_rng(0), 2, ("rail_x.coulomb", "rail_x.stiction"))
-
-
-def test_groups_of_look_alikes_name_effects_that_exist() -> None:
-    """Every id in a group can be drawn."""
+    # Every id in a group can be drawn.
     assert set().union(*LOOK_ALIKES) <= {*ALL, *COMPANIONS}
 
 

@@ -164,16 +164,13 @@ def test_guide_carries_the_swing_of_an_unbalanced_craft() -> None:
     assert plant.side_load[0] == pytest.approx(on_carriage - 0.08 * plant.accel[X, 0], abs=0.01)
 
 
-def test_jamming_grows_with_load_and_lever() -> None:
+def test_friction_by_hand() -> None:
     """Friction is mu N on the guide, and on the rail mu N z over the spacing of the bearings."""
     plant = place({"rail_x.jamming": {"mu": 0.02}, "rail_z.jamming": {"mu": 0.3}}, [0.0, 1.5, 0.0, 1.0, 1.0, 0.0])
     sliding, breakaway = plant.friction.compute_levels(plant.position, plant.velocity, np.array([-2.0]))
     assert sliding[:, 0] == pytest.approx([0.02 * 2.0 * 1.5 / 0.10, 0.3 * 2.0, 0.0])
     assert breakaway is sliding
-
-
-def test_asymmetry_scales_all_dry_friction() -> None:
-    """To the right 1.3 of the friction, to the left 0.7 of it, whatever it is made of."""
+    # To the right 1.3 of the friction, to the left 0.7 of it, whatever it is made of.
     effects = {
         "rail_x.coulomb": {"force": 0.2},
         "rail_x.stiction": {"force": 0.3, "velocity": 0.05},

@@ -72,34 +72,25 @@ def test_laws(effects: Effects, velocity: tuple[float, float, float], force: tup
     assert feel(place(effects, velocity)) == pytest.approx(force, abs=1e-9)
 
 
-def test_thrust_aside_follows_the_moment() -> None:
-    """2 N more on rotor 2 push a fifth of that along body x, beside their moment, which the nominal rig has too."""
-    assert feel(place({"alien.side_thrust": {"gain": 0.2}}), (1.5, 3.5)) == pytest.approx([0.4, 0.0, 0.0])
-
-
-def test_spring_hardens() -> None:
-    """Half a stretch away from rest it pulls by a quarter more than a straight one."""
+def test_forces_that_depend_on_place_time_and_the_way() -> None:
+    """A spring hardens: half a stretch away from rest it pulls by a quarter more than a straight one."""
     plant = place({"form.spring": {"stiffness": 0.8, "rest": 0.1, "stretch": 0.8}}, x=0.5)
     assert feel(plant)[X] == pytest.approx(-0.8 * 0.4 * 1.25)
-
-
-def test_hum_is_periodic_in_time() -> None:
-    """0.4 N at 2 Hz: nothing at the start, the whole an eighth of a second on, nothing after a quarter."""
+    # 0.4 N at 2 Hz: nothing at the start, the whole an eighth of a second on, nothing after a quarter.
     plant = place({"alien.hum": {"force": 0.4, "frequency": 2.0}})
     assert feel(plant)[Z] == 0.0
     coast(plant, 0.125)
     assert feel(plant)[Z] == pytest.approx(0.4, abs=1e-3)
     coast(plant, 0.125)
     assert feel(plant)[Z] == pytest.approx(0.0, abs=1e-3)
-
-
-def test_hysteresis_remembers_the_way() -> None:
-    """After ten reaches to the right the whole force pulls left, and still does at rest; after one reach 63 % of it."""
+    # After ten reaches to the right the whole force pulls left, and still does at rest; after one reach 63 % of it.
     for way, share in ((0.2, 1 - math.exp(-1)), (2.0, 1.0)):
         plant = place({"alien.hysteresis": {"force": 0.5, "reach": 0.2}})
         for _ in range(1000):
             plant.foreign.advance(np.full((3, 1), way), np.zeros((3, 1)), 0.001)
         assert feel(plant)[X] == pytest.approx(-0.5 * share, abs=2e-3)
+    # 2 N more on rotor 2 push a fifth of that along body x, beside their moment, which the nominal rig has too.
+    assert feel(place({"alien.side_thrust": {"gain": 0.2}}), (1.5, 3.5)) == pytest.approx([0.4, 0.0, 0.0])
 
 
 def test_hanging_mass_stays_behind_fast_and_goes_along_slowly() -> None:

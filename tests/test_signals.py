@@ -185,10 +185,7 @@ def test_drafts_of_the_killed_go(tmp_path: Path) -> None:
     with replace_files(tmp_path, ["a"]) as drafts:
         (drafts / "a").touch()
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"{DRAFTS}new", "a"]
-
-
-def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
-    """A device in the place of a result, which a user with all rights could lose."""
+    # A device in the place of a result, which a user with all rights could lose.
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="is no file"), replace_files(tmp_path, ["pipe"]):
         pass

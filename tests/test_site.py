@@ -29,7 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_link_leads_to_a_file(site: Path) -> None:
+def test_pages_stand_alone(site: Path) -> None:
     """No link to a folder, which a browser would list, none to what is not there."""
     wrong = []
     for page in site.rglob("*.html"):
@@ -39,15 +39,9 @@ def test_every_link_leads_to_a_file(site: Path) -> None:
             if not address.scheme and page.name != "404.html" and not (page.parent / unquote(address.path)).is_file():
                 wrong.append((page.name, link))
     assert wrong == []
-
-
-def test_bars_in_tables_have_no_backslash(site: Path) -> None:
-    """Equations of effects read as they are."""
+    # Equations of effects read as they are.
     assert "<code>-mu |N| sgn(v)</code>" in (site / "effects.html").read_text(encoding="utf-8")
-
-
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
-    """Scripts, styles, fonts and pictures lie in the site."""
+    # Scripts, styles, fonts and pictures lie in the site.
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert re.findall(r'<(?:script|link|img|iframe)\b[^>]*(?:src|href)="(?:https?:)?//[^"]*"', text) == []

@@ -125,10 +125,7 @@ def test_what_is_closed_by_hand() -> None:
     assert tell_gain([plain]) == "closes 95% of the gap"
     del plain["policies"]["oracle"]
     assert tell_gain([plain]) == "brings 50.0 mm down to 12.0"
-
-
-def test_predictions_are_of_flights_that_are_not_lost() -> None:
-    """Lost flights count in the score only; 45 mm predicted for 50 flown is 10 % less."""
+    # Lost flights count in the score only; 45 mm predicted for 50 flown is 10 % less.
     lossy = fake_rig(0, ERRORS, lost=2)
     assert error(lossy["policies"]["nominal"]["flown"]) == pytest.approx(0.05)
     assert misjudged(lossy, "nominal") == pytest.approx(-0.1)

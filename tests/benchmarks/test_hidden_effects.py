@@ -66,11 +66,22 @@ def table(cases: list) -> dict[str, str]:
     return {row.name: row.text for row in rates.summarise(cases)}
 
 
-def test_of_twenty_sessions_the_kinds_are_as_stated() -> None:
+def test_kinds_and_order_of_sessions() -> None:
     """Eight hide one effect, two one of another form, three two, one three, three an alien, three none, at any seed."""
     for seed in range(5):
         kinds = Counter(draw.draw_plan(seed, n).kind for n in range(20, 40))
         assert kinds == {"single": 8, "form": 2, "two": 3, "three": 1, "alien": 3, "none": 3}
+    # Two look-alikes suffice for sessions of one effect.
+    few = ("rail_x.coulomb", "rail_x.stiction")
+    plans = draw.draw_plans(7, few, kinds=("single",))
+    assert {next(iter(plan.hidden)) for plan in islice(plans, 4)} == set(few)
+    # Session 12 is the same alone, in a long run and in a run of its kind only; another seed has another.
+    alone = draw.draw_plan(5, 12)
+    among: Iterator = draw.draw_plans(5)
+    assert [next(among) for _ in range(13)][12] == alone
+    assert next(p for p in draw.draw_plans(5, kinds=(alone.kind,)) if p.number == 12) == alone
+    assert draw.draw_plan(6, 12) != alone
+    assert len({draw.draw_plan(5, n).wind for n in range(6)}) == 6
 
 
 @pytest.mark.parametrize(
@@ -95,23 +106,6 @@ def test_small_deviations_leave_no_gap_and_are_no_look_alikes() -> None:
         together = plan.known | set(plan.small)
         assert len(together) == len(plan.known) + len(plan.small)
         assert all(not (group & set(plan.small)) or len(group & together) < 2 for group in LOOK_ALIKES)
-
-
-def test_kinds_that_are_not_asked_for_are_not_drawn() -> None:
-    """Two look-alikes suffice for sessions of one effect."""
-    few = ("rail_x.coulomb", "rail_x.stiction")
-    plans = draw.draw_plans(7, few, kinds=("single",))
-    assert {next(iter(plan.hidden)) for plan in islice(plans, 4)} == set(few)
-
-
-def test_a_session_depends_on_seed_and_number_only() -> None:
-    """Session 12 is the same alone, in a long run and in a run of its kind only; another seed has another."""
-    alone = draw.draw_plan(5, 12)
-    among: Iterator = draw.draw_plans(5)
-    assert [next(among) for _ in range(13)][12] == alone
-    assert next(p for p in draw.draw_plans(5, kinds=(alone.kind,)) if p.number == 12) == alone
-    assert draw.draw_plan(6, 12) != alone
-    assert len({draw.draw_plan(5, n).wind for n in range(6)}) == 6
 
 
 def test_rates_of_single_effects() -> None:

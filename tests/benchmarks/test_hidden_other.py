@@ -70,25 +70,16 @@ def test_rates_are_as_counted_by_hand() -> None:
     assert rows["strength of named effects: inside the 90 % interval"] == "100.0 % (3 of 3)"
     assert rows["diagnosis failed"] == "10.0 % (1 of 10)"
     assert rows["memory of a diagnosis"] == "800 MB at most"
-
-
-def test_a_session_that_cannot_be_recorded_is_no_diagnosis_that_failed() -> None:
-    """It counts nowhere."""
+    # It counts nowhere.
     lost = Case(mechanisms.MechanismPlan(10, "unrecorded"), None, error="not recorded")
     rows = table([*make_cases(), lost])
     assert rows["diagnosis failed"] == "10.0 % (1 of 10)"
     assert rows["confidently wrong"] == "11.1 % (1 of 9)"
-
-
-def test_the_competitions_figures_take_both_proving_grounds() -> None:
-    """Scores and groups of the drone's sessions are those of these: detection of 5 of 8 with something hidden."""
+    # Scores and groups of the drone's sessions are those of these: detection of 5 of 8 with something hidden.
     rows = {row.name: row.text for row in scores.score(make_cases())}
     assert rows["detection rate: something hidden, something named or unexplained"] == "75.0 % (6 of 8)"
     assert "| carriage | 10 |" in scores.format_groups(make_cases(), "family", "rig")
-
-
-def test_cases_survive_json() -> None:
-    """A results file gives the same cases back, plans of other rigs among them."""
+    # A results file gives the same cases back, plans of other rigs among them.
     cases = make_cases()
     written = json.loads(json.dumps([case.as_dict() for case in cases]))
     assert [Case.from_dict(content) for content in written] == cases

@@ -38,16 +38,10 @@ def test_regimes_are_octaves_of_what_is_large(bench: Bench) -> None:
         assert bench.regime({DAMPING: times * FAR * size}) == {("slide.viscous", octave)}
     both = {DAMPING: 3.0 * FAR * size, FORCE: 1.5 * FAR * size_of(bench, "slide.coulomb")}
     assert bench.regime(both) == {("slide.viscous", 1), ("slide.coulomb", 0)}
-
-
-def test_a_limit_that_nothing_reaches_is_no_regime(bench: Bench) -> None:
-    """Its off value is far from everything."""
+    # Its off value is far from everything.
     limit = find_effect(bench.spec.catalogue, "motor.rate_limit").parameters[0]
     assert bench.regime({("motor.rate_limit", limit.name): limit.off}) == frozenset()
-
-
-def test_what_sticks_may_yield_and_what_is_large_stays(bench: Bench) -> None:
-    """Without dry friction, with strong damping; slight damping is as good as none."""
+    # Without dry friction, with strong damping; slight damping is as good as none.
     size = size_of(bench, "slide.viscous")
     strong, slight = {DAMPING: 3.0 * FAR * size}, {DAMPING: size}
     rubs = {FORCE: 100.0 * size_of(bench, "slide.coulomb"), STICTION: 1.0}
@@ -67,10 +61,7 @@ def test_a_simulation_that_diverges_is_far_off_and_finite(bench: Bench) -> None:
     assert missed[0, 1, 7] == ASTRAY * bench.std[1, 7]
     np.testing.assert_allclose(missed[0, 2], np.where(bench.valid[2], 0.25, 0.0))
     assert not missed[1].any()
-
-
-def test_nothing_is_so_far_off_that_squares_overflow(bench: Bench) -> None:
-    """What diverged to 1e300 is off by 1e8 noises, as is a change by so much; what is unknown changed nothing."""
+    # What diverged to 1e300 is off by 1e8 noises, as is a change by so much; what is unknown changed nothing.
     predicted = bench.measured.copy()
     predicted[0, :3] = 1e300
     far = np.where(bench.valid[0, :3], FARTHEST * bench.std[0, :3], 0.0)

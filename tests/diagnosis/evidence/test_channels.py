@@ -54,10 +54,7 @@ def test_bins_hold_the_mean_of_their_samples() -> None:
     np.testing.assert_allclose(channel.value, [[0.00375, 0.01375, 0.02375], [0.50375, 0.51375, 0.52375]])
     np.testing.assert_allclose(channel.std, 0.001)  # four samples: half the noise of one
     np.testing.assert_allclose(channel.weight, 0.25)
-
-
-def test_noise_of_estimators_does_not_average_out() -> None:
-    """Samples that share their error are worth no more than one of them, and no rigid-body floor is added."""
+    # Samples that share their error are worth no more than one of them, and no rigid-body floor is added.
     time = np.arange(400) / 400.0
     for kind in ("position", "velocity"):
         channel = bin_one(lay_windows([0.0], 0.03), Series("x", "m", time, time, 0.002, white=False), kind)

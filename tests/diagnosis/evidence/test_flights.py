@@ -51,6 +51,9 @@ def test_of_one_flight_every_third_block_is_held_out() -> None:
     np.testing.assert_allclose(judging, SETTLE + 0.1 * tenths[tenths // 30 % 3 == 2])
     everything = np.sort(np.concatenate([fitted, judging]))
     np.testing.assert_array_equal(everything, list_starts([fly(30.0)], 0.7)[0])
+    # 5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge.
+    split = split_flights([fly(5.0)], 0.3)
+    assert (len(split.fitted[0]), len(split.held_out[0])) == (10, 5)
 
 
 @pytest.mark.parametrize(
@@ -76,12 +79,6 @@ def test_inputs_that_only_judges_have_are_fitted() -> None:
     np.testing.assert_allclose((split.held_out[0] - SETTLE + 1e-9) // 3.0 % 3, 1)
 
 
-def test_the_shortest_flight_of_the_drone_has_windows_that_judge() -> None:
-    """5 s hold 15 windows of 0.3 s, 4.5 s in blocks of 1.5 s: the last five judge."""
-    split = split_flights([fly(5.0)], 0.3)
-    assert (len(split.fitted[0]), len(split.held_out[0])) == (10, 5)
-
-
 @pytest.mark.parametrize("duration", [5.0, 6.5, 9.0])
 def test_too_few_windows_that_judge_are_refused(duration: float) -> None:
     """Windows of 1 s need a flight of 9.4 s: with fewer than three that judge, chance would name causes."""
@@ -96,6 +93,12 @@ def test_too_many_windows_are_thinned_out_evenly() -> None:
     for judging, every in ((False, 5), (True, 9)):
         for all_of_them, kept in zip(starts, thin_out(load_twin(), starts, judging)):
             np.testing.assert_array_equal(kept, all_of_them[::every])
+    # Nothing is left out below the limit.
+    starts = [np.arange(150.0), np.arange(90.0)]
+    assert thin_out(load_twin(), starts) is starts
+    # Windows of 1 s start every 0.6 s where short ones last 0.3 s: the first multiple of 0.3 s from half a second.
+    (starts,) = long_starts([SETTLE + 0.3 * np.arange(20)], 0.3)
+    np.testing.assert_allclose(np.diff(starts), 0.6)
 
 
 @pytest.mark.parametrize(("joints", "every"), [(1, 2), (2, 3), (3, 4), (6, 9)])
@@ -105,18 +108,6 @@ def test_of_somebody_elses_rig_fewer_windows_are_looked_at(joints: int, every: i
     chain = "".join(body.format(i) for i in range(joints)) + "</body>" * joints
     (kept,) = thin_out(load_rig(f"<mujoco><worldbody>{chain}</worldbody></mujoco>"), [np.arange(180.0)])
     np.testing.assert_array_equal(kept, np.arange(0.0, 180.0, every))
-
-
-def test_few_windows_all_stay() -> None:
-    """Nothing is left out below the limit."""
-    starts = [np.arange(150.0), np.arange(90.0)]
-    assert thin_out(load_twin(), starts) is starts
-
-
-def test_long_windows_overlap_by_half_at_most() -> None:
-    """Windows of 1 s start every 0.6 s where short ones last 0.3 s: the first multiple of 0.3 s from half a second."""
-    (starts,) = long_starts([SETTLE + 0.3 * np.arange(20)], 0.3)
-    np.testing.assert_allclose(np.diff(starts), 0.6)
 
 
 def test_sparse_flights_are_refused() -> None:

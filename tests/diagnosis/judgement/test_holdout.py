@@ -34,6 +34,23 @@ def test_improvement_by_hand() -> None:
     assert gain == pytest.approx(4.0)
     assert 0.5 * (1.0 - 2.0 / np.sqrt(6.0)) == pytest.approx(0.0918, abs=1e-4)
     assert error == pytest.approx(4.0 / 1.3301, rel=1e-3)
+    # A single window has no scatter; a hundred that agree to the last digit are as many deviations as doubles hold.
+    assert to_deviations(5.0, 1) == 0.0
+    assert 30.0 < to_deviations(1e12, 100) < 40.0
+    assert improvement(np.array([1.0, 2.0]), np.array([2.0, 1.0]), 4.0) == (0.0, pytest.approx(2.0))
+    # 99 drops of 1 and one of 100: rms √100.99 = 10.05, so that the one counts as 40.2.
+    before = np.ones(100)
+    before[30] = 100.0
+    gain, _ = improvement(before, np.zeros(100), 4.0)
+    assert gain == pytest.approx(99.0 + 4.0 * np.sqrt(100.99))
+    loss, _ = improvement(np.zeros(100), before, 4.0)
+    assert loss == pytest.approx(-gain)
+    # A single window that gets a thousand times better has no standard error; one among twenty doesn't convince.
+    assert improvement(np.array([1000.0]), np.array([1.0]), 4.0)[1] == np.inf
+    before, after = np.full(20, 10.0), np.full(20, 10.5)
+    before[7], after[7] = 1e4, 10.0
+    gain, error = improvement(before, after, 4.0)
+    assert gain < 2.0 * error
 
 
 @pytest.mark.parametrize(("times", "number"), [(12.706, 2), (4.303, 3), (-2.571, 6), (2.042, 31), (1.960, 10**6)])
@@ -42,40 +59,11 @@ def test_few_must_agree_by_more(times: float, number: int) -> None:
     assert to_deviations(times, number) == pytest.approx(np.copysign(1.960, times), abs=1e-3)
 
 
-def test_one_tells_nothing_and_certainty_is_finite() -> None:
-    """A single window has no scatter; a hundred that agree to the last digit are as many deviations as doubles hold."""
-    assert to_deviations(5.0, 1) == 0.0
-    assert 30.0 < to_deviations(1e12, 100) < 40.0
-    assert improvement(np.array([1.0, 2.0]), np.array([2.0, 1.0]), 4.0) == (0.0, pytest.approx(2.0))
-
-
-def test_a_window_astray_counts_as_four_times_the_rest() -> None:
-    """99 drops of 1 and one of 100: rms √100.99 = 10.05, so that the one counts as 40.2."""
-    before = np.ones(100)
-    before[30] = 100.0
-    gain, _ = improvement(before, np.zeros(100), 4.0)
-    assert gain == pytest.approx(99.0 + 4.0 * np.sqrt(100.99))
-    loss, _ = improvement(np.zeros(100), before, 4.0)
-    assert loss == pytest.approx(-gain)
-
-
-def test_one_window_decides_nothing() -> None:
-    """A single window that gets a thousand times better has no standard error; one among twenty doesn't convince."""
-    assert improvement(np.array([1000.0]), np.array([1.0]), 4.0)[1] == np.inf
-    before, after = np.full(20, 10.0), np.full(20, 10.5)
-    before[7], after[7] = 1e4, 10.0
-    gain, error = improvement(before, after, 4.0)
-    assert gain < 2.0 * error
-
-
-def test_blocks_are_stretches_of_a_flight() -> None:
-    """Windows within 1.5 s count as one; those of another flight never do."""
+def test_blocks_by_hand() -> None:
+    """Windows within 1.5 s count as one block, those of another flight never do."""
     bench = lay_bench([0.0, 0.9 * CRITERIA.block, 1.1 * CRITERIA.block, 5.2 * CRITERIA.block, 0.1], [0, 0, 0, 0, 1])
     np.testing.assert_array_equal(blocks_of(bench.windows, CRITERIA.block), [0, 0, 1, 2, 3])
-
-
-def test_sums_over_blocks_by_hand() -> None:
-    """Rows 1, 2 and 4 of blocks 0, 1, 0: 5 and 2, column by column."""
+    # Rows 1, 2 and 4 of blocks 0, 1, 0: 5 and 2, column by column.
     rows = np.array([[1.0, 10.0], [2.0, 20.0], [4.0, 40.0]])
     np.testing.assert_array_equal(sum_blocks(rows, np.array([0, 1, 0])), [[5.0, 50.0], [2.0, 20.0]])
 
@@ -93,15 +81,12 @@ def test_blocks_are_drawn_with_replacement() -> None:
     assert drawn[:, 1].var() == pytest.approx(38.0, rel=0.1)
 
 
-def test_errors_at_a_horizon_are_those_of_its_last_two_bins() -> None:
+def test_errors_by_hand() -> None:
     """Squares 1 to 6 in bins of 10 ms: near 50 ms 4.5, near 10 ms the only bin's 1; empty bins do not count."""
     square = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [1.0, 2.0, 3.0, np.nan, 5.0, 6.0], [np.nan] * 6])
     np.testing.assert_array_equal(last_bins(square, 0.05), [4.5, 5.0, np.nan])
     np.testing.assert_array_equal(last_bins(square, 0.01), [1.0, 1.0, np.nan])
-
-
-def test_means_are_over_windows_that_were_measured() -> None:
-    """Squares 9 and 16 and a gap: √12.5; nothing but gaps: nothing."""
+    # Squares 9 and 16 and a gap: √12.5; nothing but gaps: nothing.
     squares = np.array([[9.0, np.nan], [np.nan, np.nan], [16.0, np.nan]])
     np.testing.assert_allclose(mean_over(squares), [np.sqrt(12.5), np.nan])
 
@@ -234,7 +219,7 @@ def test_how_strongly_it_blew_elsewhere_does_not_decide(rubbing: HeldOut) -> Non
     assert gain > 3.0 * error
 
 
-def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
+def test_the_truth_is_favoured(rubbing: HeldOut) -> None:
     """The true friction makes no error worse and is favoured over none and twice as much; those are not over it."""
     for other in ({}, DOUBLE):
         assert rubbing.errors.prefer(other, TRUTH) > 2.0
@@ -242,10 +227,7 @@ def test_errors_favour_the_truth(rubbing: HeldOut) -> None:
         assert rubbing.errors.worsens(TRUTH, other)
         assert not rubbing.errors.worsens(other, TRUTH)
     assert not rubbing.errors.worsens(TRUTH, TRUTH)
-
-
-def test_the_truth_settles_what_was_missed(rubbing: HeldOut) -> None:
-    """Chi² from far above the noise to it; not the other way round, nor where nothing changes."""
+    # Chi² from far above the noise to it; not the other way round, nor where nothing changes.
     assert rubbing.chi2({}) > 4.0 > 2.0 > rubbing.chi2(TRUTH)
     assert rubbing.settles({}, TRUTH)
     assert not rubbing.settles(TRUTH, {})

@@ -79,10 +79,7 @@ def test_the_way_come_by_hand() -> None:
     time, flight = np.array([2.0, 0.0, 1.0, 0.0]), np.array([0, 0, 0, 1])
     way = leave_behind(np.array([1.0, 0.0, 1.0, 5.0]), time, flight, 1.0)
     np.testing.assert_allclose(way, [np.exp(-2.0), 0.0, np.exp(-1.0), 0.0])
-
-
-def test_nothing_missing_follows_nothing() -> None:
-    """A force of zero has no strength and no innovations."""
+    # A force of zero has no strength and no innovations.
     push = inspect(np.zeros(480))
     assert (push.sigma, push.strength, push.foretold) == (0.0, 0.0, 0.0)
 

@@ -53,15 +53,11 @@ def test_all_results_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert effects == {"rail_x.coulomb": {"force": 0.306}, "gyro.bias": {"bias": 0.012}}
 
 
-def test_json_is_an_additional_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--json FILE` holds what verdict.json holds; the summary is printed as ever."""
+def test_json_is_a_copy_or_all_that_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--json FILE` holds what verdict.json holds, beside the summary; `--json -` prints it alone, for a pipe."""
     assert run(tmp_path / "out", "--json", str(tmp_path / "copy.json")) == 0
     assert (tmp_path / "copy.json").read_bytes() == (tmp_path / "out/verdict.json").read_bytes()
     assert "Dry friction" in capsys.readouterr().out
-
-
-def test_json_on_stdout_is_all_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--json -` prints the verdict in place of the summary, and progress goes to stderr: a pipe can read it."""
     assert run(tmp_path / "out", "--json", "-") == 0
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out/verdict.json").read_text())
     assert not (tmp_path / "-").exists()
@@ -209,17 +205,13 @@ def test_an_old_verdict_that_makes_no_sense_is_replaced(tmp_path: Path, content:
     assert result.list_stale(tmp_path) == []
 
 
-def test_a_folder_in_the_place_of_a_result_is_refused(tmp_path: Path) -> None:
-    """It may be somebody's; it is neither replaced nor emptied."""
+def test_what_stands_in_the_way_is_refused(tmp_path: Path) -> None:
+    """A folder in the place of a result, a file in that of the folder: neither replaced nor emptied."""
     (tmp_path / "report.html").mkdir()
     (tmp_path / "report.html/keep").write_text("mine")
     with pytest.raises(InputError, match=r"report\.html is a folder"):
         diagnose_logs([FLIP], "nominal", tmp_path)
     assert list_files(tmp_path) == {"report.html/keep": b"mine"}
-
-
-def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
-    """One line that says so."""
     (tmp_path / "out").write_text("mine")
     with pytest.raises(InputError, match="cannot write to"), stage_results(tmp_path / "out", []):
         pass

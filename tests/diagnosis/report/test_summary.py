@@ -274,27 +274,19 @@ def test_two_causes_are_told_apart() -> None:
 
 
 def test_what_is_left_in_words() -> None:
-    """Share, significance, where it lives and what it follows."""
+    """Share, significance, where it lives and what it follows; the error before and after, and its noise."""
     left = Unexplained(True, 0.24, "force on rail_x", ["rail_x position", "rail_x velocity"], 5.13)
     assert summarise(VERDICT, NOISE, {}).unexplained.startswith("Nothing")
     assert summarise(replace(VERDICT, unexplained=left), NOISE, {}).unexplained == (
         "24 % of the force that the twin missed is left unexplained, 5.1 sigma beyond chance, "
         "most of it in force on rail_x; it follows rail_x position and rail_x velocity."
     )
-
-
-def test_the_error_in_words() -> None:
-    """Before, after, the interval of the change and the noise of the sensors, a quarter of a second ahead."""
     change = {"position_rmse_m": [(-0.1, 0.02), (-0.2, -0.1), (-0.66, -0.51), (-0.5, -0.4), (-0.3, -0.2)]}
     assert summarise(replace(VERDICT, improvement=change), NOISE, {}).error == (
         "On log that no fit has seen, the position error 0.25 s ahead goes from 5 to 2 mm (−66 to −51 %, 90 % "
         "interval); sensor noise alone makes 0.566 mm."
     )
     assert "the position error 0.25 s ahead is 5 mm" in summarise(replace(VERDICT, causes=[]), SILENT, {}).error
-
-
-def test_the_next_flight_in_words() -> None:
-    """The manoeuvre with what it separates, in words and by id."""
     told = Experiment("x_steps", {"size": 0.5}, ["servo.lag", "command.delay"], 5.24, "vpptwin fly")
     summary = summarise(replace(VERDICT, experiment=told), NOISE, {"servo.lag": "a slow servo"})
     expected = "x_steps (size 0.5): it is predicted to set a slow servo (servo.lag) and command.delay 5.2 sigma apart."
@@ -312,10 +304,7 @@ def test_tables_are_in_thousandths() -> None:
     assert len(position.rows) == len(HORIZONS_S)
     (only, *_) = tabulate_errors(replace(BEFORE, position_rmse_m=None), None, SILENT)
     assert (only.quantity, only.rows[4].before, only.rows[4].after, only.noise) == ("angle", "50", "", "")
-
-
-def test_tables_tell_whether_anything_changed() -> None:
-    """By more than 2 % at some horizon; without a second score all is worth a look."""
+    # By more than 2 % at some horizon; without a second score all is worth a look.
     slightly = replace(BEFORE, angle_rmse_rad=[1.01 * error for error in BEFORE.angle_rmse_rad or []])
     changed = {table.quantity: table.changed for table in tabulate_errors(BEFORE, slightly, NOISE)}
     assert changed == {"position": False, "angle": False, "θ rate": False}

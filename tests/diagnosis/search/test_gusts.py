@@ -92,10 +92,7 @@ def test_gusts_are_alike_within_a_third_of_a_second() -> None:
     start = np.array([1.0])
     np.testing.assert_allclose(likeness_of_gusts(lay_bench(start), time), [[[1, a, b], [a, 1, a], [b, a, 1]]])
     np.testing.assert_array_equal(likeness_of_gusts(lay_bench(start, outdoors=False), time), [np.eye(3)])
-
-
-def test_segments_lie_in_the_middle_of_their_tenths() -> None:
-    """A window from 2 s on has gusts about 2.05, 2.15 and 2.25 s."""
+    # A window from 2 s on has gusts about 2.05, 2.15 and 2.25 s.
     np.testing.assert_allclose(middles_of_segments(lay_bench(np.array([2.0]))), [[2.05, 2.15, 2.25]])
 
 
@@ -104,10 +101,7 @@ def test_windows_that_follow_each_other_are_coupled() -> None:
     found = list_stretches(lay_bench(SHUFFLED, FLIGHT))
     assert [list(part) for part in found] == TOGETHER
     assert [list(part) for part in list_stretches(lay_bench(SHUFFLED, FLIGHT, False))] == [[k] for k in range(7)]
-
-
-def test_a_stretch_ends_where_gusts_have_forgotten_each_other() -> None:
-    """A break is one of more than FORGOTTEN times their memory after a window's end."""
+    # A break is one of more than FORGOTTEN times their memory after a window's end.
     reach = LENGTH + FORGOTTEN * GUST_TIME
     near, far = (list_stretches(lay_bench(np.array([0.0, reach + d]))) for d in (-1e-3, 1e-3))
     assert [len(part) for part in near] == [2]

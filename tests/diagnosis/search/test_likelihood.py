@@ -91,9 +91,10 @@ def write_covariance(gust: float = 1.0) -> np.ndarray:
     return np.asarray(covariance + gust**2 * push @ ALIKE @ push.T)
 
 
-def test_gusts_are_a_share_of_the_typical_force(bench: Bench) -> None:
-    """0.2 % of 20 N."""
+def test_a_response_by_hand(bench: Bench, response: Response) -> None:
+    """Gusts are 0.2 % of 20 N; of eight windows of 80 values each has a fitted position and velocity."""
     np.testing.assert_allclose(gust_std(bench), [GUST])
+    assert response.freedom == COUNT * (2 * BINS - 2)
 
 
 @pytest.mark.parametrize("gust", [0.5, 1.0, 20.0])
@@ -156,18 +157,16 @@ def test_the_starting_state_is_marginalised(bench: Bench, likelihood: Likelihood
     assert (alone > 1e3 * prior).all()
 
 
-def test_freedom_counts_values_less_starting_states(response: Response) -> None:
-    """Eight windows of 80 values, each with a fitted position and velocity."""
-    assert response.freedom == COUNT * (2 * BINS - 2)
-
-
-def test_pushes_act_where_and_when_they_should(bench: Bench) -> None:
+def test_forces_act_as_newton_says(bench: Bench) -> None:
     """5 N on 2 kg during the third tenth: nothing before 0.2 s, 0.25 m/s more after 0.3 s."""
     plain, pushed = bench.simulate([Variation(), Variation(push=(2, 0, 5.0))]).velocity[..., 0]
     gained = pushed - plain
     np.testing.assert_allclose(gained[:, :101], 0.0, atol=1e-12)
     np.testing.assert_allclose(gained[:, 125], 0.125, atol=1e-9)
     np.testing.assert_allclose(gained[:, 150:], 0.25, atol=1e-9)
+    # 0.5 N on 2 kg: 0.3 m/s fall by 0.25 m/s² · 0.4 s = 0.1 m/s.
+    velocity = bench.simulate([Variation({("slide.coulomb", "force"): 0.5})]).velocity
+    np.testing.assert_allclose(velocity[0, :, -1, 0], SPEED - 0.1, atol=1e-3)
 
 
 def test_variations_side_by_side_equal_each_alone(bench: Bench) -> None:
@@ -181,12 +180,6 @@ def test_variations_side_by_side_equal_each_alone(bench: Bench) -> None:
     together = bench.predict(variations)
     for i, variation in enumerate(variations):
         np.testing.assert_array_equal(bench.predict([variation])[0], together[i])
-
-
-def test_coulomb_friction_slows_the_cart_as_newton_says(bench: Bench) -> None:
-    """0.5 N on 2 kg: 0.3 m/s fall by 0.25 m/s² · 0.4 s = 0.1 m/s."""
-    velocity = bench.simulate([Variation({("slide.coulomb", "force"): 0.5})]).velocity
-    np.testing.assert_allclose(velocity[0, :, -1, 0], SPEED - 0.1, atol=1e-3)
 
 
 def test_whitening_by_hand() -> None:

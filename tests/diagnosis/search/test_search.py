@@ -101,15 +101,12 @@ def test_limits_are_ranked_as_they_are(problem: tuple[np.ndarray, np.ndarray, np
         assert start.values == {("limit", "rate"): 4.0}
 
 
-def test_a_window_that_goes_astray_counts_less() -> None:
+def test_windows_astray_count_less() -> None:
     """Mean squares 1, 1, 9 and 299 with median 5: usual misfit 15; weights 1, 1, 1, and √(30 / 314)."""
     residual = np.sqrt(np.array([1.0, 1.0, 9.0, 299.0]))[:, None] * np.ones((4, 2))
     weight = weigh_windows(residual, np.ones((4, 2), dtype=bool), 3.0)
     np.testing.assert_allclose(weight, np.repeat([1.0, 1.0, 1.0, np.sqrt(30.0 / 314.0)], 2))
-
-
-def test_bins_without_samples_do_not_excuse_a_window() -> None:
-    """A window measured in one bin of four has the mean square of that bin: 400, not 100."""
+    # A window measured in one bin of four has the mean square of that bin: 400, not 100.
     residual, valid = np.ones((3, 4)), np.ones((3, 4), dtype=bool)
     residual[2], valid[2] = [20.0, 0.0, 0.0, 0.0], [True, False, False, False]
     weight = weigh_windows(residual, valid, 3.0).reshape(3, 4)

@@ -90,15 +90,12 @@ def test_secants_never_leave_the_bounds() -> None:
                 assert abs(step) == p.size
 
 
-def test_secants_of_limits_are_shares_of_them() -> None:
-    """Downwards, where a limit acts more; upwards at the lower bound."""
+def test_secants_by_hand() -> None:
+    """Of limits shares of them: downwards, where a limit acts more; upwards at the lower bound."""
     assert RATE.step_from(10.0) == pytest.approx(-10.0 * LIMIT_STEP)
     assert RATE.step_from(0.5) == pytest.approx(0.5 * LIMIT_STEP)
     assert RATE.scale_at(10.0) == pytest.approx(10.0 * LIMIT_STEP)
-
-
-def test_secants_stop_at_a_bound_where_neither_way_has_room() -> None:
-    """Between 0 and 1 with a size of 3: from 0.2 up to 1, from 0.8 down to 0."""
+    # Between 0 and 1 with a size of 3: from 0.2 up to 1, from 0.8 down to 0.
     parameter = Parameter(name="p", unit="", off=0.0, low=0.0, high=1.0, prior=Prior("normal", 0.0, 0.1), size=3.0)
     unknown = Unknown(bias(PLACE), parameter, 0.0)
     assert unknown.step_from(0.2) == pytest.approx(0.8)
@@ -109,16 +106,10 @@ def test_limits_are_tried_where_the_commands_run_into_them() -> None:
     """What |u| uniform on 0 to 1 has above L is (1 - L)^1.5 of its root mean square, from 1/128 of it to a half."""
     found = list_limits(CLIP, UNIFORM)
     np.testing.assert_allclose(found, 1.0 - np.array(CUT) ** (2.0 / 3.0), rtol=1e-3)
-
-
-def test_rates_are_tried_by_how_long_the_commands_span_takes() -> None:
-    """96 % of a uniform command of ±1 span 1.92; crossed in 15, 30, 60, 120, 250 and 500 ms."""
+    # 96 % of a uniform command of ±1 span 1.92; crossed in 15, 30, 60, 120, 250 and 500 ms.
     found = list_limits(RATE, UNIFORM)
     np.testing.assert_allclose(found, 1.92 / np.array([0.015, 0.03, 0.06, 0.12, 0.25, 0.5]), rtol=1e-4)
-
-
-def test_limits_beyond_their_bounds_are_not_tried() -> None:
-    """Commands ten times as small: rates under 0.5 rad/s and angles under 0.05 rad drop out; still ones try nothing."""
+    # Commands ten times as small: rates under 0.5 rad/s and angles under 0.05 rad drop out; still ones try nothing.
     small = command(0.1 * UNIFORM.windows.command)
     np.testing.assert_allclose(list_limits(RATE, small), 0.192 / np.array([0.015, 0.03, 0.06, 0.12, 0.25]), rtol=1e-4)
     np.testing.assert_allclose(list_limits(CLIP, small), 0.1 - 0.1 * np.array(CUT[:6]) ** (2.0 / 3.0), rtol=1e-3)
@@ -231,25 +222,19 @@ def test_on_a_rig_that_nobody_knows_effects_are_tried_at_several_sizes() -> None
         assert list_trials((Unknown(effect, parameter, 0.0),), UNIFORM) == ()
 
 
-def test_shapes_are_tried_at_every_size() -> None:
+def test_what_else_is_tried_where_nobody_knows_the_rig() -> None:
     """A spring at three sizes and seven rests."""
     effect, unknowns = shaped(0.16)
     trials = list_trials(unknowns, FOREIGN)
     sizes = [s for s in effect.parameters[0].size * np.array([1.0, 5.0, 25.0]) if s <= effect.parameters[0].high]
     assert len(trials) == 7 * len(sizes)
     assert {t.values["rail.spring", "stiffness"] for t in trials} == set(sizes)
-
-
-def test_what_the_twin_has_may_be_wrong_altogether() -> None:
-    """Damping of 0.4 that the twin of such a rig has is tried off, halved and doubled: up to its bound."""
+    # Damping of 0.4 that the twin of such a rig has is tried off, halved and doubled: up to its bound.
     damping = replace(viscous(PLACE).parameters[0], low=0.0, high=1.0, size=0.1)
     for nominal, sizes in ((0.4, [0.0, 0.2, 0.8]), (0.6, [0.0, 0.3])):
         trials = list_trials((Unknown(viscous(PLACE), damping, nominal),), FOREIGN)
         np.testing.assert_allclose([t.values["rail.viscous", "damping"] for t in trials], sizes)
-
-
-def test_of_many_suspects_none_is_tried_at_its_typical_size() -> None:
-    """Of an arm's more than 40: five and 25 typical sizes either way, as a spring of 50 took for damping was missed."""
+    # Of an arm's more than 40: five and 25 typical sizes either way, as a spring of 50 took for damping was missed.
     force = replace(bias(PLACE).parameters[0], low=-10.0, high=10.0, size=0.1)
     many = tuple(Unknown(replace(bias(PLACE), id=f"j{i}.bias"), force, 0.0) for i in range(MANY + 1))
     trials = list_trials(many, FOREIGN)
