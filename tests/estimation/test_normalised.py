@@ -12,7 +12,7 @@ import pytest
 from pyarrow import parquet
 
 from benchmarks.guesses import write_model
-from tests.estimation.test_guess import write_log
+from tests.mapping.test_guess import write_log
 from vpptwin.cli.main import main
 from vpptwin.estimation.checks.units import LoggedPosition, find_ends, find_normalised
 from vpptwin.estimation.measurements import read_measurements

@@ -50,10 +50,10 @@ def measure_forces(spec: TwinSpec, measurements: Sequence[Measurements], late: f
     return Forces(*(np.concatenate(rows) for rows in zip(*parts)))
 
 
-def measure_log(spec: TwinSpec, log: Measurements, index: int, most: int, late: float) -> tuple[np.ndarray, ...]:
+def measure_log(spec: TwinSpec, log: Measurements, index: int, count: int, late: float) -> tuple[np.ndarray, ...]:
     """The rows of `Forces` of one log, at most so many."""
     model, log = spec.model, log.in_eights()  # a span that tells a state best would smear a tight spot
-    times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, most)
+    times = np.linspace(log.start + LOOK_BACK, log.end - LOOK_BACK, count)
     times = times[usable_starts(log, times - REACH, 2.0 * REACH)]
     around = [estimate_states(log, times + side, model, False) for side in (-REACH, 0.0, REACH)]
     if log.driven:
@@ -86,7 +86,7 @@ def invert(
         mujoco.mj_fwdActuation(model, data)
         actuator[i] = data.qfrc_actuator
         data.qacc[:] = acceleration[i]
-        mujoco.mj_inverse(model, data)
+        mujoco.mj_inverse(model, data)  # M(q) a + c(q, v) (Featherstone, ch. 5)
         mujoco.mj_mulM(model, data, inertial[i], acceleration[i])
         missing[i] = data.qfrc_inverse - actuator[i]
     return inertial, actuator, missing

@@ -21,13 +21,13 @@ SAMPLES = 8.0
 """Samples of somebody's smooth estimate used on either side where the log has not told how many."""
 SPANS = (4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 45.0, 60.0)
 """Samples from which the log tells; farther away than `HORIZON` none is used."""
-AHEAD, TRIED, ALIKE = 2, 1000, 1.15
+AHEAD, TRIED, TOLERANCE = 2, 1000, 1.15
 """Samples ahead that a parabola foretells, instants at which it does, and what its error may be of the least."""
 HORIZON = 0.15
 """Measurements used on either side of an instant [s]."""
 SMOOTH = 0.3
 """The same along a track, ever less of them [s]: what rings magnifies every jolt."""
-LEAST = 0.01
+MIN_WEIGHT = 0.01
 """Of the weight there of the farthest, where there are hardly any."""
 DRIFT_STD = 0.1
 """Prior on a leftover angular acceleration [rad/s²] once a gyro has been integrated."""
@@ -57,7 +57,7 @@ def estimate_states(
         Pose (K, nq) and velocity (K, nv); zero for degrees of freedom that are not measured.
     """
     track = until is not None
-    until = known_until(times, causal) if until is None else until
+    until = limit_times(times, causal) if until is None else until
     pose, velocity = follow_log(measurements, times, model)
     displacement = {} if measurements.dead_reckon is None else measurements.dead_reckon(measurements, model)
     turning = [first + axis for first in measurements.attitudes for axis in range(3)]
@@ -66,12 +66,16 @@ def estimate_states(
             continue
         moved = displacement.get(dof)
         rate = None if moved is not None else measurements.velocities.get(dof)
-        pose[:, find_place(model, dof)], velocity[:, dof] = fit_local(series, rate, moved, times, until, track)
+        horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
+        pose[:, find_place(model, dof)], velocity[:, dof], _ = fit_parabola(
+            series, rate, moved, times, until, horizon, track
+        ).T
     for first, attitude in measurements.attitudes.items():
         place, axes = find_place(model, first), range(first, first + 3)
         gyro = [measurements.velocities[axis] for axis in axes if axis in measurements.velocities]
-        found = fit_attitude(attitude, gyro if len(gyro) == 3 else [], times, until)
-        pose[:, place : place + 4], velocity[:, first : first + 3] = found
+        pose[:, place : place + 4], velocity[:, first : first + 3] = fit_attitude(
+            attitude, gyro if len(gyro) == 3 else [], times, until
+        )
     for dof in displacement.keys() & measurements.velocities.keys():  # a rate that is measured itself
         velocity[:, dof] = fit_end(measurements.velocities[dof], times, RATE_SPAN, until)
     return pose, velocity
@@ -97,7 +101,7 @@ def follow_log(measurements: Measurements, times: np.ndarray, model: mujoco.MjMo
     return pose, velocity
 
 
-def known_until(times: np.ndarray, causal: bool) -> np.ndarray:
+def limit_times(times: np.ndarray, causal: bool) -> np.ndarray:
     """Until when measurements may be used for estimates at `times` (K,) [s]."""
     return times if causal else np.full(len(times), np.inf)
 
@@ -131,32 +135,15 @@ def list_samples(first: np.ndarray, stop: np.ndarray, count: int) -> tuple[np.nd
     return np.minimum(index, count - 1), index < stop[:, None]
 
 
-def fit_local(
-    series: Series,
-    rate: Series | None,
-    moved: Displacement | None,
-    times: np.ndarray,
-    until: np.ndarray,
-    track: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity at instants `times` (K,) by regularised least squares over the samples around each.
-
-    The model is position + velocity t + extra t²/2 on top of the known displacement `moved`; with no displacement
-    known the extra term is a free acceleration.
-
-    Returns:
-        Positions (K,) and velocities (K,).
-    """
-    horizon = find_horizon(series) if moved is None else SMOOTH if track else HORIZON
-    found = fit_parabola(series, rate, moved, times, until, horizon, track)
-    return found[:, 0], found[:, 1]
-
-
 def fit_parabola(
     series: Series, rate: Series | None, moved: Displacement | None, times: np.ndarray, until: np.ndarray,
     horizon: float, track: bool = False,
 ) -> np.ndarray:  # fmt: skip
-    """Position, velocity and extra acceleration at `times`, (K, 3), from samples within `horizon` [s]."""
+    """Position, velocity and extra acceleration at `times`, (K, 3), by regularised least squares.
+
+    The model is x(t) = x + v t + a t²/2 on top of the known displacement `moved`, over samples within `horizon` [s];
+    with no displacement known the extra term is a free acceleration (Savitzky and Golay 1964, with a prior on a).
+    """
     index, near = select_samples(series.time, times, horizon, until)
     t = series.time[index] - times[:, None]
     value = np.array(series.value[index], dtype=float)
@@ -203,14 +190,14 @@ def choose_span(series: Series, rate: Series | None) -> float:
         foretold = place + later * (speed + 0.5 * later * turn)
         missed.append(float(((foretold - series.value[at + AHEAD]) ** 2).mean()))
     best = int(np.argmin(missed))
-    while best + 1 < len(spans) and missed[best + 1] <= ALIKE**2 * min(missed):
+    while best + 1 < len(spans) and missed[best + 1] <= TOLERANCE**2 * min(missed):
         best += 1
     return spans[best]
 
 
 def taper(t: np.ndarray, horizon: float) -> np.ndarray:
     """Weight of samples at times `t` from an instant, falling to nothing at the horizon [s]; same shape."""
-    return np.maximum(1.0 - (t / horizon) ** 2, LEAST)
+    return np.maximum(1.0 - (t / horizon) ** 2, MIN_WEIGHT)
 
 
 def weigh_samples(
@@ -227,8 +214,8 @@ def solve_local(parts: Sequence[tuple[np.ndarray, np.ndarray]], curvature: float
     prior = np.broadcast_to(np.diag([1.0 / FREE, 1.0 / FREE, 1.0 / curvature]), (count, 3, 3))
     q, r = np.linalg.qr(np.concatenate([*(rows for rows, _ in parts), prior], axis=1))
     target = np.concatenate([*(value for _, value in parts), np.zeros((count, 3))], axis=1)
-    found: np.ndarray = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])[..., 0]
-    return found
+    solution: np.ndarray = np.linalg.solve(r, np.swapaxes(q, 1, 2) @ target[..., None])[..., 0]  # R x = Qᵀ y
+    return solution
 
 
 def fit_attitude(
@@ -237,7 +224,7 @@ def fit_attitude(
     """Attitude and rate about body axes at instants `times` (K,), from the samples around each.
 
     A gyro of three axes, where there is one, carries the attitude from sample to sample. What is left to turn from the
-    nearest one is fitted as a rotation vector, a local parabola as in `fit_local`.
+    nearest one is fitted as a rotation vector, a local parabola as in `fit_parabola`.
 
     Returns:
         Unit quaternions (K, 4) and rates (K, 3) rad/s.
@@ -250,10 +237,10 @@ def fit_attitude(
         carried = carry_attitude(gyro, np.concatenate([attitude.time, times]))
         turned = multiply_attitudes(conjugate(carried[: len(attitude.time)]), attitude.value)
         at = carried[len(attitude.time) :]
-    left = difference_attitudes(turned[base][:, None], turned[index])
+    residual = difference_attitudes(turned[base][:, None], turned[index])
     place, speed = np.zeros((len(times), 3)), np.zeros((len(times), 3))
     for axis in range(3):
-        rows = weigh_samples(t, near, attitude.std, (np.ones_like(t), t, 0.5 * t * t), left[..., axis])
+        rows = weigh_samples(t, near, attitude.std, (np.ones_like(t), t, 0.5 * t * t), residual[..., axis])
         place[:, axis], speed[:, axis] = solve_local([rows], DRIFT_STD if gyro else FREE)[:, :2].T
     pose = rotate(multiply_attitudes(at, turned[base]), place)
     if gyro:

@@ -18,7 +18,7 @@ COUNTED, FAST, DIGIT = 0.1, 20.0, 1e-3
 
 def find_spread(value: np.ndarray) -> float:
     """Noise from sample to sample of what is smooth otherwise, (n,), by its third differences."""
-    return float(np.median(np.abs(np.diff(value, 3)))) / 0.6745 / np.sqrt(20.0)
+    return float(np.median(np.abs(np.diff(value, 3)))) / 0.6745 / np.sqrt(20.0)  # Var(Δ³) = 20 σ², σ = MAD / 0.6745
 
 
 def find_count(value: np.ndarray) -> float:

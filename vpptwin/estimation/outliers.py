@@ -43,31 +43,31 @@ def find_spikes(time: np.ndarray, value: np.ndarray, std: float, curvature: floa
     value = value[:, None] if value.ndim == 1 else value
     wild = np.zeros(len(time), dtype=bool)
     for _ in range(ROUNDS):
-        left = np.flatnonzero(~wild)
-        if len(left) < 7:
+        remaining = np.flatnonzero(~wild)
+        if len(remaining) < 7:
             break
-        found = np.zeros(len(left), dtype=bool)
-        for column in value[left].T:
-            found |= miss_all(time[left], column, std, curvature or 0.0)
+        spikes = np.zeros(len(remaining), dtype=bool)
+        for column in value[remaining].T:
+            spikes |= miss_all(time[remaining], column, std, curvature or 0.0)
         if curvature is None:
-            found &= find_outside(value[left])
-        if not found.any():
+            spikes &= find_outside(value[remaining])
+        if not spikes.any():
             break
-        wild[left[found]] = True
+        wild[remaining[spikes]] = True
     return wild
 
 
 def find_outside(value: np.ndarray) -> np.ndarray:
     """Samples (n, k) that lie well outside the span of those around them, (n,) bool; ends are left alone."""
-    found = np.zeros(len(value), dtype=bool)
+    outside = np.zeros(len(value), dtype=bool)
     if len(value) <= 2 * AROUND:
-        return found
+        return outside
     for column in value.T:
         around = np.sort(sliding_window_view(column, 2 * AROUND + 1), axis=1)
         low, high = around[:, COMPANY], around[:, -1 - COMPANY]
         middle = column[AROUND:-AROUND]
-        found[AROUND:-AROUND] |= np.maximum(middle - high, low - middle) > OUTSIDE * (high - low)
-    return found
+        outside[AROUND:-AROUND] |= np.maximum(middle - high, low - middle) > OUTSIDE * (high - low)
+    return outside
 
 
 def miss_all(time: np.ndarray, value: np.ndarray, std: float, curvature: float) -> np.ndarray:
@@ -85,7 +85,7 @@ def miss_all(time: np.ndarray, value: np.ndarray, std: float, curvature: float) 
         miss = np.abs(value[rows] - value[a] - part * (value[b] - value[a]))
         spread = np.sqrt(1.0 + part**2 + (1.0 - part) ** 2)
         if (first, second) == PAIRS[0]:
-            noise = max(std, float(np.median(miss / spread)) / 0.6745)
+            noise = max(std, float(np.median(miss / spread)) / 0.6745)  # σ = MAD / 0.6745
         bend = 0.5 * curvature * np.abs((time[rows] - time[a]) * (time[b] - time[rows]))
         inside[inside] = miss <= SPREADS * noise * spread + bend
         missing = missing[~inside]
@@ -156,8 +156,8 @@ def clean_series(series: Series, label: str) -> tuple[Series, list[str]]:
     wild = find_spikes(series.time, series.value, series.std, None)
     if not wild.any():
         return series, []
-    left = replace(series, time=series.time[~wild], value=series.value[~wild])
-    return left, tell_left_out(label, wild, "are outliers")
+    kept = replace(series, time=series.time[~wild], value=series.value[~wild])
+    return kept, tell_left_out(label, wild, "are outliers")
 
 
 def drop_rows(stream: Stream, rows: np.ndarray) -> Stream:

@@ -14,8 +14,9 @@ def solve_linear(inputs: np.ndarray, wanted: np.ndarray, alike: float = 1.0) -> 
         alike: so many neighbouring samples count as one.
     """
     scale = np.abs(inputs).max(axis=0)
-    found = np.linalg.lstsq(inputs / scale, wanted, rcond=None)[0]
-    left = wanted - inputs / scale @ found
-    freedom = max(len(wanted) / alike - len(found), 1.0)
-    covariance = np.linalg.pinv((inputs / scale).T @ (inputs / scale)) * float(left @ left) / freedom
-    return found / scale, np.sqrt(np.diag(covariance)) / scale
+    coefficients = np.linalg.lstsq(inputs / scale, wanted, rcond=None)[0]
+    residual = wanted - inputs / scale @ coefficients
+    freedom = max(len(wanted) / alike - len(coefficients), 1.0)
+    # Cov = (XᵀX)⁻¹ rᵀr / (n - k)
+    covariance = np.linalg.pinv((inputs / scale).T @ (inputs / scale)) * float(residual @ residual) / freedom
+    return coefficients / scale, np.sqrt(np.diag(covariance)) / scale

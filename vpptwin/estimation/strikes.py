@@ -30,10 +30,10 @@ SIDES = (LIMIT, mujoco.mjtConstraint.mjCNSTR_CONTACT_FRICTIONLESS)
 
 def mark_strikes(model: mujoco.MjModel, measured: Measurements, window: float = 1.0) -> Measurements:
     """The measurements with the spans in which the rig strikes something, and a warning of them; windows in s."""
-    strikes, told, blows = find_strikes(model, measured, window)
+    strikes, warnings, blows = find_strikes(model, measured, window)
     if len(strikes) or len(blows):  # what strikes something no span foretells, and the shortest gets over it first
         measured = measured.in_eights()
-    return replace(measured, strikes=strikes, blows=blows, warnings=(*measured.warnings, *told))
+    return replace(measured, strikes=strikes, blows=blows, warnings=(*measured.warnings, *warnings))
 
 
 def find_strikes(
@@ -77,8 +77,12 @@ def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dic
 
     And for each name whether geoms touch there: it is no end stop.
     """
-    model = look_ahead(model)
-    data, found = mujoco.MjData(model), dict[int, dict[str, bool]]()
+    model = copy(model)  # to which end stops, and without friction contacts, are constraints before they are met
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model.geom_condim[:], model.pair_dim[:] = 1, 1
+    model.geom_margin[:], model.pair_margin[:] = NEAR * model.stat.extent, NEAR * model.stat.extent
+    model.jnt_margin[:] = np.ptp(model.jnt_range, axis=1)
+    data, struck = mujoco.MjData(model), dict[int, dict[str, bool]]()
     moved = (pose[SPAN:] - pose[:-SPAN]) / SPAN
     for row in range(SPAN, len(pose) - SPAN):
         data.qpos[:] = pose[row]
@@ -90,18 +94,8 @@ def find_struck(model: mujoco.MjModel, pose: np.ndarray, std: np.ndarray) -> dic
         opening = np.stack([slope @ moved[row - SPAN], -slope @ moved[row]])
         hit = ((opening < -VISIBLE * noise) & (clear + opening <= 0.0)).any(axis=0)
         if hit.any():
-            found[row] = {name_side(model, data, i): bool(data.efc_type[i] != LIMIT) for i in sides[hit]}
-    return found
-
-
-def look_ahead(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of the model to which end stops, and without friction contacts, are constraints before they are met."""
-    model = copy(model)
-    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    model.geom_condim[:], model.pair_dim[:] = 1, 1
-    model.geom_margin[:], model.pair_margin[:] = NEAR * model.stat.extent, NEAR * model.stat.extent
-    model.jnt_margin[:] = np.ptp(model.jnt_range, axis=1)
-    return model
+            struck[row] = {name_side(model, data, i): bool(data.efc_type[i] != LIMIT) for i in sides[hit]}
+    return struck
 
 
 def name_side(model: mujoco.MjModel, data: mujoco.MjData, row: int) -> str:

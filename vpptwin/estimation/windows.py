@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, follow_log, known_until
-from vpptwin.estimation.series import Measurements, Series
+from vpptwin.estimation.initial import SMOOTH, estimate_states, fit_end, follow_log, limit_times
+from vpptwin.estimation.series import Measurements, Series, interpolate
 from vpptwin.twin.robot.manifold import integrate_pose
 from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import TwinState
@@ -101,8 +101,7 @@ def average_held(series: Series, edges: np.ndarray) -> np.ndarray:
 
 def average_sampled(series: Series, edges: np.ndarray) -> np.ndarray:
     """Mean over each cell of a quantity sampled at instants, by the trapezoid between samples, (K, n, k)."""
-    columns = [np.interp(edges, series.time, series.value[:, i]) for i in range(series.value.shape[1])]
-    at_edges = np.stack(columns, axis=-1)
+    at_edges = interpolate(edges, series.time, series.value)
     return 0.5 * (at_edges[:, 1:] + at_edges[:, :-1])
 
 
@@ -143,7 +142,7 @@ def cut_windows(
 def estimate_spin(speed: Series, times: np.ndarray, causal: bool) -> np.ndarray:
     """Speeds of both rotors at `times` (K,), from a line through the samples around or before them, (K, 2) rad/s."""
     rotors = [replace(speed, value=speed.value[:, i]) for i in range(speed.value.shape[1])]
-    return np.stack([fit_end(rotor, times, SPIN_SPAN, known_until(times, causal)) for rotor in rotors], axis=1)
+    return np.stack([fit_end(rotor, times, SPIN_SPAN, limit_times(times, causal)) for rotor in rotors], axis=1)
 
 
 def join_windows(parts: list[Windows]) -> Windows:
@@ -175,9 +174,9 @@ class Motion(NamedTuple):
 
     def put(self, rows: tuple[Any, ...], part: Motion) -> None:
         """Write another motion into some of the rows of this very one, which has more axes in front."""
-        for own, given in zip(self, part):
-            if own is not None:
-                own[rows] = given
+        for whole, given in zip(self, part):
+            if whole is not None:
+                whole[rows] = given
 
 
 def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows, causal: bool) -> Past:
@@ -189,19 +188,19 @@ def trace_past(spec: TwinSpec, flights: Sequence[Measurements], windows: Windows
     lead = round(SMOOTH / dt) if causal else 0
     stops, parts = np.zeros(number, int), list[tuple[np.ndarray, ...]]()
     for i in np.unique(windows.flight):
-        own = windows.flight == i
-        ends = windows.start[own] - lead * dt
+        rows = windows.flight == i
+        ends = windows.start[rows] - lead * dt
         count = max(round((ends.min() - flights[i].start) / dt), 0)
         time = ends.min() + dt * np.arange(-count, round(float(np.ptp(ends)) / dt) + 1)
-        stops[own] = sum(part[0].size for part in parts) + np.round((ends - time[0]) / dt).astype(int)
+        stops[rows] = sum(part[0].size for part in parts) + np.round((ends - time[0]) / dt).astype(int)
         parts.append((time, *trace(flights[i], time, spec), np.arange(len(time)) == 0))
     qpos, qvel = np.empty((number, lead + 1, model.nq)), np.empty((number, lead + 1, model.nv))
     for i in np.unique(windows.flight):
-        own = windows.flight == i
-        times = windows.start[own][:, None] + dt * np.arange(-lead, 1)
-        until = np.repeat(windows.start[own] if causal else np.full(own.sum(), np.inf), lead + 1)
-        found = trace(flights[i], times.ravel(), spec, until)
-        qpos[own], qvel[own] = (part.reshape(own.sum(), lead + 1, -1) for part in found)
+        rows = windows.flight == i
+        times = windows.start[rows][:, None] + dt * np.arange(-lead, 1)
+        until = np.repeat(windows.start[rows] if causal else np.full(rows.sum(), np.inf), lead + 1)
+        states = trace(flights[i], times.ravel(), spec, until)
+        qpos[rows], qvel[rows] = (part.reshape(rows.sum(), lead + 1, -1) for part in states)
     time, *track, first = [np.concatenate(each) for each in zip(*parts)]
     return Past(time, track[0], track[1], first, stops, qpos, qvel)
 

@@ -45,8 +45,10 @@ def unwrap_turns(
         return stream, []
     far = np.abs(np.diff(position)) > 0.5 * turn
     if far.mean() > RARE and np.ptp(position) > (1.0 + WIDE) * turn:
-        told = f"{label}: position moves {np.count_nonzero(far)} times by more than half a turn from sample to sample"
-        return stream, [f"{told}; if these are degrees, say `unit: deg`"] if rotary else []
+        warning = (
+            f"{label}: position moves {np.count_nonzero(far)} times by more than half a turn from sample to sample"
+        )
+        return stream, [f"{warning}; if these are degrees, say `unit: deg`"] if rotary else []
     kept = drop_rows(stream, find_between(stream.time, position, turn))
     wraps = find_wraps(kept.time, kept["position"], turn)
     number = int(np.count_nonzero(wraps))
@@ -67,8 +69,8 @@ def allow(time: np.ndarray, position: np.ndarray, turn: float) -> np.ndarray:
     speed = np.abs(np.diff(position)) / lasting
     around = np.pad(speed, AROUND, mode="edge")
     usual = np.median(sliding_window_view(around, 2 * AROUND + 1), axis=1) * lasting
-    most = max(WIDE * turn, FASTER * float(np.median(np.abs(np.diff(position)))))
-    return np.minimum(np.maximum(SLIGHT * turn, FASTER * usual), most)
+    bound = max(WIDE * turn, FASTER * float(np.median(np.abs(np.diff(position)))))
+    return np.minimum(np.maximum(SLIGHT * turn, FASTER * usual), bound)
 
 
 def find_wraps(time: np.ndarray, position: np.ndarray, turn: float) -> np.ndarray:
@@ -157,7 +159,7 @@ def follow_turns(
     turns = np.rint((where - logged) / turn)
     if not turns.any() or np.ptp(logged) > (1.0 + SLIGHT) * turn:
         return logged
-    found = logged + turn * turns
-    jumps = [np.count_nonzero(find_wraps(time, values, turn)) for values in (logged, found)]
-    constant = not np.ptp(turns) and np.abs(found - np.interp(time, *position)).max() < 0.5 * turn
-    return np.asarray(found if jumps[1] < jumps[0] or mended or constant else logged)
+    followed = logged + turn * turns
+    jumps = [np.count_nonzero(find_wraps(time, values, turn)) for values in (logged, followed)]
+    constant = not np.ptp(turns) and np.abs(followed - np.interp(time, *position)).max() < 0.5 * turn
+    return np.asarray(followed if jumps[1] < jumps[0] or mended or constant else logged)

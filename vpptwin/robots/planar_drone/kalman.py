@@ -150,9 +150,9 @@ class KalmanFilter:
         count = len(self._base)
         stamp = self.samples - np.broadcast_to(np.asarray(age, dtype=float), count) / self.dt
         wanted = np.ones(count, bool) if seen is None else seen
-        surprise = np.full(count, np.nan)
-        _fuse(self._crafts, self._world, self.samples, np.ascontiguousarray(pose, dtype=float), stamp, wanted, surprise)
-        return surprise
+        nis = np.full(count, np.nan)
+        _fuse(self._crafts, self._world, self.samples, np.ascontiguousarray(pose, dtype=float), stamp, wanted, nis)
+        return nis
 
     @property
     def pose(self) -> np.ndarray:
@@ -298,7 +298,7 @@ def _start(mean: np.ndarray, p: np.ndarray, pose: np.ndarray, noise: np.ndarray)
 @njit(cache=can_keep(), error_model="numpy")
 def _fuse(
     crafts: Crafts, world: World, samples: int, pose: np.ndarray, stamp: np.ndarray, wanted: np.ndarray,
-    surprise: np.ndarray,
+    nis: np.ndarray,
 ) -> None:  # fmt: skip
     """Fuse the poses of all crafts that have one, and carry the results to the present."""
     for n in range(len(wanted)):
@@ -316,7 +316,7 @@ def _fuse(
             # Fused as of its stamp: by the time a pose arrives the craft has moved on by more than its noise.
             _advance(imu, mean, p, base, time, world)
             rate = imu[int(np.floor(time - 1e-9)) % DEPTH, 0] - mean[GYRO_BIAS]
-            surprise[n], crafts.left_out[n] = _correct(mean, p, pose[n], rate, crafts.left_out[n], world.noise)
+            nis[n], crafts.left_out[n] = _correct(mean, p, pose[n], rate, crafts.left_out[n], world.noise)
         crafts.base[n] = time
         # Nobody asks for the present's covariance: from the fused state on the state alone is carried.
         now, reached = crafts.now[n], time
@@ -332,28 +332,28 @@ def _fuse(
 def _correct(
     mean: np.ndarray, p: np.ndarray, pose: np.ndarray, rate: float, left_out: int, noise: np.ndarray
 ) -> tuple[float, int]:
-    """Fuse a pose (3,) into a state of its time, or leave it out; its surprise, and how many in a row were left out."""
-    miss = pose - mean[:3]
-    miss[ANGLE] -= 2.0 * np.pi * np.round(miss[ANGLE] / (2.0 * np.pi))
-    s = p[:3, :3].copy()
+    """Fuse a pose (3,) into a state of its time, or leave it out; its NIS, and how many in a row were left out."""
+    innovation = pose - mean[:3]
+    innovation[ANGLE] -= 2.0 * np.pi * np.round(innovation[ANGLE] / (2.0 * np.pi))
+    s = p[:3, :3].copy()  # S = H P Hᵀ + R
     late = (mean[V_X], mean[V_Z], rate)
     for i in range(3):
         s[i, i] += (noise[3] if i == ANGLE else noise[2]) ** 2
         for j in range(3):  # a stamp off by δ shows the craft where it is δ later: all three are off together
             s[i, j] += late[i] * late[j] * noise[4] ** 2
     inverse = np.linalg.inv(s)
-    found = _weigh(miss, inverse)
+    nis = _weigh(innovation, inverse)
     for i in range(3):
         s[i, i] += SLACK[i] ** 2
-    if _weigh(miss, np.linalg.inv(s)) > GATE:
+    if _weigh(innovation, np.linalg.inv(s)) > GATE:
         if left_out < GIVE_UP:
-            return found, left_out + 1
+            return nis, left_out + 1
         v_x, v_z = mean[V_X], mean[V_Z]
         _start(mean, p, pose, noise)
         mean[V_X], mean[V_Z] = v_x, v_z
-        return found, 0
-    if found > GATE:  # the innovation's covariance magnified until it lies on the gate
-        inverse *= GATE / found
+        return nis, 0
+    if nis > GATE:  # the innovation's covariance magnified until it lies on the gate
+        inverse *= GATE / nis
     gain = np.zeros((SIZE, 3))  # P Hᵀ S⁻¹, H the first three rows of the identity
     for i in range(SIZE):
         for j in range(3):
@@ -361,7 +361,7 @@ def _correct(
                 gain[i, j] += p[i, k] * inverse[k, j]
     for i in range(SIZE):
         for j in range(3):
-            mean[i] += gain[i, j] * miss[j]
+            mean[i] += gain[i, j] * innovation[j]
     rows = p[:3].copy()
     for i in range(SIZE):
         for j in range(SIZE):
@@ -370,14 +370,14 @@ def _correct(
     for i in range(SIZE):  # P - K H P is symmetric but for rounding, which would add up
         for j in range(i):
             p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    return found, 0
+    return nis, 0
 
 
 @njit(cache=can_keep(), error_model="numpy", forceinline=True)
-def _weigh(miss: np.ndarray, inverse: np.ndarray) -> float:
+def _weigh(innovation: np.ndarray, inverse: np.ndarray) -> float:
     """Normalized innovation squared, νᵀ S⁻¹ ν: of χ² with three degrees of freedom where the filter is consistent."""
-    found = 0.0
+    nis = 0.0
     for i in range(3):
         for j in range(3):
-            found += miss[i] * inverse[i, j] * miss[j]
-    return found
+            nis += innovation[i] * inverse[i, j] * innovation[j]
+    return nis

@@ -14,12 +14,12 @@ GRID = 0.01
 """Resolution of the first search, over every lag [s]."""
 SEARCHES = ((0.3, 0.005), (0.005, 0.0005))
 """Half width and resolution of the searches that follow, each about the last one's result [s]."""
-LIKENESS = 0.7
+MIN_CORRELATION = 0.7
 """Correlation from which on two streams are taken to show one motion."""
 BLOCK = 8.0
 """The drift is read off blocks at least this long [s]."""
 MAX_BLOCKS = 8
-ENOUGH = 2000
+MAX_STEPS = 2000
 """Steps compared in a block."""
 STRETCH = 3.0
 """Steps of a clock are looked for between stretches of this length [s]."""
@@ -43,8 +43,8 @@ def estimate_lag(angle: Series, rate: Series) -> Lag | None:
     end = min(angle.time[-1], rate.time[-1] + coarse)
     blocks = int(np.clip((end - begin) / BLOCK, 1, MAX_BLOCKS))
     edges = np.linspace(begin, end, blocks + 1)
-    found = [(0.5 * (a + b), refine(angle, turned, coarse, a, b)) for a, b in pairwise(edges)]
-    known = [(middle, lag) for middle, lag in found if lag is not None]
+    lags_of = [(0.5 * (a + b), refine(angle, turned, coarse, a, b)) for a, b in pairwise(edges)]
+    known = [(middle, lag) for middle, lag in lags_of if lag is not None]
     if not known:
         return None
     middle, lags = np.array(known).T
@@ -64,17 +64,17 @@ def search_all(angle: Series, turned: Series) -> float | None:
     if np.std(late) < CLEAR * angle.std or not np.any(early):
         return None
     early = early - np.median(early)
-    padded, most = 2 * len(grid), len(grid) // 2
+    padded, half = 2 * len(grid), len(grid) // 2
     product = np.fft.irfft(np.fft.rfft(late, padded) * np.conj(np.fft.rfft(early, padded)), padded)
-    likeness = np.roll(product, most)[: 2 * most + 1] / np.sqrt((late @ late) * (early @ early))
-    best = int(np.argmax(likeness))
-    return float((best - most) * GRID) if likeness[best] > LIKENESS else None
+    correlation = np.roll(product, half)[: 2 * half + 1] / np.sqrt((late @ late) * (early @ early))
+    best = int(np.argmax(correlation))
+    return float((best - half) * GRID) if correlation[best] > MIN_CORRELATION else None
 
 
 def refine(angle: Series, turned: Series, coarse: float, begin: float, end: float) -> float | None:
     """The lag near a coarse one at which the turning from `begin` to `end` [s] differs least [s]."""
     stamps = angle.time[(angle.time >= begin) & (angle.time <= end - SPAN)]
-    stamps = stamps[:: -(-len(stamps) // ENOUGH)] if len(stamps) else stamps
+    stamps = stamps[:: -(-len(stamps) // MAX_STEPS)] if len(stamps) else stamps
     seen = step_over(angle, stamps + 0.5 * SPAN)
     if len(stamps) < 50 or np.std(seen) < CLEAR * angle.std:
         return None
@@ -100,7 +100,7 @@ def find_step(angle: Series, rate: Series) -> tuple[float, float] | None:
         if len(stamps) < 50 or np.std(seen) < CLEAR * angle.std:
             continue
         misses = [float(np.var(seen - step_over(turned, stamps - late))) for late in lags]
-        if min(misses) < (1.0 - LIKENESS) * np.var(seen):
+        if min(misses) < (1.0 - MIN_CORRELATION) * np.var(seen):
             known.append((float(begin), float(lags[np.argmin(misses)])))
     for split in range(2, len(known) - 1):
         for astride in (0, 1):

@@ -55,8 +55,8 @@ def vet_flight(flight: Flight, vehicle: Vehicle) -> tuple[Flight, list[str]]:
     }
     for topic, vet in vets.items():
         if topic in streams and len(streams[topic]) >= MIN_SAMPLES:
-            vetted, found = vet(streams.pop(topic))
-            warnings += [f"{topic}: {text}" for text in found]
+            vetted, texts = vet(streams.pop(topic))
+            warnings += [f"{topic}: {text}" for text in texts]
             streams |= {} if vetted is None else {topic: vetted}
     command = streams.get("/rotor/command")
     if command is not None and is_dead(command["blade_pitch"]) and "/cmd/rate_thrust" in streams:
@@ -278,11 +278,11 @@ def clean_poses(pose: Stream, imu: Stream | None, sensors: Sensors) -> tuple[Str
     value = np.stack([pose["x"], pose["z"], np.unwrap(pose["theta"] - turned)], axis=1)
     frozen = find_frozen(np.stack([pose[name] for name in ("x", "z", "theta")], axis=1), std)
     wild = np.zeros(len(pose), dtype=bool)
-    left = np.flatnonzero(~frozen)
+    remaining = np.flatnonzero(~frozen)
     for axis, bend in enumerate(MAX_ACCELERATION):
-        wild[left] |= find_spikes(pose.time[left], value[left, axis], std[axis], bend)
-    left = np.flatnonzero(~frozen & ~wild)
-    wild[left] |= find_strays(pose.time[left], value[left], std, MAX_SPEED, turn=2)
+        wild[remaining] |= find_spikes(pose.time[remaining], value[remaining, axis], std[axis], bend)
+    remaining = np.flatnonzero(~frozen & ~wild)
+    wild[remaining] |= find_strays(pose.time[remaining], value[remaining], std, MAX_SPEED, turn=2)
     kept = np.flatnonzero(~frozen & ~wild)
     theta = np.unwrap(value[kept, 2]) + turned[kept]
     theta = pose["theta"][kept] + 2.0 * np.pi * np.rint((theta - pose["theta"][kept]) / (2.0 * np.pi))

@@ -1,7 +1,8 @@
-"""Models by name, and `--model` in place of a twin YAML."""
+"""`vpptwin inspect` writes a twin; models by name, and `--model` in place of a twin YAML."""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,9 +11,12 @@ import mujoco_menagerie
 import pytest
 
 from vpptwin.cli.main import main
-from vpptwin.mapping.inspect import list_entries
+from vpptwin.mapping.guess import guess_signals
+from vpptwin.mapping.inspect import ask, list_entries
 from vpptwin.mapping.models import find_model
+from vpptwin.mapping.survey import survey
 from vpptwin.system.errors import InputError
+from vpptwin.twin import load_twin
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -95,3 +99,45 @@ def test_robot_descriptions(monkeypatch: pytest.MonkeyPatch) -> None:
     found = SimpleNamespace(MJCF_PATH="/cache/ur10e.xml")
     monkeypatch.setitem(sys.modules, "robot_descriptions.ur10e_mj_description", found)
     assert find_model("ur10e_mj_description") == Path("/cache/ur10e.xml")
+
+
+def test_the_order_is_asked_once(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who says yes has no more to look at; who says no keeps the doubts."""
+    model = load_twin(ROOT / "examples/double_pendulum/both.yaml").model
+    for answer, sure in (("n", 0), ("y", 2)):
+        guesses = guess_signals(model, survey(shared_data / "double_pendulum/design_A_02.csv")[1])
+        questions: list[str] = []
+        monkeypatch.setattr("builtins.input", lambda text, a=answer, q=questions: q.append(text) or a)
+        assert sum(guess.sure for guess in ask(guesses)) == sure
+        assert questions == ["Is this the order of the columns: pos_meas1 = shoulder, pos_meas2 = elbow? [y/n] "]
+
+
+def test_the_twin_that_is_written_works(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A CSV and an MJCF become a twin that `compare` takes, every doubt stands in it."""
+    monkeypatch.setenv("COLUMNS", "200")
+    log, out = shared_data / "double_pendulum/design_A_02.csv", tmp_path / "twin.yaml"
+    model = ROOT / "examples/double_pendulum/double_pendulum.xml"
+    assert main(["inspect", str(log), "--model", str(model), "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"/design_A_02 tau_fric1 +│ float64 │ +500 Hz │ 0 +│ +│ constant", shown)
+    assert "DOUBT: only the order says that pos_meas1 is shoulder" in out.read_text()
+    spec = load_twin(out)
+    assert spec.robot.signals.entries["/joint_states"]["elbow"].position.path == "pos_meas2"
+    assert main(["compare", str(log), "--twin", str(out)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [(["--out", "twin.yaml"], "without --model"), (["--model", "none.xml"], "none.xml"), ([], "no file")],
+)
+def test_bad_inspections_are_refused(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], part: str
+) -> None:
+    """In one line, with exit code 2."""
+    log = shared_data / "simple_pendulum/ilqr.csv" if arguments else tmp_path / "missing.csv"
+    assert main(["inspect", str(log), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert part in error
+    assert error.count("\n") == 1
