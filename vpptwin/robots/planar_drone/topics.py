@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.actuators.blade import pitch_for_thrust
-from vpptwin.actuators.cascade import allocate, compute_torque, filter_gyro
+from vpptwin.actuators.controller import allocate, compute_torque, filter_gyro
 from vpptwin.estimation.gaps import tell_cut, tell_gaps
 from vpptwin.estimation.initial import DRIFT_STD
 from vpptwin.estimation.series import Displacement, Lag, Measurements, Sampled, Series, integrate
