@@ -10,6 +10,7 @@ import pytest
 from tests.logs.bags import EPOCH, IMU, JOINTS, POSE, Bag, make_imu, make_pose, make_poses, stamp_header
 from vpptwin.logs import read_flight
 from vpptwin.logs.channels import CHANNELS
+from vpptwin.logs.formats.readers import FORMATS
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
 MS = 10**6  # ns
@@ -67,3 +68,9 @@ def test_the_table_of_topics_is_complete() -> None:
         (row,) = (line for line in TEXT.splitlines() if line.startswith(f"| {topic} |"))
         assert channel.message_type in row
         assert all(column.name in row for column in channel.columns)
+
+
+def test_every_format_is_documented() -> None:
+    """The endings of all files that are read stand on the page."""
+    endings = {ending.removesuffix(".gz") for form in FORMATS for ending in form.endings}
+    assert not [ending for ending in endings if ending not in TEXT]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.logs.bags import EPOCH, IMU, POSE, Bag, make_imu, make_pose, make_poses, pose_bag, refuse
 from tests.logs.test_foreign import read_joint
 from vpptwin.logs import read_flight
-from vpptwin.logs.streams.timeline import order_stamps
+from vpptwin.logs.streams.clocks import order_stamps
 from vpptwin.mapping.survey import survey
 from vpptwin.system.errors import InputError
 

@@ -15,11 +15,18 @@ from vpptwin.logs.formats.raw import Query, RawChannel
 from vpptwin.logs.formats.tables import is_packed
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike, list_flights, spell
-from vpptwin.logs.streams.clocks import check_offsets, check_steps, read_clock
+from vpptwin.logs.streams.clocks import (
+    check_clocks,
+    check_leaps,
+    check_offsets,
+    check_steps,
+    describe_gaps,
+    order_stamps,
+    read_clock,
+)
 from vpptwin.logs.streams.condense import Condenser
 from vpptwin.logs.streams.samples import Samples, read_joints, read_named, read_samples, read_spatial
 from vpptwin.logs.streams.streams import build_joint_stream, build_stream, measure_time
-from vpptwin.logs.streams.timeline import check_clocks, check_leaps, describe_gaps, order_stamps
 from vpptwin.logs.topic_map import SignalEntries, TopicMap, load_topic_map, slash
 from vpptwin.system.errors import InputError, escape_text
 

@@ -35,7 +35,7 @@ def transcribe(log: PathLike, out: Path) -> Recording:
         raise InputError(f"{out} as the file to write", "a name that ends with .mcap", "rename it")
     if is_same(out, list_sources(log)):
         raise InputError(f"{out} is the log itself", "another file to write", "choose another name")
-    with open_bar(desc="convert", unit=" messages") as bar, FlightWriter(out) as writer:
+    with FlightWriter(out) as writer, open_bar(desc="convert", unit=" messages") as bar:
 
         def take(channels: Sequence[RawChannel]) -> None:
             numbers = [writer.add_channel(channel) for channel in channels]

@@ -20,8 +20,8 @@ from vpptwin.logs.formats.raw import Query, RawChannel, RawFile
 from vpptwin.logs.formats.tables import NAMES, is_text
 from vpptwin.logs.recording import Recording, open_recording
 from vpptwin.logs.spelling import PathLike
+from vpptwin.logs.streams.clocks import check_order
 from vpptwin.logs.streams.samples import read_fields, read_joints
-from vpptwin.logs.streams.timeline import check_order
 from vpptwin.logs.topic_map import LOG_TIME
 from vpptwin.system.errors import InputError, escape_text
 from vpptwin.system.fields import Stamp

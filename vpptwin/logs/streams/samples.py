@@ -13,8 +13,8 @@ from vpptwin.logs.formats.headings import count_ns
 from vpptwin.logs.formats.layout import STAMP
 from vpptwin.logs.messages import shorten_type
 from vpptwin.logs.recording import Recording
+from vpptwin.logs.streams.clocks import space_stamps
 from vpptwin.logs.streams.convert import convert_column, list_fields
-from vpptwin.logs.streams.timeline import space_stamps
 from vpptwin.logs.topic_map import LOG_TIME, JointRoute, Route
 from vpptwin.system.errors import InputError, escape_text
 from vpptwin.system.fields import NANOSECONDS, Stamp
