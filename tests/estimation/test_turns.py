@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.estimation.test_sound import swing
+from tests.estimation.test_units import swing
 from vpptwin.diagnosis.judgement.diagnose import diagnose
 from vpptwin.estimation.checks.turns import TURN, find_wraps, measure_counter, unwrap_turns
 from vpptwin.estimation.checks.units import vet_joint
