@@ -50,4 +50,4 @@ def make_twin(count: int, effects: Mapping[str, Mapping[str, np.ndarray | float]
 
 def share_kernel() -> Any:  # noqa: ANN401
     """In this context twins of whatever step hold as many commands: what is compiled for one step serves all."""
-    return patch("vpptwin.twin.twin.delay_depth", lambda effects, dt: 1000)
+    return patch("vpptwin.twin.stepping.kernel.delay_depth", lambda effects, dt: 1000)

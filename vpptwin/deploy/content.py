@@ -28,25 +28,15 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True)
 class Content:
-    """Everything that goes into an export.
+    """Everything that goes into an export."""
 
-    Attributes:
-        policy: the network.
-        trained: how it was trained; its `sight` says what is observed.
-        vehicle: believed by the controller.
-        adaptive: whether the twin's actuator controller adapts.
-        inputs: of the test vectors, (`VECTORS`, inputs) float32.
-        outputs: actions that belong to them, (`VECTORS`, 2) float32.
-        metadata: plain data that is stored in the export.
-    """
-
-    policy: Actor
-    trained: TrainConfig
-    vehicle: Vehicle
-    adaptive: bool
-    inputs: np.ndarray
-    outputs: np.ndarray
-    metadata: dict[str, Any]
+    policy: Actor  # the network
+    trained: TrainConfig  # how it was trained; its `sight` says what is observed
+    vehicle: Vehicle  # believed by the controller
+    adaptive: bool  # whether the twin's actuator controller adapts
+    inputs: np.ndarray  # of the test vectors, (`VECTORS`, inputs) float32
+    outputs: np.ndarray  # actions that belong to them, (`VECTORS`, 2) float32
+    metadata: dict[str, Any]  # plain data that is stored in the export
 
 
 def collect_content(checkpoint: Path | str, twin: str | None = None) -> Content:

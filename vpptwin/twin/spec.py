@@ -217,7 +217,10 @@ def load_twin(name: str | Path = "nominal", effect_files: Sequence[str | Path] =
         own = [locate_effects(given, path.parent) for given in file.effects_from]
         check_trusted(own, path, effect_files)
         given = [locate_effects(given) for given in effect_files]
-        return build_twin(str(name), file, path.parent, list_effect_files(own, given))
+        files: dict[Path, Path] = {}  # each once, as it was named first
+        for each in map(Path, (*own, *given)):
+            files.setdefault(each.resolve(), each)
+        return build_twin(str(name), file, path.parent, tuple(files.values()))
     except (OSError, UnicodeDecodeError) as error:
         advice = suggest(str(name), SHIPPED, "check the path")
         raise InputError(f"no readable twin {path}", "`nominal`, `typical`, `strong` or a twin YAML", advice) from error
@@ -244,14 +247,6 @@ def describe_mistake(error: ValidationError) -> tuple[str, str]:
         return f"unknown key {key}", keys
     expected = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
     return f"{key} = {shorten(repr(first['input']), 60)}", expected.replace("dictionary", "mapping")
-
-
-def list_effect_files(*given: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Files with effects, each once, as they were named first."""
-    paths: dict[Path, Path] = {}
-    for path in (Path(file) for files in given for file in files):
-        paths.setdefault(path.resolve(), path)
-    return tuple(paths.values())
 
 
 def build_twin(name: str, file: TwinFile, folder: Path, effect_files: tuple[Path, ...] = ()) -> TwinSpec:

@@ -22,7 +22,7 @@ from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.state import Driven, Trajectory, TwinState
 from vpptwin.twin.stepping.constants import ConstantTable
 from vpptwin.twin.stepping.fused import Stepper
-from vpptwin.twin.stepping.kernel import CONTEXT, delay_depth, scratch_rows, warm_up, write_kernel
+from vpptwin.twin.stepping.kernel import CONTEXT, scratch_rows, warm_up, write_kernel
 from vpptwin.twin.stepping.layout import read_layout
 from vpptwin.twin.stepping.pipeline import Pipeline
 from vpptwin.twin.stepping.recall import Past, Recollection, evolves, write_recollection
@@ -79,10 +79,7 @@ class Twin:
         leave_out(model, {name for effect in spec.catalogue for name in effect.writes})
         self.model = model
         self.layout = layout = read_layout(model, {name for e in self.effects.values() for name in e.writes})
-        depth = delay_depth(spec.catalogue, self.dt)
-        self._kernel = write_kernel(
-            model, spec.catalogue, robot.step, robot.carriage, depth, spec.controller == "adaptive", layout
-        )
+        self._kernel = write_kernel(spec, model, layout)
         self._batch = Batch(model, num_sims, num_threads)
         self._model, self._recollection = model, cast("Recollection | None", None)
         self._constants = ConstantTable(spec, self.effects, num_sims, self._batch, self._kernel)

@@ -48,7 +48,9 @@ class ConstantTable:
         self._limits = dict(zip(keys, limits))
         self.values: dict[Key, np.ndarray] = {}
         for effect_id, name in keys:
-            self.values[effect_id, name] = self._column(self._columns[effect_id, name])
+            column, acting = self._columns[effect_id, name], len(columns)  # those that act every step come first
+            held = self.parameters[:, column] if column < acting else self._settings[:, column - acting]
+            self.values[effect_id, name] = held
             self.values[effect_id, name][:] = spec.value(effects[effect_id], name)
         self.records = np.zeros(num_sims, kernel.constants)
         self._nominal = nominal_constants(spec.robot.servo_lag, self.records)
@@ -60,11 +62,6 @@ class ConstantTable:
             self.table[name] = batch.expand(name)
         self._derives = any(name in mujoco.MjModel._setconst_inputs or name.startswith("opt.") for name in self._fields)
         self._stale: np.ndarray | None = np.ones(num_sims, dtype=bool)
-
-    def _column(self, column: int) -> np.ndarray:
-        """Values of one parameter, (N,): those that act every step come first."""
-        acting = self.parameters.shape[1]
-        return self.parameters[:, column] if column < acting else self._settings[:, column - acting]
 
     def read_derived(self, name: str) -> np.ndarray | None:
         """A field that the engine derives from what effects write, (N, ...); None where it is the same for all."""
@@ -93,7 +90,12 @@ class ConstantTable:
         outside = ~((given >= low) & (given <= high))
         if outside.any():
             row, k = np.argwhere(outside)[0]
-            self._refuse(keys[k], given[row, k])
+            effect_id, name = keys[k]
+            limits = self._by_id[effect_id].parameter(name)
+            raise ValueError(
+                f"{effect_id}.{name} = {given[row, k]:g} {limits.unit}".rstrip()
+                + f"; expected {limits.low:g} to {limits.high:g}; clip it or change the catalogue's bounds"
+            )
         columns, acting = np.array([self._columns[key] for key in keys], dtype=int), self.parameters.shape[1]
         steady = columns >= acting
         self.parameters[rows[:, None], columns[~steady]] = given[:, ~steady]
@@ -102,13 +104,6 @@ class ConstantTable:
             if self._stale is None:
                 self._stale = np.zeros(len(self.records), dtype=bool)
             self._stale[rows] = True
-
-    def _refuse(self, key: Key, value: float) -> None:
-        limits = self._by_id[key[0]].parameter(key[1])
-        raise ValueError(
-            f"{key[0]}.{key[1]} = {value:g} {limits.unit}".rstrip()
-            + f"; expected {limits.low:g} to {limits.high:g}; clip it or change the catalogue's bounds"
-        )
 
     def refresh(self) -> None:
         """Apply the CONSTANT effects to nominal values where parameters changed, and let the engine derive the rest."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from ctypes import CFUNCTYPE, c_int64
 from dataclasses import dataclass
@@ -27,6 +27,7 @@ from vpptwin.engine.tree import FUNCTIONS, Pose, Reach, Shape, Tree
 from vpptwin.engine.view import COLUMNS, DATA_ARRAYS, MODEL_ARRAYS, View, foresee_actuators, foresee_drag
 from vpptwin.system.cores import in_parts
 from vpptwin.system.progress import tell_wait
+from vpptwin.twin.spec import TwinSpec
 from vpptwin.twin.stepping.fused import write_fused
 from vpptwin.twin.stepping.layout import TreeLayout
 from vpptwin.twin.stepping.pipeline import Function, Pipeline, fingerprint, write_pipeline
@@ -170,27 +171,18 @@ def scratch_rows(nv: int) -> int:
 _KERNELS: dict[str, tuple[Any, Any]] = {}
 
 
-def write_kernel(
-    model: mujoco.MjModel, catalogue: Sequence[Effect], step: str, carriage: int, depth: int, adaptive: bool = False,
-    layout: TreeLayout | None = None,
-) -> Kernel:  # fmt: skip
-    """The step of a catalogue on a model, compiled once per process, and once per machine where files last.
+def write_kernel(spec: TwinSpec, model: mujoco.MjModel, layout: TreeLayout | None) -> Kernel:
+    """The step of a twin's catalogue on the model that it steps, effects on or off, compiled once per process.
 
-    Args:
-        model: of the twin.
-        catalogue: its effects, whether switched on or not.
-        step: name of the rig's inner step, one of `CALLS`.
-        carriage: index of the body that carries a guide, -1 without one.
-        depth: commands that the delay line holds.
-        adaptive: whether the actuators' controller learns.
-        layout: of a model that can be stepped without MuJoCo.
+    Where files last it is compiled once per machine. With a `layout` it steps without MuJoCo, too.
     """
-    pipeline, nu = write_pipeline(model, catalogue), int(model.nu)
-    entry, fused = write_entry(model, pipeline, step, carriage), None
+    pipeline, step, carriage = write_pipeline(model, spec.catalogue), spec.robot.step, spec.robot.carriage
+    nu, depth, fused = int(model.nu), delay_depth(spec.catalogue, float(model.opt.timestep)), None
     if layout is not None:
         row = indent(write_row(model, pipeline), 8 * " ")
         fused = write_fused(layout, model, len(pipeline.places), carriage, CALLS[step], row)
-    return Kernel(pipeline, layer_dtype(nu, depth, adaptive), constants_dtype(nu, int(model.nv)), entry, fused)
+    layer, constants = layer_dtype(nu, depth, spec.controller == "adaptive"), constants_dtype(nu, int(model.nv))
+    return Kernel(pipeline, layer, constants, write_entry(model, pipeline, step, carriage), fused)
 
 
 def write_row(model: mujoco.MjModel, pipeline: Pipeline) -> str:

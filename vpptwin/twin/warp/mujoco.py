@@ -115,7 +115,10 @@ class WarpMujoco(WarpStep):
             inputs = [table, numbers, command, *(getattr(data, name) for name in ARRAYS), touched]
             model.callback.control = lambda m, d: wp.launch(self.kernel, dim=count, inputs=inputs, device=device)
             constants, moving = self._pair_constants(model, numbers, count), self._pair_state(data, table)
-            calls = list_calls(engine, self.twin.model)
+            # Equalities of points go by how fast bodies move, which the engine works out later than them: a step late.
+            points = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+            late = np.isin(self.twin.model.eq_type, points).any()
+            calls = (*((engine.kinematics, engine.com_pos, engine.com_vel) if late else ()), engine.step)
 
             def run() -> None:
                 for own, rows in constants + moving:
@@ -210,13 +213,6 @@ def load_mujoco_warp() -> Any:  # noqa: ANN401
     load_warp()
     with muted():
         return load_extra("mujoco_warp", f"{NEED} that touches something")
-
-
-def list_calls(engine: Any, model: mujoco.MjModel) -> tuple[Callable[[Any, Any], None], ...]:  # noqa: ANN401
-    """What an inner step calls, one after the other, with the engine's model and data."""
-    # Equalities of points go by how fast bodies move, which the engine works out later than them: for the next step.
-    late = np.isin(model.eq_type, (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))).any()
-    return (engine.kinematics, engine.com_pos, engine.com_vel, engine.step) if late else (engine.step,)
 
 
 def read(field: str, size: int) -> Cells:

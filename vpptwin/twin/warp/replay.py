@@ -32,15 +32,10 @@ PROCESSOR = "leave out --device: the processor's cores step it"
 
 
 class Given(NamedTuple):
-    """Which arrays a tape has: kernels differ by it.
+    """Which arrays a tape has: kernels differ by it."""
 
-    Attributes:
-        names: of those.
-        segments: of the disturbance.
-    """
-
-    names: frozenset[str]
-    segments: int
+    names: frozenset[str]  # of those
+    segments: int  # of the disturbance
 
 
 class WarpReplay(WarpStep):
