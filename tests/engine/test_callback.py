@@ -9,19 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.effects.rigs import Rig, load_rigs
+from tests.effects.rigs import Rig
+from tests.twin.hover import assert_states
 from vpptwin.engine.callback import WORDS, installed
 from vpptwin.twin import Twin, TwinState, load_twin
 
 PENDULUM = """<mujoco><size nuserdata="{words}"/><worldbody><body><joint name="j" type="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></worldbody><actuator><motor joint="j"/></actuator>
 </mujoco>"""
-
-
-@pytest.fixture(scope="module")
-def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
-    """The rigs by name."""
-    return load_rigs(tmp_path_factory.mktemp("rigs"))
 
 
 @pytest.fixture(scope="module")
@@ -135,13 +130,6 @@ def fly(rig: Rig, twin: Twin, count: int = 12) -> TwinState:
     return rig.roll(twin, rig.start(twin, 2), count=count).last
 
 
-def assert_same(first: TwinState, second: TwinState) -> None:
-    """Bit-equal in everything."""
-    others = second.arrays()
-    for name, values in first.arrays().items():
-        np.testing.assert_array_equal(values, others[name], err_msg=name)
-
-
 def test_twins_of_different_rigs_take_turns(twins: dict[str, Twin], rigs: dict[str, Rig]) -> None:
     """Stepped in turn, drone and cart fly bit for bit as each does alone."""
     alone = {name: fly(rigs[name], twin) for name, twin in twins.items()}
@@ -150,7 +138,7 @@ def test_twins_of_different_rigs_take_turns(twins: dict[str, Twin], rigs: dict[s
         for name, twin in twins.items():
             states[name] = rigs[name].advance(twin, states[name], k)
     for name, state in states.items():
-        assert_same(state, alone[name])
+        assert_states(state, alone[name])
 
 
 def run_together(*functions: Callable[[], None]) -> None:
@@ -184,7 +172,7 @@ def test_twins_in_two_threads(twins: dict[str, Twin], rigs: dict[str, Rig]) -> N
     run_together(*(lambda name=name: work(name) for name in twins))
     for name, states in found.items():
         for state in states:
-            assert_same(state, alone[name])
+            assert_states(state, alone[name])
     assert mujoco.get_mjcb_control() is None
 
 
@@ -206,7 +194,7 @@ def test_other_work_in_another_thread(twins: dict[str, Twin], rigs: dict[str, Ri
 
     run_together(fly_on, swing_on)
     for state in states:
-        assert_same(state, alone)
+        assert_states(state, alone)
 
 
 def test_many_threads_of_the_engine(rigs: dict[str, Rig]) -> None:
@@ -215,7 +203,7 @@ def test_many_threads_of_the_engine(rigs: dict[str, Rig]) -> None:
     one, many = (Twin(rig.spec, 37, active=["command.delay"], num_threads=n) for n in (1, 8))
     for twin in (one, many):
         twin.set_parameter("command.delay", "delay", np.linspace(0.0, 0.02, 37))
-    assert_same(fly(rig, one), fly(rig, many))
+    assert_states(fly(rig, one), fly(rig, many))
 
 
 def test_twins_come_and_go(rigs: dict[str, Rig]) -> None:
@@ -227,7 +215,7 @@ def test_twins_come_and_go(rigs: dict[str, Rig]) -> None:
         state = fly(rig, twin, 3)
         if count == 3:
             expected = expected or state
-            assert_same(state, expected)
+            assert_states(state, expected)
         del twin, state
 
 
@@ -244,4 +232,4 @@ def test_one_twin_in_two_threads(rigs: dict[str, Rig]) -> None:
     run_together(work, work)
     assert len(found) == 10
     for state in found:
-        assert_same(state, alone)
+        assert_states(state, alone)

@@ -51,3 +51,10 @@ def make_twin(count: int, effects: Mapping[str, Mapping[str, np.ndarray | float]
 def share_kernel() -> Any:  # noqa: ANN401
     """In this context twins of whatever step hold as many commands: what is compiled for one step serves all."""
     return patch("vpptwin.twin.stepping.kernel.delay_depth", lambda effects, dt: 1000)
+
+
+def assert_states(found: TwinState, expected: TwinState, share: float = 0.0) -> None:
+    """Equal in everything: to the last bit, or to a share of the largest value of each array."""
+    for name, values in expected.arrays().items():
+        scale = max(float(np.abs(values).max(initial=0.0)), 1e-3)
+        np.testing.assert_allclose(found.arrays()[name], values, rtol=0, atol=share * scale, err_msg=name)

@@ -81,7 +81,7 @@ def test_friction_of_a_free_joint_holds_beside_a_driven_one(tmp_path: Path) -> N
     speed[..., 1] = 0.9 * np.cos(3.0 * time)  # pulls with 0.2 kg * 0.3 m * 2.7 rad/s² = 0.16 N or so
     start = twin.initial_state(qvel=np.array([0.0, 0.9]))
     qpos = twin.replay_commands(start, np.zeros((1, 2000, 1)), driven=Driven(np.array([1]), angle, speed)).qpos
-    assert np.abs(qpos[..., 0]).max() < 2e-5  # m in 2 s: the creep of 0.1 mm in 10 s that SPEC 1 allows
+    assert np.abs(qpos[..., 0]).max() < 2e-5  # m in 2 s: creep of 0.1 mm in 10 s
 
 
 def test_joint_under_both_is_refused(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ JOINTS = {X: "rail_x", Z: "rail_z", PITCH: "pitch"}
 MASS = {X: MASS_X, Z: WEIGHT / VEHICLE.gravity, PITCH: VEHICLE.airframe.inertia}
 GRAVITY, CRAFT, CARRIAGE = VEHICLE.gravity, VEHICLE.airframe.mass, VEHICLE.rig.carriage_mass
 STILL = 1e-10
-"""Rounding over ten seconds [m, rad]; SPEC 1 allows 1e-4 m."""
+"""Rounding over ten seconds [m, rad]; 1e-4 m would be creep."""
 
 
 def push(

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from proving import servo_arm
-from tests.effects.rigs import Rig, load_rigs
-from tests.twin.hover import share_kernel
+from tests.effects.rigs import Rig
+from tests.twin.hover import assert_states, share_kernel
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.stepping.layout import agrees, read_layout
 
@@ -19,12 +19,6 @@ ROWS, STEPS = 6, 200
 ROUNDING = 1e-11
 """Share of the largest value. 200 steps of 1e-16 each, which friction that stops a joint within a step (1/dt) and the
 poles of what hangs upside down amplify by some 1e3."""
-
-
-@pytest.fixture(scope="module")
-def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
-    """The rigs by name."""
-    return load_rigs(tmp_path_factory.mktemp("rigs"))
 
 
 def draw_twin(rig: Rig, rng: np.random.Generator) -> Twin:
@@ -80,9 +74,7 @@ def test_equals_mujoco(rigs: dict[str, Rig], name: str) -> None:
     found = twin.replay_commands(start, commands, disturbance=push, **inputs)
     twin._stepper = None
     expected = twin.replay_commands(start, commands, disturbance=push, **inputs)
-    for key, values in expected.state.arrays().items():
-        scale = max(float(np.abs(values).max()), 1e-3) if values.size else 1.0
-        np.testing.assert_allclose(found.state.arrays()[key], values, rtol=0, atol=ROUNDING * scale, err_msg=key)
+    assert_states(found.state, expected.state, ROUNDING)
     np.testing.assert_allclose(found.qpos, expected.qpos, rtol=0, atol=ROUNDING)
     if name == "replayed":
         np.testing.assert_array_equal(found.qpos[:2], expected.qpos[:2])
@@ -105,9 +97,7 @@ def test_policies_fly_as_in_mujoco(rigs: dict[str, Rig]) -> None:
         twin.advance_policy(found, command)
         twin._stepper = None
         twin.advance_policy(expected, command)
-    for key, values in expected.arrays().items():
-        scale = max(float(np.abs(values).max()), 1e-3) if values.size else 1.0
-        np.testing.assert_allclose(found.arrays()[key], values, rtol=0, atol=ROUNDING * scale, err_msg=key)
+    assert_states(found, expected, ROUNDING)
     assert (expected.memory[0, 2:] != 0.0).any()
     np.testing.assert_array_equal(found.qpos[0], expected.qpos[0])
     assert not np.array_equal(found.warmstart[1:], expected.warmstart[1:])  # those were not stepped by MuJoCo

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.twin.hover import assert_states
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.twin import Twin, TwinState, load_twin
@@ -71,8 +72,7 @@ def test_one_that_diverges_is_found_and_the_others_do_not_notice(way: str) -> No
     assert np.flatnonzero(find_diverged(after)).tolist() == [BROKEN]
     healthy = twin.step_policy(twin.initial_state(np.array([0.0, 1.4, 0.1])), np.tile([5.0, 1.0], (COUNT, 1)), 0.07)
     others = np.array([i for i in range(COUNT) if i != BROKEN])
-    for name, values in after.take(others).arrays().items():
-        np.testing.assert_array_equal(values, healthy.take(others).arrays()[name], err_msg=name)
+    assert_states(after.take(others), healthy.take(others))
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -95,7 +95,7 @@ def test_the_mjcf_sticks(raw: mujoco.MjModel) -> None:
     way = push_raw(raw, np.zeros(3), 0.8 * DRY + [0.0, WEIGHT, 0.0], 10_000)
     crept = way[-1, 0] - START
     np.testing.assert_allclose(crept, 10.0 * SOFT * 0.8 * DRY / (MASS * REFERENCE), rtol=0.01)
-    assert crept.max() < 1e-6  # SPEC 1 allows 0.1 mm
+    assert crept.max() < 1e-6  # 0.1 mm would be creep
     gone = push_raw(raw, np.zeros(3), 1.2 * DRY + [0.0, WEIGHT, 0.0], 100)[-1, 1]
     np.testing.assert_allclose(gone, 0.1 * 0.2 * DRY / MASS, rtol=0.02)  # 2 %: damping, 0.1 s over m / b = 5 s
 

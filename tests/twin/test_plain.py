@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.effects.rigs import Rig, load_rigs
+from tests.effects.rigs import Rig
+from tests.twin.hover import assert_states
 from tests.twin.plain import Inputs, fly_plain
-from vpptwin.twin import Twin, TwinState
+from vpptwin.twin import Twin
 
 ROWS, STEPS = 4, 60
 KINDS = ("policy", "pitch", "speed", "throttle", "push", "cart", "cart pushed", "speed and throttle")
@@ -15,12 +16,6 @@ TOLERANCE = 1e-9
 """Share of the largest value of an array. They are bit-equal where numpy and the compiler call the same exp and sin;
 elsewhere the last bit of these differs, 1e-16 in each step, which the rate loop's differentiator (1/dt) and a friction
 that stops a joint within a step (another 1/dt) amplify by 1e3 to 1e6."""
-
-
-@pytest.fixture(scope="module")
-def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
-    """The rigs by name."""
-    return load_rigs(tmp_path_factory.mktemp("rigs"))
 
 
 @pytest.fixture(scope="module")
@@ -54,13 +49,6 @@ def draw_inputs(kind: str, nu: int, nv: int, rng: np.random.Generator) -> Inputs
     )
 
 
-def compare(compiled: TwinState, plain: TwinState) -> None:
-    """Equal but for rounding."""
-    for name, values in compiled.arrays().items():
-        scale = max(float(np.abs(values).max()), 1e-3) if values.size else 1.0
-        np.testing.assert_allclose(plain.arrays()[name], values, rtol=0, atol=TOLERANCE * scale, err_msg=name)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("where", ["free", "at an end stop"])
 def test_compiled_equals_plain(rigs: dict[str, Rig], twins: dict[str, Twin], kind: str, where: str) -> None:
@@ -74,5 +62,5 @@ def test_compiled_equals_plain(rigs: dict[str, Rig], twins: dict[str, Twin], kin
         start.qpos[1, 2] = 1.5
     inputs = draw_inputs(kind, start.actuators["horn"].shape[1], start.qvel.shape[1], rng)
     after = inputs.fly(twin, start)
-    compare(after, fly_plain(twin, start, inputs))
+    assert_states(fly_plain(twin, start, inputs), after, TOLERANCE)
     assert np.abs(after.qpos - start.qpos).max() > 0.01

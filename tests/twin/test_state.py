@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tests.twin.hover import assert_states
 from vpptwin.actuators.layer import constants_dtype, layer_dtype, nominal_constants
 from vpptwin.twin import Twin, TwinState, load_twin
 from vpptwin.twin.stepping import kernel
@@ -18,27 +19,22 @@ ACTIVE = ("rail_x.coulomb", "command.delay", "air.drag", "rotor.thrust_gain", "a
           "rail_x.elastic")  # fmt: skip
 
 
-def list_arrays(state: TwinState) -> Iterable[tuple[str, np.ndarray]]:
-    """Every array of a state, by name."""
-    return state.arrays().items()
-
-
 def freeze(state: TwinState) -> dict[str, np.ndarray]:
     """Make writing to a state raise; returns a copy of what it holds."""
     for array in (state.time, state.qpos, state.qvel, state.warmstart, state.memory, state.effects, state.actuators):
         array.flags.writeable = False
-    return {name: array.copy() for name, array in list_arrays(state)}
+    return {name: array.copy() for name, array in state.arrays().items()}
 
 
 def assert_equal(state: TwinState, content: dict[str, np.ndarray]) -> None:
     """A state holds exactly these arrays."""
-    for name, array in list_arrays(state):
+    for name, array in state.arrays().items():
         np.testing.assert_array_equal(array, content[name], err_msg=name)
 
 
 def assert_apart(first: TwinState, second: TwinState) -> None:
     """Two states share no memory."""
-    for (name, a), (_, b) in zip(list_arrays(first), list_arrays(second), strict=True):
+    for (name, a), (_, b) in zip(first.arrays().items(), second.arrays().items(), strict=True):
         assert a.size == 0 or not np.shares_memory(a, b), name
 
 
@@ -88,9 +84,9 @@ def test_replay_leaves_its_arguments(twin: Twin, flown: TwinState) -> None:
     after, qpos, qvel, _ = twin.replay_commands(flown, blades, speed, disturbance=push)
     assert_equal(flown, before)
     assert_apart(flown, after)
-    for name, array in list_arrays(after):
+    for name, array in after.arrays().items():
         assert not any(np.shares_memory(array, given) for given in (blades, speed, push)), name
-    held = qpos.copy(), qvel.copy(), {name: array.copy() for name, array in list_arrays(after)}
+    held = qpos.copy(), qvel.copy(), {name: array.copy() for name, array in after.arrays().items()}
     twin.step_policy(after, command(twin, 5))
     np.testing.assert_array_equal(qpos, held[0])
     np.testing.assert_array_equal(qvel, held[1])
@@ -112,7 +108,7 @@ def test_initial_state_is_a_copy(twin: Twin) -> None:
 
 def test_taking_and_copying_share_nothing(flown: TwinState) -> None:
     """Rows taken from a state, with repeats, and copies of it, are equal and independent."""
-    content = {name: array.copy() for name, array in list_arrays(flown)}
+    content = {name: array.copy() for name, array in flown.arrays().items()}
     for ids in (np.array([2, 0, 2]), np.arange(4)):
         rows = flown.take(ids)
         assert_equal(rows, {name: array[ids] for name, array in content.items()})
@@ -125,12 +121,15 @@ def test_taking_and_copying_share_nothing(flown: TwinState) -> None:
 
 
 def test_replacing_rows_shares_nothing(twin: Twin, flown: TwinState) -> None:
-    """Exchanged rows come from the other state, the rest stays; neither argument changes or shares memory."""
+    """Exchanged rows come from the other state, the rest stays; `write_rows` does in place what this does to a copy."""
     ids = np.array([3, 1])
     rows = twin.initial_state().take(np.array([0, 1]))
     before, given = freeze(flown), freeze(rows)
-    mixed = flown.replace_rows(ids, rows)
-    for name, array in list_arrays(mixed):
+    mixed, written = flown.replace_rows(ids, rows), flown.copy()
+    written.write_rows(ids, rows)
+    assert_states(written, mixed)
+    assert_apart(written, rows)
+    for name, array in mixed.arrays().items():
         np.testing.assert_array_equal(array[ids], given[name], err_msg=name)
         np.testing.assert_array_equal(array[[0, 2]], before[name][[0, 2]], err_msg=name)
         array[:] = -1
@@ -148,15 +147,19 @@ def test_partial_reset_continues_as_new(twin: Twin, flown: TwinState) -> None:
     both = twin.step_policy(mixed, wanted, 0.05)
     started, continued = twin.step_policy(fresh, wanted, 0.05), twin.step_policy(flown, wanted, 0.05)
     others = np.array([0, 2])
-    assert_equal(both.take(ids), dict(list_arrays(started.take(ids))))
-    assert_equal(both.take(others), dict(list_arrays(continued.take(others))))
+    assert_states(both.take(ids), started.take(ids))
+    assert_states(both.take(others), continued.take(others))
 
 
 def test_two_short_steps_are_one_long_one(twin: Twin, flown: TwinState) -> None:
-    """20 ms and 30 ms under the same command end bit-equal to 50 ms."""
-    wanted = command(twin, 7)
-    short = twin.step_policy(twin.step_policy(flown, wanted, 0.02), wanted, 0.03)
-    assert_equal(short, dict(list_arrays(twin.step_policy(flown, wanted, 0.05))))
+    """20 ms and 30 ms under the same command end bit-equal to 50 ms; in place a state keeps its arrays."""
+    wanted, state = command(twin, 7), flown.copy()
+    before = [state.qpos, state.actuators, state.memory]
+    twin.advance_policy(state, wanted, 0.02)
+    twin.advance_policy(state, wanted, 0.03)
+    assert_states(state, twin.step_policy(flown, wanted, 0.05))
+    assert_states(twin.step_policy(twin.step_policy(flown, wanted, 0.02), wanted, 0.03), state)
+    assert all(now is then for now, then in zip([state.qpos, state.actuators, state.memory], before))
 
 
 def test_parameters_differ_per_simulation() -> None:
@@ -225,7 +228,7 @@ def test_disturbance_is_a_force_held_in_turn(twin: Twin, flown: TwinState) -> No
     for force in (0.0, 0.6, 0.0):
         biased.set_parameter("rail_x.bias", "force", force)
         state = biased.replay_commands(state, blades[:, :10], np.full((4, 10, 2), 470.0)).state
-    assert_equal(after, dict(list_arrays(state)))
+    assert_states(after, state)
     without = twin.replay_commands(flown, blades, np.full((4, 30, 2), 470.0)).state
     assert (after.qvel[:, 0] - without.qvel[:, 0] > 0.003).all()  # 0.6 N for 10 ms on 0.6 kg, less friction
 
@@ -261,15 +264,16 @@ def test_motors_run_beside_measured_speeds(flown: TwinState) -> None:
     assert np.abs(np.diff(both.rotor_speed[:, -1, 0])).min() > 1.0  # rad/s: drag and battery show
 
 
-def test_rotor_speeds_come_after_every_step(twin: Twin, flown: TwinState) -> None:
-    """The rotor speeds of a replay are those after each of its steps; there are none where no motor is simulated."""
+def test_tracks_come_after_every_step(twin: Twin, flown: TwinState) -> None:
+    """Track and rotor speeds of a replay are those after each of its steps; no speeds where no motor is simulated."""
     rng = np.random.default_rng(15)
     blades, throttle = rng.uniform(0.05, 0.15, (4, 12, 2)), rng.uniform(0.3, 0.5, (4, 12, 2))
-    track, state = twin.replay_commands(flown, blades, throttle=throttle).rotor_speed, flown
-    assert track is not None
+    flight, state = twin.replay_commands(flown, blades, throttle=throttle), flown
+    assert flight.rotor_speed is not None
     for k in range(12):
         state = twin.replay_commands(state, blades[:, k : k + 1], throttle=throttle[:, k : k + 1]).state
-        np.testing.assert_array_equal(track[:, k], state.rotor_speed)
+        for track, here in zip(flight[1:], (state.qpos, state.qvel, state.rotor_speed), strict=True):
+            np.testing.assert_array_equal(track[:, k], here)
     assert twin.replay_commands(flown, blades).rotor_speed is None
     measured = twin.replay_commands(flown, blades, np.full((4, 12, 2), 450.0))
     assert measured.rotor_speed is None
@@ -321,32 +325,14 @@ def test_actuators_that_forget_are_not_run_through_all_of_the_past(monkeypatch: 
     np.testing.assert_array_equal(found, kernel.warm_up(layer, constants, past, rows, 0.001))
 
 
-def test_advancing_in_place_is_stepping(twin: Twin, flown: TwinState) -> None:
-    """`advance_policy` makes a state what `step_policy` returns, in the very arrays that it was made of."""
-    wanted, state = command(twin, 10), flown.copy()
-    before = [state.qpos, state.actuators, state.memory]
-    twin.advance_policy(state, wanted, 0.03)
-    assert_equal(state, dict(list_arrays(twin.step_policy(flown, wanted, 0.03))))
-    assert all(now is then for now, then in zip([state.qpos, state.actuators, state.memory], before))
-
-
-def test_rows_are_written_in_place(twin: Twin, flown: TwinState) -> None:
-    """`write_rows` does in place what `replace_rows` does to a copy."""
-    ids, fresh = np.array([3, 1]), twin.initial_state().take(np.array([0, 1]))
-    mixed, state = flown.replace_rows(ids, fresh), flown.copy()
-    state.write_rows(ids, fresh)
-    assert_equal(state, dict(list_arrays(mixed)))
-    assert_apart(state, fresh)
-
-
 def test_arrays_make_the_state_again(twin: Twin, flown: TwinState) -> None:
     """A state made of another's arrays is equal, independent, and flies on bit-equal."""
     again = TwinState.from_arrays(flown.arrays())
-    assert_equal(again, dict(list_arrays(flown)))
+    assert_states(again, flown)
     assert_apart(again, flown)
     assert again.actuators.dtype == flown.actuators.dtype
     wanted = command(twin, 11)
-    assert_equal(twin.step_policy(again, wanted), dict(list_arrays(twin.step_policy(flown, wanted))))
+    assert_states(twin.step_policy(again, wanted), twin.step_policy(flown, wanted))
 
 
 @pytest.mark.parametrize(
@@ -369,22 +355,11 @@ def test_broken_row_leaves_the_others_alone(twin: Twin, flown: TwinState) -> Non
     after = twin.step_policy(broken, wanted, 0.02)
     np.testing.assert_array_equal(after.finite(), [True, True, False, True])
     sound = twin.step_policy(flown, wanted, 0.02)
-    assert_equal(after.take(others), dict(list_arrays(sound.take(others))))
+    assert_states(after.take(others), sound.take(others))
     np.testing.assert_array_equal(after.time, sound.time)
     healed = after.replace_rows(np.array([2]), flown.take(np.array([2])))
     mixed = sound.replace_rows(np.array([2]), flown.take(np.array([2])))
-    assert_equal(twin.step_policy(healed, wanted), dict(list_arrays(twin.step_policy(mixed, wanted))))
-
-
-def test_track_is_where_single_steps_lead(twin: Twin, flown: TwinState) -> None:
-    """The qpos and qvel that a replay returns are those after each of its steps."""
-    blades = np.random.default_rng(13).uniform(0.05, 0.15, (4, 12, 2))
-    _, qpos, qvel, _ = twin.replay_commands(flown, blades)
-    state = flown
-    for k in range(12):
-        state = twin.replay_commands(state, blades[:, k : k + 1]).state
-        np.testing.assert_array_equal(qpos[:, k], state.qpos)
-        np.testing.assert_array_equal(qvel[:, k], state.qvel)
+    assert_states(twin.step_policy(healed, wanted), twin.step_policy(mixed, wanted))
 
 
 @pytest.mark.parametrize("value", [-0.01, 2.5, np.nan, np.inf])
@@ -441,7 +416,9 @@ def test_arrays_of_another_shape_are_refused(
 
 def test_states_of_another_kind_are_refused(twin: Twin, flown: TwinState) -> None:
     """A state with actuators of another kind, or whose arrays are views into others, is refused in place."""
-    other = TwinState.from_arrays({name: a[:, :7] if name.endswith("history") else a for name, a in list_arrays(flown)})
+    other = TwinState.from_arrays(
+        {name: a[:, :7] if name.endswith("history") else a for name, a in flown.arrays().items()}
+    )
     with pytest.raises(ValueError, match="another rig or another catalogue"):
         twin.advance_policy(other, command(twin, 1))
     twice = flown.take(np.repeat(np.arange(4), 2))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.effects.rigs import Rig, load_rigs
+from tests.effects.rigs import Rig
 from tests.twin.hover import share_kernel
 from tests.twin.test_warp_step import list_devices, own_effect, wait
 from vpptwin.cli.main import main
@@ -29,12 +29,6 @@ ROUNDING = 1e-11
 """Share of the largest value by which a card's sines may make others, as `tests/twin/test_fused.py` says."""
 SOME = ("rail_x.coulomb", "rail_x.stiction", "servo.backlash", "command.delay", "airframe.com", "air.ground_effect")
 LOG = flights_dir() / "steps.mcap"
-
-
-@pytest.fixture(scope="module")
-def rigs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rig]:
-    """The rigs by name."""
-    return load_rigs(tmp_path_factory.mktemp("rigs"))
 
 
 @pytest.fixture(scope="module", params=list_devices())

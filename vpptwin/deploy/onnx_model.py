@@ -16,7 +16,7 @@ from torch import nn
 
 from vpptwin.deploy.content import STATES, Content
 from vpptwin.system.files import write_whole
-from vpptwin.train.env.observe import INTEGRAL_DECAY
+from vpptwin.train.env.observe import Sight, accumulate_error, observe
 from vpptwin.train.learn.networks import Policy
 
 OUTPUTS = ("action", "integral_next", "observation")
@@ -27,35 +27,19 @@ class WholePolicy(nn.Module):
 
     Args:
         policy: the network.
-        names: of its inputs.
+        sight: what it is shown.
     """
 
-    def __init__(self, policy: Policy, names: tuple[str, ...]) -> None:
+    def __init__(self, policy: Policy, sight: Sight) -> None:
         super().__init__()
-        self.policy, self.names = policy, names
+        self.policy, self.sight = policy, sight
 
     def forward(
         self, pose: torch.Tensor, velocity: torch.Tensor, target: torch.Tensor, integral: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Action (N, 2), integral of the next step (N, 2) m and observation (N, inputs), from (N, 3), ... (N, 2)."""
-        delta = target - pose
-        grown = INTEGRAL_DECAY * integral + delta[:, :2]
-        angles = {"delta_theta": delta[:, 2], "target_theta": target[:, 2]}
-        plain = {
-            "delta_x": delta[:, 0], "delta_z": delta[:, 1], "velocity_x": velocity[:, 0],
-            "velocity_z": velocity[:, 1], "rate": velocity[:, 2], "integral_x": grown[:, 0], "integral_z": grown[:, 1],
-        }  # fmt: skip
-        columns = []
-        for name in self.names:
-            if name in plain:
-                columns.append(plain[name])
-            elif name in angles:
-                turns = torch.floor((angles[name] + torch.pi) / (2.0 * torch.pi))
-                columns.append(angles[name] - 2.0 * torch.pi * turns)
-            else:
-                kind, _, angle = name.partition("_")
-                columns.append(torch.sin(angles[angle]) if kind == "sin" else torch.cos(angles[angle]))
-        observation = torch.stack(columns, dim=1)
+        grown = accumulate_error(integral, (target - pose)[:, :2])
+        observation = observe(pose, velocity, target, grown, self.sight)
         return self.policy(observation), grown, observation
 
 
@@ -67,7 +51,7 @@ def write_onnx(content: Content, path: Path) -> Path:
     """
     policy = Policy(content.trained.sight, (content.trained.hidden[0], content.trained.hidden[1]))
     policy.load_state_dict({name: torch.from_numpy(values) for name, values in content.policy.weights.items()})
-    module = WholePolicy(policy, content.trained.sight.names).eval()
+    module = WholePolicy(policy, content.trained.sight).eval()
     examples = (torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 2))
     batch = torch.export.Dim("batch")
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)

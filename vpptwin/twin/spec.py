@@ -59,7 +59,7 @@ class Origin(BaseModel):
 
 
 class TwinFile(BaseModel):
-    """The keys of a twin YAML (SPEC 4)."""
+    """The keys of a twin YAML (docs/twin.md)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     model: str

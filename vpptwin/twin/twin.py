@@ -217,7 +217,7 @@ class Twin:
         return integrate_pose(self.spec.model, pose, 0.5 * self.dt * qvel)
 
     def step_policy(self, state: TwinState, command: np.ndarray, duration: float = 0.01) -> TwinState:
-        """Fly under a policy command through the whole cascade (SPEC 2).
+        """Fly under a policy command through the whole cascade: allocation, rate loop, servos, motors.
 
         Args:
             state: N simulations; not modified.
