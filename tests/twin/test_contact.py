@@ -145,6 +145,6 @@ def test_thrown_about_it_comes_to_rest() -> None:
     pose = rng.uniform([-1.4, 0.3, -np.pi], [1.4, 1.5, np.pi], (count, 3))
     path, velocity = coast(twin, place(twin, pose, rng.uniform(-1, 1, (count, 3)) * [3, 3, 8]), 10.0)
     assert np.isfinite(path).all()
-    # Friction in contacts is regularized, so that a tip which should stick creeps: by 1e-5 m/s, 0.1 mm in 10 s, at most.
+    # Friction in contacts is regularized, so that a tip which should stick creeps: 0.1 mm in 10 s at most.
     assert np.abs(velocity[:, -1000:, :2]).max() < 1e-5
     assert np.abs(velocity[:, -1000:, PITCH]).max() < 1e-4

@@ -62,14 +62,14 @@ def write_mjcf(spec: TwinSpec, held: Held, folder: Path) -> str:
         for attribute, own in (("meshdir", given.compiler.meshdir), ("texturedir", given.compiler.texturedir)):
             compiler.set(attribute, os.path.relpath((spec.model_file.parent / own).resolve(), folder.resolve()))
     for (element, name), effects in held.list_elements().items():
-        found = find_element(root, element, name, spec.model)
-        if found is None:
+        node = find_element(root, element, name, spec.model)
+        if node is None:
             raise InputError(f"{spec.model_file}: no {element} {name} once flattened", "one", "name it in the MJCF")
         wanted = {a: values for (kind, who, a), values in held.values.items() if (kind, who) == (element, name)}
-        set_attributes(found, wanted)
-        parent = next(around for around in root.iter() if found in list(around))
+        set_attributes(node, wanted)
+        parent = next(around for around in root.iter() if node in list(around))
         for effect in effects:
-            parent.insert(list(parent).index(found), ET.Comment(f" {without_dashes(describe(effect, spec))} "))
+            parent.insert(list(parent).index(node), ET.Comment(f" {without_dashes(describe(effect, spec))} "))
     head = [f"Written by vpptwin export from {spec.name}."]
     head += [f"Not held: {describe(effect, spec)} - {why}" for effect, why in held.lost]
     for line in reversed(head):
@@ -86,8 +86,8 @@ def without_dashes(text: str) -> str:
 def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjModel) -> ET.Element | None:
     """An element by its kind and name; one for inertia, or options, is made where it lacks."""
     if element == "option":
-        found = root.find("option")
-        return found if found is not None else ET.SubElement(root, "option")
+        node = root.find("option")
+        return node if node is not None else ET.SubElement(root, "option")
     if element == "joint":
         return root.find(f".//worldbody//joint[@name='{name}']")
     if element == "actuator":
@@ -109,21 +109,21 @@ def find_element(root: ET.Element, element: str, name: str, model: mujoco.MjMode
     return inertial
 
 
-def set_attributes(found: ET.Element, values: Mapping[str, tuple[float, ...]]) -> None:
+def set_attributes(node: ET.Element, values: Mapping[str, tuple[float, ...]]) -> None:
     """Write numbers into an element, with what has to go with them."""
     for attribute, numbers in values.items():
         if attribute == "biastype":
-            found.set(attribute, "affine" if numbers[0] == AFFINE else "none")
+            node.set(attribute, "affine" if numbers[0] == AFFINE else "none")
         elif attribute == "nsample":
-            found.set(attribute, str(int(numbers[0])))
-            found.set("interp", "linear")
+            node.set(attribute, str(int(numbers[0])))
+            node.set("interp", "linear")
         else:
-            found.set(attribute, write_numbers(numbers))
+            node.set(attribute, write_numbers(numbers))
         if attribute == "ctrlrange":
-            found.set("ctrllimited", "true")
+            node.set("ctrllimited", "true")
         if attribute == "dynprm":
-            found.set("dyntype", "filterexact")
-            found.set("actearly", "true")
+            node.set("dyntype", "filterexact")
+            node.set("actearly", "true")
 
 
 def write_numbers(numbers: tuple[float, ...]) -> str:

@@ -172,7 +172,8 @@ class Twin:
 
     def derived(self, name: str) -> np.ndarray | None:
         """A field of the model that MuJoCo derives from what effects write, (N, ...); None where all share it."""
-        return self._constants.read_derived(name)
+        self._constants.refresh()
+        return self._batch.expanded(name)
 
     def initial_state(
         self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None, time: np.ndarray | float = 0.0,

@@ -88,8 +88,8 @@ class Arithmetic(Paths):
 
     def of_record(self, record: Record, name: str) -> Value:
         """A field of a record: a number, or an array."""
-        found = record.fields[name]
-        return self.load(found.store[int(found.index)]) if isinstance(found, Cells) and found.index.ndim == 0 else found
+        cells = record.fields[name]
+        return self.load(cells.store[int(cells.index)]) if isinstance(cells, Cells) and cells.index.ndim == 0 else cells
 
     def truth(self, value: Value) -> Value:
         """A value as a condition."""

@@ -218,22 +218,22 @@ def print_expression(node: ast.expr, level: int = 0) -> str:
         case ast.Subscript():
             return f"{print_expression(node.value, 8)}[{print_expression(node.slice)}]"
         case ast.BinOp():
-            sign, own = OPERATORS[type(node.op)]
-            text = f"{print_expression(node.left, own)} {sign} {print_expression(node.right, own + 1)}"
+            sign, rank = OPERATORS[type(node.op)]
+            text = f"{print_expression(node.left, rank)} {sign} {print_expression(node.right, rank + 1)}"
         case ast.Compare():
-            sign, own = OPERATORS[type(node.ops[0])]
-            text = f"{print_expression(node.left, own + 1)} {sign} {print_expression(node.comparators[0], own + 1)}"
+            sign, rank = OPERATORS[type(node.ops[0])]
+            text = f"{print_expression(node.left, rank + 1)} {sign} {print_expression(node.comparators[0], rank + 1)}"
         case ast.BoolOp():
-            sign, own = JOINED[type(node.op)]
+            sign, rank = JOINED[type(node.op)]
             text = f" {sign} ".join(print_expression(value, 3) for value in node.values)
         case ast.UnaryOp():
-            own, text = 7, print_expression(node.operand, 8)
+            rank, text = 7, print_expression(node.operand, 8)
             text = f"{'!' if isinstance(node.op, ast.Not) else '-'}{f'({text})' if text.startswith('-') else text}"
         case ast.Call():
             return print_call(node, level)
         case _:
             raise Unwritable(f"is {ast.unparse(node)}, for which C has no word")
-    return f"({text})" if own < level else text
+    return f"({text})" if rank < level else text
 
 
 def print_call(node: ast.Call, level: int) -> str:

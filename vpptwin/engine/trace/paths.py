@@ -27,11 +27,11 @@ class Loop:
 
     Attributes:
         carried: its variables, by where their values stand as it is written.
-        left: what was written where it is left.
+        at_break: what was written where it is left.
     """
 
     carried: dict[tuple[int, Any], tuple[Any, Any, Term]] = field(default_factory=dict)
-    left: dict[tuple[int, Any], tuple[Any, Any, Value]] = field(default_factory=dict)
+    at_break: dict[tuple[int, Any], tuple[Any, Any, Value]] = field(default_factory=dict)
 
 
 class Paths:
@@ -119,35 +119,35 @@ class Paths:
 
     def fork(self, test: Term, then: Callable[[], Ending], other: Callable[[], Ending]) -> Ending:
         """Both branches of an `if`, and what they leave behind; endings are merged where both return."""
-        with self.branch() as (first, left):
+        with self.branch() as (then_lines, then_written):
             one = then()
-        with self.branch() as (second, right):
+        with self.branch() as (else_lines, else_written):
             two = other()
         before: list[str] = []
         if one != BREAK and two != BREAK:
-            for here in {**left, **right}:
-                container, key, _ = left.get(here) or right[here]
+            for here in {**then_written, **else_written}:
+                container, key, _ = then_written.get(here) or else_written[here]
                 old = container[key] if isinstance(container, list) else container.get(key, MISSING)
-                pair = [side[here][2] if here in side else old for side in (left, right)]
+                pair = [side[here][2] if here in side else old for side in (then_written, else_written)]
                 if MISSING in pair:  # defined in one of them: for that one alone
                     continue
-                self.put(container, key, self.merge(pair[0], pair[1], before, first, second))
+                self.put(container, key, self.merge(pair[0], pair[1], before, then_lines, else_lines))
         else:
             loop = self.loops[-1]
             if loop is None:
                 raise Unwritable("leaves a loop in one case only")
-            loop.left |= left if one == BREAK else right
-            for container, key, value in (right if one == BREAK else left).values():
+            loop.at_break |= then_written if one == BREAK else else_written
+            for container, key, value in (else_written if one == BREAK else then_written).values():
                 self.put(container, key, value)
         ending = two if one in (BREAK, CONTINUE) else one
         if isinstance(one, tuple) != isinstance(two, tuple) and BREAK not in (one, two):
             raise Unwritable("returns in one case, and goes on in a loop in the other")
         if isinstance(one, tuple) and isinstance(two, tuple):
-            ending = ("return", self.merge(one[1], two[1], before, first, second))
+            ending = ("return", self.merge(one[1], two[1], before, then_lines, else_lines))
         self.lines += before
-        self.lines += [f"if {test.text}:", *("    " + line for line in first or ["pass"])]
-        if second:
-            self.lines += ["else:", *("    " + line for line in second)]
+        self.lines += [f"if {test.text}:", *("    " + line for line in then_lines or ["pass"])]
+        if else_lines:
+            self.lines += ["else:", *("    " + line for line in else_lines)]
         return NORMAL if ending in (BREAK, CONTINUE) else ending
 
     def merge(self, one: Value, two: Value, before: list[str], first: list[str], second: list[str]) -> Value:
@@ -181,7 +181,7 @@ class Paths:
                 self.carry(loop)
             self.loops.pop()
             fresh = {
-                here: (container, key, value) for here, (container, key, value) in (loop.left | written).items()
+                here: (container, key, value) for here, (container, key, value) in (loop.at_break | written).items()
                 if here not in loop.carried and not (isinstance(container, Scope) and container.serial > born)
                 and (isinstance(container, list) or key in container)
             }  # fmt: skip
@@ -199,13 +199,13 @@ class Paths:
 
     def carry(self, loop: Loop) -> None:
         """Hand on the values of now to a loop's variables, all at once."""
-        own = {variable.text for *_, variable in loop.carried.values()}
+        carried = {variable.text for *_, variable in loop.carried.values()}
         texts = [(v, self.write_out(container[key], v.kind)) for container, key, v in loop.carried.values()]
         later = []
         for variable, text in texts:
             if text == variable.text:
                 continue
-            if text in own:
+            if text in carried:
                 self.count += 1
                 self.lines.append(f"t{self.count} = {text}")
                 text = f"t{self.count}"
@@ -217,8 +217,8 @@ def drop_unused(lines: list[str]) -> list[str]:
     """The lines without those that give a value to a variable which nothing reads."""
     while True:
         halves = [(m[1], line[m.end() :]) if (m := ASSIGNED.match(line)) else ("", line) for line in lines]
-        used = {name for own, text in halves for name in VARIABLE.findall(text) if name != own}
-        kept = [line for line, (own, _) in zip(lines, halves) if not own or own in used]
+        used = {name for target, text in halves for name in VARIABLE.findall(text) if name != target}
+        kept = [line for line, (target, _) in zip(lines, halves) if not target or target in used]
         if len(kept) == len(lines):
             break
         lines = kept

@@ -286,8 +286,7 @@ class Writer(Arithmetic):
             return self.of_record(base, name)
         if isinstance(base, Term) or not hasattr(base, name):
             raise Unwritable(f"uses .{name}, which Warp cannot compile")
-        found = getattr(base, name)
-        return self.load(found)
+        return self.load(getattr(base, name))
 
     def invoke(self, function: Value, called: str, given: list[Value], named: dict[str, Value]) -> Value:
         """Call a function: of numpy's, of Python's own, a named tuple, or one with text of its own."""

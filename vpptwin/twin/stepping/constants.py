@@ -63,11 +63,6 @@ class ConstantTable:
         self._derives = any(name in mujoco.MjModel._setconst_inputs or name.startswith("opt.") for name in self._fields)
         self._stale: np.ndarray | None = np.ones(num_sims, dtype=bool)
 
-    def read_derived(self, name: str) -> np.ndarray | None:
-        """A field that the engine derives from what effects write, (N, ...); None where it is the same for all."""
-        self.refresh()
-        return self._batch.expanded(name)
-
     def set_parameters(self, keys: Sequence[Key], values: np.ndarray | float, ids: np.ndarray | None = None) -> None:
         """Set parameters, for all simulations or for `ids`; the constants follow at the next `refresh`.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from vpptwin.twin.stepping.pipeline import Pipeline, write_pipeline
 
 ADDRESSES = (
     "parameters", "rest", "qpos", "qvel", "time", "first", "stops", "lead_qpos", "lead_qvel", "lead_rest", "active",
-    "dry", "inertia", "left", "states",
+    "dry", "inertia", "recalled", "states",
 )  # fmt: skip
 TRACK = np.dtype(
     [
@@ -42,14 +42,14 @@ def recall_effects(address, begin, end, room):
     for i in range(begin, end):
         parameters = array_at(track.parameters + {parameters} * 8 * i, ({parameters},), np.float64)
         states = array_at(track.states + {states} * 8 * i, ({states},), np.float64)
-        left = array_at(track.left + track.marks * {states} * 8 * i, (track.marks, {states}), np.float64)
+        recalled = array_at(track.recalled + track.marks * {states} * 8 * i, (track.marks, {states}), np.float64)
         mark = 0
         for k in range(track.samples):
             if first[k]:
                 for j in range({states}):
                     states[j] = rest[k, j]
             while mark < track.marks and stops[mark] == k:
-                own = left[mark]
+                own = recalled[mark]
                 for j in range({states}):
                     own[j] = states[j]
                 at = track.lead_qpos + (track.lead + 1) * {nq} * 8 * mark
@@ -113,12 +113,12 @@ class Recollection:
         order = np.argsort(past.stops, kind="stable")
         rest = self.pipeline.start_effects(past.qpos, past.qvel)
         lead_rest = self.pipeline.start_effects(past.lead_qpos[order, -1], past.lead_qvel[order, -1])
-        left = np.zeros((count, len(order), rest.shape[1]))
+        recalled = np.zeros((count, len(order), rest.shape[1]))
         arrays = {
             "parameters": parameters, "rest": rest, "qpos": past.qpos, "qvel": past.qvel, "time": past.time,
             "first": past.first, "stops": past.stops[order].astype(np.int64), "lead_qpos": past.lead_qpos[order],
             "lead_qvel": past.lead_qvel[order], "lead_rest": lead_rest, "active": active, "dry": self.dry,
-            "inertia": self.inertia, "left": left, "states": np.zeros((count, rest.shape[1])),
+            "inertia": self.inertia, "recalled": recalled, "states": np.zeros((count, rest.shape[1])),
         }  # fmt: skip
         held = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         track, room = np.zeros((), TRACK), np.zeros((4, len(self.dry)))
@@ -126,13 +126,11 @@ class Recollection:
             track[name] = array.ctypes.data
         track["samples"], track["marks"], track["dt"] = len(past.time), len(order), self.dt
         track["lead"] = past.lead_qpos.shape[1] - 1
-        self._function()(track.ctypes.data, 0, count, room.ctypes.data)
-        result = np.empty_like(left)
-        result[:, order] = left
+        run = compile_once(self.source, "recall_effects", self.pipeline, {"TRACK": TRACK}, FLY)
+        run(track.ctypes.data, 0, count, room.ctypes.data)
+        result = np.empty_like(recalled)
+        result[:, order] = recalled
         return result
-
-    def _function(self) -> Any:  # noqa: ANN401
-        return compile_once(self.source, "recall_effects", self.pipeline, {"TRACK": TRACK}, FLY)
 
 
 def write_recollection(
