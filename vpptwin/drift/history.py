@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vpptwin.diagnosis.evidence.runs import Key
 from vpptwin.drift.course import Band, Course, FittedFlight, ParameterHistory
 from vpptwin.drift.free_flight import FlightFit, fit_flights, parse_parameters
 from vpptwin.drift.page import render_history
@@ -143,15 +144,20 @@ def history(
     told = History(spec.name, dated, found, [], origin)
     for effect in (find_effect(spec.catalogue, cause) for cause in causes):
         for name in (p.name for p in effect.parameters):
-            values = [fits[i].values.get((effect.id, name)) for i in range(len(flights))]
-            known = {i: value for i, value in enumerate(values) if value is not None}
-            shown, trend = list(known), None
-            if len(shown) > 1:
-                std = np.array([max(value.std, 1e-12) for value in known.values()])
-                trend = judge_trend(told.time[shown], np.array([value.value for value in known.values()]), std)
             band = checked.get(f"{effect.id}.{name}")
-            told.courses.append(Course(effect.id, name, effect.summary, values, trend, shown, band))
+            told.courses.append(follow(told, (effect.id, name), effect.summary, band))
     return told
+
+
+def follow(record: ParameterHistory, key: Key, meaning: str, band: Band | None) -> Course:
+    """One parameter over the flights of a history."""
+    values = [flight.fit.values.get(key) for flight in record.flights]
+    known = {i: value for i, value in enumerate(values) if value is not None}
+    shown, trend = list(known), None
+    if len(shown) > 1:
+        std = np.array([max(value.std, 1e-12) for value in known.values()])
+        trend = judge_trend(record.time[shown], np.array([value.value for value in known.values()]), std)
+    return Course(*key, meaning, values, trend, shown, band)
 
 
 def choose_causes(spec: TwinSpec, parameters: str | None) -> list[str]:
