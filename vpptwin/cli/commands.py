@@ -87,37 +87,33 @@ def run_play(options: argparse.Namespace) -> None:
     other = next((name for name, value in elsewhere.items() if value is not None), None)
     if options.viewer == "mujoco" and other is not None:
         raise InputError(f"--viewer mujoco and {other} {elsewhere[other]}", "one of them", "leave one out")
-    if options.live is not None:
-        play_policy(options.live, options.log, options.host)
+    if options.live is None:
+        restart = None if options.free else options.restart
+        source = Source(options.log, options.twin, restart, options.topic_map, options.effects)
+        play_log(source, options.html, options.video, options.host, options.viewer == "mujoco")
         return
-    restart = None if options.free else options.restart
-    given = (options.log, options.twin, options.html, restart, options.topic_map, options.effects, options.video)
-    play_log(*given, options.host, options.viewer == "mujoco")
-
-
-def play_policy(checkpoint: Path, logs: Sequence[Path], host: str) -> None:
-    """Fly a policy in real time until Ctrl-C; refuse a log that is given too."""
-    if logs:
-        raise InputError(f"{logs[0]} and --live {checkpoint}", "a log or a policy", "leave one out")
+    if options.log:
+        raise InputError(f"{options.log[0]} and --live {options.live}", "a log or a policy", "leave one out")
     from vpptwin.train.stored import need_checkpoint
 
-    need_checkpoint(checkpoint)
+    need_checkpoint(options.live)
     from vpptwin.robots.planar_drone.display.live import fly_live
     from vpptwin.train.evaluate.live import LiveFlight
 
-    fly_live(LiveFlight(checkpoint), host)
+    fly_live(LiveFlight(options.live), options.host)
 
 
 def run_plot(options: argparse.Namespace) -> None:
     """`vpptwin plot`."""
-    from vpptwin.viz.command import name_picture, plot
+    from vpptwin.logs.spelling import expand, stem_log
+    from vpptwin.viz.command import Source, plot
 
     restart = None if options.free else options.restart
-    out = options.out or name_picture(options.source)
+    out = options.out or Path(f"{stem_log(expand(options.source[0])[0])}.png")
     if not options.force:
         check_own([out])
     check_target(out)
-    plot(options.source, options.twin, out, restart, options.theme, options.topic_map, options.effects)
+    plot(Source(options.source, options.twin, restart, options.topic_map, options.effects), out, options.theme)
 
 
 def run_convert(options: argparse.Namespace) -> None:

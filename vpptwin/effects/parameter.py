@@ -83,10 +83,11 @@ class Parameter:
         )
         return replace(self, off=off, prior=prior, low=min(self.low, 0.5 * off), high=max(self.high, 2.0 * off))
 
-    def away(self, times: float) -> float:
-        """A value so many sizes above the off value, or below it where there is no room, within the bounds."""
-        up = self.off + times * self.size
-        return up if up <= self.high else float(self.clip(np.array(self.off - times * self.size)))
+    def away(self, times: float, start: float | None = None) -> float:
+        """A value so many sizes above the off value or a start, or below it without room, within the bounds."""
+        start = self.off if start is None else start
+        up = start + times * self.size
+        return up if up <= self.high else float(self.clip(np.array(start - times * self.size)))
 
     def clip(self, value: np.ndarray) -> np.ndarray:
         """Move values into the physical bounds."""

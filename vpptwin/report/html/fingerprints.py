@@ -1,6 +1,6 @@
 """What every suspect would do to the logs at hand: small pictures of how a twin that has it departs from one without.
 
-Those of the documentation, which show the drone's effects over one flight, are drawn by `viz.plots.fingerprint`.
+Those of the documentation, of the drone's effects over one flight, are drawn by `planar_drone.display.fingerprint`.
 """
 
 from __future__ import annotations
@@ -58,9 +58,7 @@ def choose_windows(bench: Bench) -> Bench:
 def switch_on(bench: Bench, effect: Effect) -> tuple[Key, float]:
     """The strength of an effect, so many typical sizes away from the twin's own."""
     strength = effect.parameters[0]
-    own = bench.spec.value(effect, strength.name)
-    up = own + SIZES * strength.size
-    return (effect.id, strength.name), up if up <= strength.high else max(own - SIZES * strength.size, strength.low)
+    return (effect.id, strength.name), strength.away(SIZES, bench.spec.value(effect, strength.name))
 
 
 def draw(bench: Bench, effect: Effect, departure: np.ndarray) -> str:

@@ -27,9 +27,9 @@ PANELS = {
     "exam_failures": ("share of them that failed", False),
 }
 """Scalars that are drawn: label, whether on a logarithmic axis."""
-POINTS = 60
+MAX_POINTS = 60
 """Of a curve; what lies between is averaged."""
-UNTOLD = ("seed", "out", "resume", "progress", "workers", "sim_threads", "torch_threads", "loggers")
+IGNORED_OPTIONS = ("seed", "out", "resume", "progress", "workers", "sim_threads", "torch_threads", "loggers")
 """Options in which runs may differ without being called different."""
 
 
@@ -39,7 +39,7 @@ def is_run(path: Path) -> bool:
 
 
 def read_curve(run: Path, name: str) -> Curve | None:
-    """A logged scalar, averaged to at most `POINTS` points; None where no number was.
+    """A logged scalar, averaged to at most `MAX_POINTS` points; None where no number was.
 
     Raises:
         InputError: if its file is not what training writes.
@@ -49,7 +49,7 @@ def read_curve(run: Path, name: str) -> Curve | None:
         return None
     try:
         rows = np.loadtxt(file, delimiter=",", ndmin=2)
-        parts = [part for part in np.array_split(rows, min(POINTS, len(rows))) if np.isfinite(part[:, 1]).any()]
+        parts = [part for part in np.array_split(rows, min(MAX_POINTS, len(rows))) if np.isfinite(part[:, 1]).any()]
         steps = [round(float(p[:, 0].mean())) for p in parts]
         return (steps, [float(np.nanmean(p[:, 1])) for p in parts]) if parts else None
     except (ValueError, IndexError) as error:
@@ -105,7 +105,7 @@ def read_options(run: Path) -> dict[str, object]:
             flat[prefix] = values
 
     flatten(nested, "")
-    return {key: value for key, value in flat.items() if key not in UNTOLD}
+    return {key: value for key, value in flat.items() if key not in IGNORED_OPTIONS}
 
 
 def draw_curves(curves: Mapping[str, Sequence[Mapping[str, Curve]]], title: str) -> Story:

@@ -23,7 +23,7 @@ WIDTH, HEIGHT = 9.0, 1.7
 """Of a figure and of one panel, inch."""
 TALL = 3.0
 """Of panels side by side."""
-MOST_SAMPLES = 3000
+MAX_SAMPLES = 3000
 """Of a line; a screen has fewer columns."""
 FEW = 5
 """Points of a line; fewer are marked."""
@@ -76,7 +76,11 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
     with open_figure(WIDTH, (HEIGHT if story.columns == 1 else TALL) * story.rows + 0.6, ink) as figure:
         draw_story(figure, story, ink)
         if kind == ".png":
-            return write_whole(out, render_png(figure, THEMES[theme]))
+            FigureCanvasAgg(figure)
+            content, about, packing = io.BytesIO(), {"Software": "vpptwin"}, {"compress_level": 3}
+            paper = THEMES[theme].paper
+            figure.savefig(content, format="png", dpi=DPI, facecolor=paper, metadata=about, pil_kwargs=packing)
+            return write_whole(out, content.getvalue())
         return write_whole(out, follow_reader(write_svg(figure, story.title)))
 
 
@@ -109,15 +113,11 @@ def draw_story(figure: Figure, story: Story, ink: str = INK) -> None:
         figure.legend(handles, labels, loc="outside lower center", ncols=min(fitting, len(labels)))
     figure.suptitle(story.title, x=0.01, horizontalalignment="left", fontsize=11.0)
     for column in grid.T if story.rows > 1 else ():
-        align_labels(column, figure)
-
-
-def align_labels(column: np.ndarray, figure: Figure) -> None:
-    """Put the labels of y axes in one line, left of the widest number, which `align_ylabels` measures anew for each."""
-    widest = max(number.get_window_extent().width for axes in column for number in axes.get_yticklabels())
-    away = ScaledTranslation(-widest / figure.dpi - LABEL_GAP, 0.0, figure.dpi_scale_trans)
-    for axes in column:
-        axes.yaxis.set_label_coords(0.0, 0.5, transform=axes.transAxes + away)
+        # Labels in one line, left of the widest number, which `align_ylabels` measures anew for each.
+        widest = max(number.get_window_extent().width for axes in column for number in axes.get_yticklabels())
+        away = ScaledTranslation(-widest / figure.dpi - LABEL_GAP, 0.0, figure.dpi_scale_trans)
+        for axes in column:
+            axes.yaxis.set_label_coords(0.0, 0.5, transform=axes.transAxes + away)
 
 
 def draw_panel(axes: Axes, panel: Panel, triggers: np.ndarray, ink: str) -> None:
@@ -151,17 +151,8 @@ def is_sparse(line: Line) -> bool:
 
 def thin_line(line: Line) -> tuple[np.ndarray, np.ndarray]:
     """Time and values of a line, at most so many samples of it; where it is broken it stays broken."""
-    kept = np.union1d(thin(len(line.time), MOST_SAMPLES), np.flatnonzero(~np.isfinite(line.values)))
+    kept = np.union1d(thin(len(line.time), MAX_SAMPLES), np.flatnonzero(~np.isfinite(line.values)))
     return line.time[kept], line.values[kept]
-
-
-def render_png(figure: Figure, theme: Theme) -> bytes:
-    """The drawn figure as PNG."""
-    FigureCanvasAgg(figure)
-    out = io.BytesIO()
-    about, packing = {"Software": "vpptwin"}, {"compress_level": 3}
-    figure.savefig(out, format="png", dpi=DPI, facecolor=theme.paper, metadata=about, pil_kwargs=packing)
-    return out.getvalue()
 
 
 def render_page(story: Story, theme: Theme) -> str:

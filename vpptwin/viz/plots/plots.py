@@ -11,11 +11,11 @@ from vpptwin.viz.plots.figure import AFTER, BEFORE, INK, name_axes, open_figure,
 from vpptwin.viz.plots.palette import GREY
 
 SIZE = (3.6, 2.7)  # inch: two stand side by side on a desk, one fills a phone held upright
-MOST_POINTS = 1000  # of a scatter plot
+MAX_POINTS = 1000  # of a scatter plot
 BINS = 16  # of the running median
-FEWEST_IN_BIN = 8  # samples, below which a bin's quantiles say nothing
+MIN_PER_BIN = 8  # samples, below which a bin's quantiles say nothing
 BAND = (0.1, 0.9)  # quantiles
-MOST_SAMPLES = 800  # of a line
+MAX_SAMPLES = 800  # of a line
 
 
 def error_by_horizon(
@@ -47,16 +47,11 @@ def error_by_horizon(
         axes.set_xticks(list(horizons_s), [f"{h:g}" for h in horizons_s])
         axes.minorticks_off()
         axes.yaxis.set_major_formatter("{x:g}")
-        widen_to_decades(axes)
+        low, high = axes.get_ylim()  # whole decades, so that at least two ticks carry a number
+        axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
         name_axes(axes, "horizon [s]", label)
         axes.legend()
         return write_svg(figure, f"{label} against horizon")
-
-
-def widen_to_decades(axes: Axes) -> None:
-    """Extend a logarithmic y axis to whole decades, so that at least two ticks carry a number."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high)))
 
 
 def residual_against(
@@ -96,22 +91,18 @@ def residual_against(
 def draw_residual(axes: Axes, x: np.ndarray, residual: np.ndarray, colour: str) -> None:
     """Samples, running median and quantile band of one residual."""
     axes.axhline(0.0, color=INK, linewidth=0.8)
-    if len(x):
-        draw_dots(axes, x, residual, colour)
+    if len(x):  # some of the samples as dots in one path: a marker each would make the SVG ten times as long
+        shown = thin(len(x), MAX_POINTS)
+        gap = np.full(len(shown), np.nan)
+        ends = np.stack([x[shown], x[shown] + 1e-9, gap], -1).reshape(-1)
+        heights = np.stack([residual[shown], residual[shown], gap], -1).reshape(-1)
+        (dots,) = axes.plot(ends, heights, color=colour, linewidth=2.2, alpha=0.4)
+        dots.set_solid_capstyle("round")
+        dots.get_path().should_simplify = False
     centre, low, median, high = bin_quantiles(x, residual)
     axes.fill_between(centre, low, high, color=colour, alpha=0.25, linewidth=0.0)
     axes.plot(centre, median, "-", color=INK, linewidth=3.4, alpha=0.35)
     axes.plot(centre, median, "-", color=colour, linewidth=2.2)
-
-
-def draw_dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str) -> None:
-    """Some of the samples as dots in one path: a marker each would make the SVG ten times as long."""
-    shown = thin(len(x), MOST_POINTS)
-    gap = np.full(len(shown), np.nan)
-    ends = np.stack([x[shown], x[shown] + 1e-9, gap], -1).reshape(-1)
-    dots = axes.plot(ends, np.stack([y[shown], y[shown], gap], -1).reshape(-1), color=colour, linewidth=2.2, alpha=0.4)
-    dots[0].set_solid_capstyle("round")
-    dots[0].get_path().should_simplify = False
 
 
 def bin_quantiles(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -120,7 +111,7 @@ def bin_quantiles(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     Returns:
         Median of x, lower quantile, median and upper quantile of y, one for each bin (b,); no bins of too few samples.
     """
-    bins = min(BINS, len(x) // FEWEST_IN_BIN)
+    bins = min(BINS, len(x) // MIN_PER_BIN)
     if not bins:
         return (np.empty(0),) * 4
     parts = np.array_split(np.argsort(x, kind="stable"), bins)
@@ -153,7 +144,7 @@ def prediction_overlay(
         label: what is shown, with its unit.
         restarts: times at which the twin was set back to the log [s]; its lines are broken there.
     """
-    shown = thin(len(time), MOST_SAMPLES)
+    shown = thin(len(time), MAX_SAMPLES)
     with open_figure(*SIZE) as figure:
         axes = figure.subplots()
         axes.plot(time[shown], measured[shown], color=INK, linewidth=4.5, alpha=0.35)
@@ -176,7 +167,7 @@ def residual_over_time(
         label: what is shown, with its unit.
         restarts: times at which the twin was set back to the log [s]; lines are broken there.
     """
-    shown = thin(len(time), MOST_SAMPLES)
+    shown = thin(len(time), MAX_SAMPLES)
     with open_figure(*SIZE) as figure:
         axes = figure.subplots()
         axes.axhspan(-2.0 * noise, 2.0 * noise, color=GREY, alpha=0.3, linewidth=0.0)

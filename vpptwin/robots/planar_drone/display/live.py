@@ -16,15 +16,8 @@ import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.actuators.blade import compute_thrust
-from vpptwin.robots.planar_drone.display.rotors import (
-    PITCH_EXAGGERATION,
-    SHORTEST_ARROW,
-    TURN_SIGNS,
-    TURN_SLOWDOWN,
-    RotorMotion,
-    find_craft,
-    fit_craft,
-)
+from vpptwin.robots.planar_drone.display import rotors
+from vpptwin.robots.planar_drone.display.rotors import RotorMotion, find_craft, fit_craft
 from vpptwin.robots.planar_drone.display.scene import BLADES, draw_arrows, draw_ghost, draw_rotors, measure_arrows
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.signals import until_interrupted
@@ -71,13 +64,13 @@ class LiveStage:
         draw_ghost(self._ghost, self._model, vehicle)
         aim_at(vis, VIEW)
 
-    def show(self, qpos: np.ndarray, target: np.ndarray, rotors: RotorMotion) -> None:
+    def show(self, qpos: np.ndarray, target: np.ndarray, motion: RotorMotion) -> None:
         """Move everything.
 
         Args:
             qpos: joint positions (nq,).
             target: x, z, θ (3,) m, m, rad.
-            rotors: at this time, (1, 2).
+            motion: of the rotors at this time, (1, 2).
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
@@ -87,15 +80,15 @@ class LiveStage:
         half = -0.5 * target[2]  # θ turns about -y
         turn = np.array([np.cos(half), 0.0, np.sin(half), 0.0])
         self._ghost.set_transform(make_matrix(np.array([target[0], 0.0, target[1]]), turn))
-        for i, sign in enumerate(TURN_SIGNS):
+        for i, sign in enumerate(rotors.TURN_SIGNS):
             spin = self._craft[f"rotor_{i + 1}"]["spin"]
-            spin.set_transform(tf.rotation_matrix(sign * rotors.angle[0, i] / TURN_SLOWDOWN, [0, 0, 1]))
+            spin.set_transform(tf.rotation_matrix(sign * motion.angle[0, i] / rotors.TURN_SLOWDOWN, [0, 0, 1]))
             for blade, _ in BLADES:
-                feather = tf.rotation_matrix(sign * PITCH_EXAGGERATION * rotors.blade_pitch[0, i], [1, 0, 0])
+                feather = tf.rotation_matrix(sign * rotors.PITCH_EXAGGERATION * motion.blade_pitch[0, i], [1, 0, 0])
                 spin[blade]["feather"].set_transform(feather)
-        for node, length in measure_arrows(rotors.thrust[0], self._vehicle):
+        for node, length in measure_arrows(motion.thrust[0], self._vehicle):
             arrow = self._craft[node]
-            arrow.set_property("visible", bool(length > SHORTEST_ARROW))
+            arrow.set_property("visible", bool(length > rotors.SHORTEST_ARROW))
             arrow["shaft"].set_transform(np.diag([1.0, 1.0, length, 1.0]))
             arrow["head"].set_transform(tf.translation_matrix([0.0, 0.0, length]))
 
@@ -149,8 +142,8 @@ def fly_live(flight: LiveFlight, host: str = LOOPBACK) -> None:
             now = time.perf_counter()
             if now >= redraw:
                 thrust = compute_thrust(vehicle.rotor, speed, pitch)
-                rotors = RotorMotion(*(part[None] for part in (angle, pitch, thrust)))
-                stage.show(env.state.qpos[0], env.episodes.target[0], rotors)
+                motion = RotorMotion(*(part[None] for part in (angle, pitch, thrust)))
+                stage.show(env.state.qpos[0], env.episodes.target[0], motion)
                 # Drawing takes half of the time at most: the flight is to keep pace with the clock.
                 redraw = max(now + FRAME, 2.0 * time.perf_counter() - now)
             if due > now:

@@ -11,26 +11,8 @@ import numpy as np
 from vpptwin.actuators.blade import max_thrust
 from vpptwin.logs.flight import Flight
 from vpptwin.robots.planar_drone.craft import CRAFT_JOINTS, PlanarDrone
-from vpptwin.robots.planar_drone.display.rotors import (
-    ARROW_LENGTH,
-    CHORD,
-    HEAD_HEIGHT,
-    HEAD_RADIUS,
-    PITCH_EXAGGERATION,
-    ROOT_RADIUS,
-    SHAFT_RADIUS,
-    TURN_SIGNS,
-    TURN_SLOWDOWN,
-    RotorMotion,
-    SetpointChanges,
-    find_craft,
-    find_rotor,
-    fit_craft,
-    hold,
-    read_setpoint,
-    sample_rotors,
-    turn_rotors,
-)
+from vpptwin.robots.planar_drone.display import rotors
+from vpptwin.robots.planar_drone.display.rotors import RotorMotion, SetpointChanges, find_craft, hold
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.viz.plots.palette import BLADE, NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK
 from vpptwin.viz.scene.frames import THINNEST, Painter, to_colour
@@ -76,21 +58,23 @@ class CraftOverlay(Overlay):
         """What is not drawn to scale."""
         if self.log is None:
             return ()
-        slow = f"Rotors turn {TURN_SLOWDOWN:g} times slower and pitch {PITCH_EXAGGERATION:g} times further."
+        slow = (
+            f"Rotors turn {rotors.TURN_SLOWDOWN:g} times slower and pitch {rotors.PITCH_EXAGGERATION:g} times further."
+        )
         return slow, "Thrust: k_T × speed × commanded pitch."
 
     def draw_parts(self, vis: Visualizer, show: Show, name: str, paint: Paint | None) -> list[KeyframeTrack]:
         """Rotors, with thrust arrows where they have their own colours."""
         from vpptwin.robots.planar_drone.display import scene  # meshcat takes half a second, and few commands draw
 
-        craft, rotors = f"{ROOT}/{name}/{name_body(show.model, find_craft(show.model))}", getattr(self, name)
+        craft, motion = f"{ROOT}/{name}/{name_body(show.model, find_craft(show.model))}", getattr(self, name)
         scene.draw_rotors(vis[craft], show.model, self.vehicle, paint)
-        if rotors is None:
+        if motion is None:
             return []
-        tracks = scene.track_rotors(craft, self.time, rotors)
+        tracks = scene.track_rotors(craft, self.time, motion)
         if paint is None:
             scene.draw_arrows(vis[craft])
-            tracks += scene.track_arrows(craft, self.time, rotors, self.vehicle)
+            tracks += scene.track_arrows(craft, self.time, motion, self.vehicle)
         return tracks
 
     def draw_target(self, vis: Visualizer, show: Show) -> list[KeyframeTrack]:
@@ -128,40 +112,42 @@ class CraftOverlay(Overlay):
             painter.fill(pen, (origin + points @ turn.T)[:, [0, 2]], to_colour(colour))
 
         fill(np.stack([0.03 * np.cos(ROUND), 0.0 * ROUND, 0.018 + 0.014 * np.sin(ROUND)], -1), TOP_MARK)
-        for i, sign in enumerate(TURN_SIGNS):
-            hub, radius = find_rotor(painter.model, self.vehicle, i + 1)
-            mast = hub + ROOT_RADIUS * np.array([[-1, 0, 0], [1, 0, 0], [1, 0, 0], [-1, 0, 0]])
+        for i, sign in enumerate(rotors.TURN_SIGNS):
+            hub, radius = rotors.find_rotor(painter.model, self.vehicle, i + 1)
+            mast = hub + rotors.ROOT_RADIUS * np.array([[-1, 0, 0], [1, 0, 0], [1, 0, 0], [-1, 0, 0]])
             mast[:2, 2] -= hub[2]
             fill(mast, BLADE)
             for side in (1.0, -1.0):
-                about = sign * self.log.angle[row, i] / TURN_SLOWDOWN
+                about = sign * self.log.angle[row, i] / rotors.TURN_SLOWDOWN
                 along = side * np.array([np.cos(about), np.sin(about), 0.0])
                 across = side * np.array([-np.sin(about), np.cos(about), 0.0])
-                pitch = sign * PITCH_EXAGGERATION * self.log.blade_pitch[row, i]
-                chord = 0.5 * CHORD * (across * np.cos(pitch) + np.array([0.0, 0.0, np.sin(pitch)]))
+                pitch = sign * rotors.PITCH_EXAGGERATION * self.log.blade_pitch[row, i]
+                chord = 0.5 * rotors.CHORD * (across * np.cos(pitch) + np.array([0.0, 0.0, np.sin(pitch)]))
                 thick = np.array([0.0, 0.0, 0.5 * THINNEST])
                 edges = [edge + skin for edge in (chord, -chord) for skin in (thick, -thick)]
-                fill(np.array([hub + r * along + edge for r in (ROOT_RADIUS, radius) for edge in edges]), BLADE)
-            length = self.log.thrust[row, i] / max_thrust(self.vehicle.rotor) * ARROW_LENGTH
+                fill(np.array([hub + r * along + edge for r in (rotors.ROOT_RADIUS, radius) for edge in edges]), BLADE)
+            length = self.log.thrust[row, i] / max_thrust(self.vehicle.rotor) * rotors.ARROW_LENGTH
             if abs(length) > 0.01:
                 colour = POSITIVE_THRUST if length > 0.0 else NEGATIVE_THRUST
-                tip = length + np.sign(length) * HEAD_HEIGHT
-                fill(hub + np.array([[s * SHAFT_RADIUS, 0.0, z] for s in (-1, 1) for z in (0.0, length)]), colour)
-                barbs = [[s * HEAD_RADIUS, 0.0, length] for s in (-1, 1)]
+                tip = length + np.sign(length) * rotors.HEAD_HEIGHT
+                fill(
+                    hub + np.array([[s * rotors.SHAFT_RADIUS, 0.0, z] for s in (-1, 1) for z in (0.0, length)]), colour
+                )
+                barbs = [[s * rotors.HEAD_RADIUS, 0.0, length] for s in (-1, 1)]
                 fill(hub + np.array([*barbs, [0.0, 0.0, tip]]), colour)
 
 
 def overlay_craft(robot: PlanarDrone, show: Show, flight: Flight, prediction: Prediction | None) -> CraftOverlay:
     """The drone's `make_overlay`; the arm that is drawn gets the vehicle's length."""
     vehicle, frames = robot.vehicle, show.frames
-    fit_craft(show.model, vehicle)
-    log, twin = sample_rotors(flight, vehicle, frames), None
+    rotors.fit_craft(show.model, vehicle)
+    log, twin = rotors.sample_rotors(flight, vehicle, frames), None
     if prediction is not None and show.twin is not None:
         known = np.isfinite(prediction.qpos).all(axis=1)
         time, speed = prediction.time[known], prediction.rotor_speed[known]
-        twin = turn_rotors(time, speed, hold(time, prediction.blade_pitch[known], frames), frames, vehicle)
+        twin = rotors.turn_rotors(time, speed, hold(time, prediction.blade_pitch[known], frames), frames, vehicle)
         if log is not None:  # nobody models the rotors' phase: they start where the log's are when the twin first shows
             first = int(np.argmax(show.twin.shown))
             twin = replace(twin, angle=twin.angle + log.angle[first] - twin.angle[first])
-    setpoint = read_setpoint(flight, float(frames[0]), float(frames[-1]))
+    setpoint = rotors.read_setpoint(flight, float(frames[0]), float(frames[-1]))
     return CraftOverlay(vehicle, show.time, log, twin, setpoint)

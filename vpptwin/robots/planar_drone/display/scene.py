@@ -11,23 +11,8 @@ import numpy as np
 from meshcat import Visualizer
 
 from vpptwin.actuators.blade import max_thrust
-from vpptwin.robots.planar_drone.display.rotors import (
-    ARROW_LENGTH,
-    CHORD,
-    HEAD_HEIGHT,
-    HEAD_RADIUS,
-    PITCH_EXAGGERATION,
-    ROOT_RADIUS,
-    SHAFT_RADIUS,
-    SHORTEST_ARROW,
-    THICKNESS,
-    TURN_SIGNS,
-    TURN_SLOWDOWN,
-    RotorMotion,
-    SetpointChanges,
-    find_craft,
-    find_rotor,
-)
+from vpptwin.robots.planar_drone.display import rotors
+from vpptwin.robots.planar_drone.display.rotors import RotorMotion, SetpointChanges, find_craft, find_rotor
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.viz.plots.palette import BLADE, NEGATIVE_THRUST, POSITIVE_THRUST, TARGET, TOP_MARK
 from vpptwin.viz.scene.geoms import ROOT, Paint
@@ -49,13 +34,13 @@ def draw_rotors(craft: Visualizer, model: mujoco.MjModel, vehicle: Vehicle, pain
         hub, radius = find_rotor(model, vehicle, number)
         rotor, blade = craft[f"rotor_{number}"], paint or Paint(BLADE)
         rotor.set_transform(tf.translation_matrix(hub))
-        rotor["mast"].set_object(make_cylinder(ROOT_RADIUS, -hub[2], 0.006), make_material(blade))
-        span = radius - ROOT_RADIUS
+        rotor["mast"].set_object(make_cylinder(rotors.ROOT_RADIUS, -hub[2], 0.006), make_material(blade))
+        span = radius - rotors.ROOT_RADIUS
         for name, angle in BLADES:
             root = rotor["spin"][name]
             root.set_transform(tf.rotation_matrix(angle, [0, 0, 1]))
-            root["feather"]["skin"].set_object(mg.Box([span, CHORD, THICKNESS]), make_material(blade))
-            root["feather"]["skin"].set_transform(tf.translation_matrix([ROOT_RADIUS + 0.5 * span, 0.0, 0.0]))
+            root["feather"]["skin"].set_object(mg.Box([span, rotors.CHORD, rotors.THICKNESS]), make_material(blade))
+            root["feather"]["skin"].set_transform(tf.translation_matrix([rotors.ROOT_RADIUS + 0.5 * span, 0.0, 0.0]))
 
 
 def draw_arrows(craft: Visualizer) -> None:
@@ -64,8 +49,12 @@ def draw_arrows(craft: Visualizer) -> None:
         for name, sign, colour in ARROWS:
             arrow = craft[f"rotor_{number}"][f"{name}_thrust"]
             arrow.set_transform(tf.rotation_matrix(0.0 if sign > 0.0 else np.pi, [1, 0, 0]))
-            arrow["shaft"]["solid"].set_object(make_cylinder(SHAFT_RADIUS, 0.0, 1.0), make_material(Paint(colour)))
-            arrow["head"]["solid"].set_object(make_cone(HEAD_RADIUS, HEAD_HEIGHT), make_material(Paint(colour)))
+            arrow["shaft"]["solid"].set_object(
+                make_cylinder(rotors.SHAFT_RADIUS, 0.0, 1.0), make_material(Paint(colour))
+            )
+            arrow["head"]["solid"].set_object(
+                make_cone(rotors.HEAD_RADIUS, rotors.HEAD_HEIGHT), make_material(Paint(colour))
+            )
 
 
 def draw_ghost(vis: Visualizer, model: mujoco.MjModel, vehicle: Vehicle) -> None:
@@ -80,29 +69,29 @@ def measure_arrows(thrust: np.ndarray, vehicle: Vehicle) -> Iterator[tuple[str, 
     full = max_thrust(vehicle.rotor)
     for i in range(2):
         for name, sign, _ in ARROWS:
-            length = np.maximum(sign * thrust[..., i] / full * ARROW_LENGTH, SHORTEST_ARROW)
+            length = np.maximum(sign * thrust[..., i] / full * rotors.ARROW_LENGTH, rotors.SHORTEST_ARROW)
             yield f"rotor_{i + 1}/{name}_thrust", length
 
 
-def track_rotors(craft: str, time: np.ndarray, rotors: RotorMotion) -> list[KeyframeTrack]:
+def track_rotors(craft: str, time: np.ndarray, motion: RotorMotion) -> list[KeyframeTrack]:
     """Tracks that turn the rotors and pitch their blades; time (T,) [s] from the animation's start."""
     tracks = []
-    for i, sign in enumerate(TURN_SIGNS):
+    for i, sign in enumerate(rotors.TURN_SIGNS):
         spin = f"{craft}/rotor_{i + 1}/spin"
-        tracks.append(make_track(spin, "rotation[z]", time, sign * rotors.angle[:, i] / TURN_SLOWDOWN))
+        tracks.append(make_track(spin, "rotation[z]", time, sign * motion.angle[:, i] / rotors.TURN_SLOWDOWN))
         for blade, _ in BLADES:
             # The leading edge is on +y of a blade that turns counter-clockwise, on -y of the other.
-            pitch = sign * PITCH_EXAGGERATION * rotors.blade_pitch[:, i]
+            pitch = sign * rotors.PITCH_EXAGGERATION * motion.blade_pitch[:, i]
             tracks.append(make_track(f"{spin}/{blade}/feather", "rotation[x]", time, pitch))
     return tracks
 
 
-def track_arrows(craft: str, time: np.ndarray, rotors: RotorMotion, vehicle: Vehicle) -> list[KeyframeTrack]:
+def track_arrows(craft: str, time: np.ndarray, motion: RotorMotion, vehicle: Vehicle) -> list[KeyframeTrack]:
     """Tracks that stretch the thrust arrows, one colour for each sign."""
     tracks = []
-    for node, length in measure_arrows(rotors.thrust, vehicle):
+    for node, length in measure_arrows(motion.thrust, vehicle):
         arrow = f"{craft}/{node}"
-        tracks.append(make_track(arrow, "visible", time, length > SHORTEST_ARROW))
+        tracks.append(make_track(arrow, "visible", time, length > rotors.SHORTEST_ARROW))
         tracks.append(make_track(f"{arrow}/shaft", "scale[z]", time, length))
         tracks.append(make_track(f"{arrow}/head", "position[z]", time, length))
     return tracks
