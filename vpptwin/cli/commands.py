@@ -81,7 +81,7 @@ def choose_twin(options: argparse.Namespace, twins: Sequence[str]) -> Sequence[s
 
 def run_play(options: argparse.Namespace) -> None:
     """`vpptwin play`."""
-    from vpptwin.viz.command import play_log
+    from vpptwin.viz.command import Source, play_log
 
     elsewhere = {"--live": options.live, "--html": options.html, "--video": options.video}
     other = next((name for name, value in elsewhere.items() if value is not None), None)

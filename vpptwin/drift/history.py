@@ -194,11 +194,7 @@ def check_bands(spec: TwinSpec, causes: Sequence[str], bands: Mapping[str, Band]
 
 
 def parse_bands(given: Sequence[str]) -> dict[str, Band]:
-    """Bands from `EFFECT.PARAMETER=LOW:HIGH`, of which LOW or HIGH may be left out.
-
-    Raises:
-        InputError: on what is none.
-    """
+    """Bands from `EFFECT.PARAMETER=LOW:HIGH`, of which LOW or HIGH may be left out."""
     bands = {}
     for text in given:
         name, _, ends = text.partition("=")

@@ -94,11 +94,7 @@ class Deadline:
 
 
 def read_limit(text: str | float, name: str = "--limit") -> float:
-    """A time limit [s], as 90, 90s, 10m or 1h.
-
-    Raises:
-        InputError: if it is none.
-    """
+    """A time limit [s], as 90, 90s, 10m or 1h."""
     match = re.fullmatch(r"(\d+\.?\d*|\.\d+) *(s|m|min|h|)", str(text).strip(), re.ASCII)
     seconds = float(match[1]) * SECONDS[match[2]] if match else math.nan
     if not 0.0 < seconds <= LONGEST:

@@ -34,11 +34,7 @@ def escape_text(text: str) -> str:
 
 
 def check_name(name: str) -> None:
-    """Refuse a file's name that no page, picture or JSON can hold.
-
-    Raises:
-        InputError: if it has control characters, or is not in UTF-8.
-    """
+    """Refuse a file's name that no page, picture or JSON can hold."""
     if any(category(c) in ("Cc", "Cs") for c in name):
         raise InputError(f"the name {name!r}", "one in UTF-8 without control characters", "rename it")
 
@@ -101,9 +97,6 @@ def load_extra(module: str, need: Path | str) -> Any:  # noqa: ANN401
     Args:
         module: its name.
         need: what needs it, a log or a model.
-
-    Raises:
-        InputError: saying how to get it, if it is not installed.
     """
     try:
         return import_module(module)

@@ -120,11 +120,7 @@ def exchange(drafts: Path, folder: Path, stale: Collection[str]) -> None:
 
 
 def check_own(paths: Iterable[Path], action: str = ANYWAY) -> None:
-    """Refuse to overwrite what vpptwin did not write, before the work rather than after it.
-
-    Raises:
-        InputError: naming the first such file, or link that leads nowhere; `action` is what to do.
-    """
+    """Refuse to overwrite what vpptwin did not write, before the work rather than after it."""
     for path in paths:
         if path.is_symlink() and not path.exists():
             raise InputError(f"{path} is a link that leads nowhere", "a new file, or one of vpptwin's", action)
@@ -144,9 +140,6 @@ def check_target(path: Path, json: bool = False) -> None:
     Args:
         path: where it is to lie; folders are made for it as `write_files` does.
         json: whether it is a --json, for which no folder is made.
-
-    Raises:
-        InputError: if it cannot.
     """
     if path == STDOUT:
         return

@@ -37,11 +37,7 @@ PATIENCE = 10.0
 
 
 def read_jobs(text: str) -> Jobs:
-    """The value of --jobs.
-
-    Raises:
-        InputError: if it is neither a number of processes nor `ray`.
-    """
+    """The value of --jobs."""
     if text == RAY:
         return RAY
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST):
@@ -170,9 +166,6 @@ def explain_failures(advice: str) -> Iterator[None]:
 
     Args:
         advice: what to do about it.
-
-    Raises:
-        InputError: in place of Ray's errors.
     """
     import ray
 

@@ -23,11 +23,7 @@ def trusted() -> frozenset[Path]:
 
 
 def check_trusted(files: Iterable[Path | str], source: object, given: Iterable[Path | str] = ()) -> None:
-    """Refuse Python files that `source` names and that are neither installed, trusted, nor `given` for this call.
-
-    Raises:
-        InputError: naming the file, and how to allow it.
-    """
+    """Refuse Python files that `source` names and that are neither installed, trusted, nor `given` for this call."""
     named = [] if EVERY in _trusted else list(files)
     if not named:
         return

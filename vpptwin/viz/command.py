@@ -26,11 +26,7 @@ class Source:
     effects: Sequence[Path] = ()  # Python files with effects of the user's own
 
     def read(self) -> tuple[Flight, Prediction | None, TwinSpec]:
-        """The recording, what the twin does under its commands, and the rig.
-
-        Raises:
-            InputError: if one of them is not what it should be.
-        """
+        """The recording, what the twin does under its commands, and the rig."""
         twin, restart = self.twin, self.restart
         if not self.files:
             raise InputError("no LOG", "an MCAP file", "name one, or a policy with --live")
@@ -97,9 +93,6 @@ def plot(source: Source, out: Path, theme: str = "light") -> None:
         source: the recording, and a twin beside it, or folders of training runs.
         out: .png, .svg or .html.
         theme: `light` or `dark`.
-
-    Raises:
-        InputError: if a source is not what it should be, or the picture cannot be written.
     """
     from vpptwin.viz.plots.curves import is_run, tell_runs
     from vpptwin.viz.plots.panels import tell_flight

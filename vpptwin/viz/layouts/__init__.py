@@ -11,9 +11,5 @@ NAMES = ("foxglove.json", "plotjuggler.xml")
 
 
 def write_layouts(folder: Path, force: bool = False) -> list[Path]:
-    """Copy the layouts into a folder, which is made if need be; returns their paths.
-
-    Raises:
-        InputError: if it cannot be written to, or, without `force`, holds others of these names.
-    """
+    """Copy the layouts into a folder, which is made if need be; returns their paths."""
     return write_files({folder / name: (files(__name__) / name).read_bytes() for name in NAMES}, force)

@@ -60,11 +60,7 @@ class Clock:
 
 
 def check_screen() -> None:
-    """Refuse what has no screen, or none that a window opens on.
-
-    Raises:
-        InputError: saying what else there is.
-    """
+    """Refuse what has no screen, or none that a window opens on."""
     other = "leave it out for a page in a browser, or write one with --html"
     if not has_screen():
         raise InputError("--viewer mujoco, and neither DISPLAY nor WAYLAND_DISPLAY is set", "a screen", other)
@@ -110,11 +106,7 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
 
 
 def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: Clock) -> Any:  # noqa: ANN401
-    """MuJoCo's viewer, in a thread of its own.
-
-    Raises:
-        InputError: if it does not start.
-    """
+    """MuJoCo's viewer, in a thread of its own."""
     try:
         from mujoco import viewer
 

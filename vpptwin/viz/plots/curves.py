@@ -57,11 +57,7 @@ def read_curve(run: Path, name: str) -> Curve | None:
 
 
 def tell_runs(runs: Sequence[Path]) -> Story:
-    """Curves of runs; those that differ in nothing but their seed are one line with a band.
-
-    Raises:
-        InputError: if a run has logged nothing, or its configuration is missing.
-    """
+    """Curves of runs; those that differ in nothing but their seed are one line with a band."""
     curves: dict[str, list[dict[str, Curve]]] = {}
     for label, run in zip(name_runs(runs), runs):
         logged = {name: curve for name in PANELS if (curve := read_curve(run, name))}
@@ -84,11 +80,7 @@ def name_runs(runs: Sequence[Path]) -> list[str]:
 
 
 def read_options(run: Path) -> dict[str, object]:
-    """The options of a run by dotted name, without those that do not count.
-
-    Raises:
-        InputError: if there are none.
-    """
+    """The options of a run by dotted name, without those that do not count."""
     file = run / "config.yaml"
     try:
         nested = read_yaml(file)

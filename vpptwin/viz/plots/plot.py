@@ -46,11 +46,7 @@ THEMES = {"light": Theme("#1A1C1F", "#FFFFFF"), "dark": Theme("#E8EAED", "#15181
 
 
 def check_format(out: Path) -> None:
-    """Refuse what is no picture's name.
-
-    Raises:
-        InputError: naming the formats.
-    """
+    """Refuse what is no picture's name."""
     if out.suffix.lower() not in FORMATS:
         raise InputError(f"--out {out}", f"a name that ends in {', '.join(FORMATS)}", "e.g. --out flight.png")
 
@@ -62,9 +58,6 @@ def write_story(story: Story, out: Path, theme: str = "light") -> Path:
         story: what to show.
         out: .png, .svg or .html; a page is one self-contained file that works offline.
         theme: of PNG and page, `light` or `dark`; an SVG follows its reader's.
-
-    Raises:
-        InputError: if the format is unknown or the file cannot be written.
     """
     check_format(out)
     kind = out.suffix.lower()

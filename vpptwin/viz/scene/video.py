@@ -33,11 +33,7 @@ MARGIN, SMALLEST_HALF_HEIGHT = 0.4, 0.55  # m; nearer than a page, which can be 
 
 
 def check_video(out: Path) -> None:
-    """Refuse what is no animation's name.
-
-    Raises:
-        InputError: naming the formats, or the extra that brings what one takes.
-    """
+    """Refuse what is no animation's name."""
     if out.suffix.lower() not in FORMATS:
         expected = f"a name that ends in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
         raise InputError(f"--video {out}", expected, "e.g. --video flip.gif")
@@ -87,11 +83,7 @@ def write_video(
 
 
 def encode_film(frames: Iterable[np.ndarray], size: tuple[int, int]) -> bytes:
-    """Frames (height, width, 3) as MP4 that every browser and chat plays: H.264.
-
-    Raises:
-        InputError: if imageio-ffmpeg finds no ffmpeg that can.
-    """
+    """Frames (height, width, 3) as MP4 that every browser and chat plays: H.264."""
     ffmpeg = load_extra("imageio_ffmpeg", "an MP4")
     # Width and height even, colours at half the resolution, what a player needs first at the beginning.
     options = ["-movflags", "+faststart", "-metadata", "comment=vpptwin"]

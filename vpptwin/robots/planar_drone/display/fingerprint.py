@@ -165,11 +165,7 @@ def draw_fingerprint(print_: Fingerprint) -> bytes:
 
 
 def draw_catalogue(spec: TwinSpec, folder: Path, force: bool = False) -> list[Path]:
-    """Write a picture of every effect of a drone's catalogue that acts in flight into a folder, `ID.png`.
-
-    Raises:
-        InputError: if it cannot be written to, or, without `force`, holds others of these names.
-    """
+    """Write a picture of every effect of a drone's catalogue that acts in flight into a folder, `ID.png`."""
     flown = [effect for effect in spec.catalogue if not effect.touching]
     files = [folder / f"{effect.id}.png" for effect in flown]
     check_target(files[0])

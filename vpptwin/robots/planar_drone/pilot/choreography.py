@@ -33,21 +33,13 @@ def hover(plan: Plan, height: float) -> None:
     plan.wait(plan.left)
 
 
-def x_steps(plan: Plan, amplitude: float, period: float, height: float) -> None:
-    """Jump along x from side to side."""
+def steps(plan: Plan, axis: str, amplitude: float, period: float, height: float) -> None:
+    """Jump along an axis, x or z, from side to side of the middle."""
+    middle = {"x": 0.0, "z": height}[axis]
     plan.step(z=height)
     plan.wait(1.0)
     for side in alternate(plan):
-        plan.step(x=side * amplitude)
-        plan.wait(period)
-
-
-def z_steps(plan: Plan, amplitude: float, period: float, height: float) -> None:
-    """Jump up and down."""
-    plan.step(z=height)
-    plan.wait(1.0)
-    for side in alternate(plan):
-        plan.step(z=height + side * amplitude)
+        plan.step(**{axis: middle + side * amplitude})
         plan.wait(period)
 
 

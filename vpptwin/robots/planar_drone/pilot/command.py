@@ -38,11 +38,7 @@ class Sortie:
 
 
 def check_out(out: Path | None) -> Path:
-    """Refuse a log that cannot be written, before the flight rather than after it.
-
-    Raises:
-        InputError: if there is no path, no folder to write to, or a folder in its place.
-    """
+    """Refuse a log that cannot be written, before the flight rather than after it."""
     if out is None:
         raise InputError("no --out", "the log to write, e.g. --out flight.mcap", "name it")
     if out.is_dir():

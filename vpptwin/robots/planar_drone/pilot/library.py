@@ -24,14 +24,14 @@ LIBRARY: tuple[Manoeuvre, ...] = (
         (Setting("amplitude", "m", 0.6, 0.05, 1.0, "half of the jump"),
          Setting("period", "s", 2.0, 1.2, 6.0, "between jumps"),
          altitude(0.7, 1.9)),
-        fly.x_steps,
+        partial(fly.steps, axis="x"),
     ),
     Manoeuvre(
         "z_steps", "jump up and down", ("rail_z.coulomb", "rail_z.viscous", "rotor.stall", "rotor.inflow"),
         (Setting("amplitude", "m", 0.3, 0.05, 0.5, "half of the jump"),
          Setting("period", "s", 1.6, 1.0, 6.0, "between jumps"),
          altitude(1.1, 1.7)),
-        fly.z_steps,
+        partial(fly.steps, axis="z"),
     ),
     Manoeuvre(
         "low_pass", "come down, pass near the floor, climb", ("air.ground_effect",),

@@ -87,22 +87,14 @@ class Manoeuvre:
 
 
 def check_duration(duration: float) -> float:
-    """The duration [s].
-
-    Raises:
-        InputError: if it is too short or too long to fly.
-    """
+    """The duration [s]."""
     if not SHORTEST <= duration <= LONGEST:
         raise InputError(f"a flight of {duration:g} s", f"{SHORTEST:g} to {LONGEST:g} s", "correct --duration")
     return duration
 
 
 def find_manoeuvre(library: Sequence[Manoeuvre], name: str) -> Manoeuvre:
-    """The manoeuvre of that name.
-
-    Raises:
-        InputError: listing those that exist.
-    """
+    """The manoeuvre of that name."""
     known = {manoeuvre.name: manoeuvre for manoeuvre in library}
     if name not in known:
         advice = suggest(name, known, "see `vpptwin fly --list`")
@@ -111,11 +103,7 @@ def find_manoeuvre(library: Sequence[Manoeuvre], name: str) -> Manoeuvre:
 
 
 def parse_settings(given: Sequence[str]) -> dict[str, float]:
-    """Settings from the command line, `NAME=VALUE` each.
-
-    Raises:
-        InputError: on anything else.
-    """
+    """Settings from the command line, `NAME=VALUE` each."""
     settings = {}
     for text in given:
         name, _, value = text.partition("=")

@@ -61,11 +61,7 @@ class Actuator:
 
 
 def identify(runs: Sequence[BenchRun], levels: Levels) -> Actuator:
-    """Fit everything.
-
-    Raises:
-        InputError: if the runs lack what a constant needs.
-    """
+    """Fit everything."""
     maps = tuple(fit_map(c, levels.speed, levels.pitch, levels.thrust, levels.group) for c in CANDIDATES)
     chosen = choose_map(maps)
     electrical, motor_error = fit_motor(levels)
@@ -158,11 +154,7 @@ def find_steps(run: BenchRun) -> np.ndarray:
 
 
 def fit_servo(runs: Sequence[BenchRun], thrust: ThrustMap) -> tuple[tuple[Constant, ...], HeldOut]:
-    """Time constant and delay of the servo from what thrust does after steps of pitch.
-
-    Raises:
-        InputError: if there are too few steps.
-    """
+    """Time constant and delay of the servo from what thrust does after steps of pitch."""
     places = [(run, find_steps(run)) for run in runs]
     count = sum(len(steps) for _, steps in places)
     if count < STEPS_NEEDED:

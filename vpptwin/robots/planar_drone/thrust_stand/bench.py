@@ -74,9 +74,6 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
         path: MCAP log with the topics of SPEC 3 for bench runs.
         vehicle: gives the inner rate, and the voltage where the log has none.
         topic_map: as of every command that reads logs.
-
-    Raises:
-        InputError: if a topic is missing, or no rotor turns.
     """
     flight = read_flight(path, topic_map)
     check_topics(flight)
@@ -111,11 +108,7 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
 
 
 def check_topics(flight: Flight) -> None:
-    """Refuse a log that lacks a topic, saying which constants it takes.
-
-    Raises:
-        InputError: naming the first.
-    """
+    """Refuse a log that lacks a topic, saying which constants it takes."""
     for topic, constants in (
         (WRENCH, "the thrust map and the servo's lag and delay"),
         (STATE, "drag and motor constants"),
@@ -133,11 +126,7 @@ def interpolate(time: np.ndarray, stream: Stream, column: str) -> np.ndarray:
 
 
 def find_levels(runs: Sequence[BenchRun]) -> Levels:
-    """Average the stretches of all runs in which no pitch command changes.
-
-    Raises:
-        InputError: if there are too few different pitches or speeds, saying for which constants.
-    """
+    """Average the stretches of all runs in which no pitch command changes."""
     stretches: list[tuple[int, slice]] = []
     for number, run in enumerate(runs):
         changed = (np.abs(np.diff(run.pitch, axis=0)) > STILL).any(axis=1)

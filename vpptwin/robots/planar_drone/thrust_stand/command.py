@@ -70,11 +70,7 @@ def identify_bench(
 
 
 def check_out(out: Path) -> None:
-    """Refuse a name that is no YAML file's, or a folder that is not there.
-
-    Raises:
-        InputError: saying which.
-    """
+    """Refuse a name that is no YAML file's, or a folder that is not there."""
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"--out {out}", "a .yaml file", "e.g. --out actuator.yaml")
     if not out.parent.is_dir() or out.is_dir():
