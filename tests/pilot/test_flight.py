@@ -9,7 +9,7 @@ import pytest
 
 from vpptwin.logs.channels import CHANNELS
 from vpptwin.robots.planar_drone.pilot.command import Sortie, fly_log
-from vpptwin.robots.planar_drone.pilot.flight import Tracks, fly
+from vpptwin.robots.planar_drone.pilot.flight import SimulatedFlights, fly
 from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, GUST_TIME, Gusts
 from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
@@ -37,7 +37,7 @@ def steps(duration: float = DURATION) -> ScriptedPilot:
     return ScriptedPilot(drone(), [manoeuvre.plan(drone(), {"period": 1.2}, duration)])
 
 
-def fly_steps(effects: EffectValues, seed: int = 1, gusts: bool = False) -> Tracks:
+def fly_steps(effects: EffectValues, seed: int = 1, gusts: bool = False) -> SimulatedFlights:
     """The same manoeuvre in a twin with effects."""
     pilot = steps()
     twin = Twin(SPEC.with_effects(effects), 1, active=CARRIERS if gusts else (), num_threads=1)
@@ -45,12 +45,12 @@ def fly_steps(effects: EffectValues, seed: int = 1, gusts: bool = False) -> Trac
 
 
 @pytest.fixture(scope="module")
-def nominal() -> Tracks:
+def nominal() -> SimulatedFlights:
     """A flight of the nominal twin."""
     return fly_steps({})
 
 
-def test_all_topics_come_at_their_rates(nominal: Tracks) -> None:
+def test_all_topics_come_at_their_rates(nominal: SimulatedFlights) -> None:
     """SPEC 3: every topic but the thrust stand's, from time zero on, at the rates of the table."""
     streams = record_streams(nominal)
     assert set(streams) == set(CHANNELS) - {"/thrust_stand/wrench"}
@@ -71,14 +71,14 @@ def test_all_topics_come_at_their_rates(nominal: Tracks) -> None:
         assert all(np.isfinite(values).all() for values in stream.values.values())
 
 
-def test_setpoints_come_on_change(nominal: Tracks) -> None:
+def test_setpoints_come_on_change(nominal: SimulatedFlights) -> None:
     """A target that stands still is published once."""
     setpoint = record_streams(nominal)["/setpoint/pose"]
     np.testing.assert_allclose(setpoint.time, [0.0, 1.0, 2.2, 3.4, 4.6])
     np.testing.assert_allclose(setpoint["x"], [0.0, 0.6, -0.6, 0.6, -0.6])
 
 
-def test_readings_are_the_truth_with_the_sensors_noise(nominal: Tracks) -> None:
+def test_readings_are_the_truth_with_the_sensors_noise(nominal: SimulatedFlights) -> None:
     """Poses, rates and rotor speeds scatter about the truth by what the vehicle's file says."""
     streams, lead = record_streams(nominal), nominal.lead[0]
     pose, rate, speed = nominal.pose[0, lead:], nominal.velocity[0, lead:-1, 2], nominal.speed[0, lead:-1]
@@ -94,7 +94,7 @@ def test_readings_are_the_truth_with_the_sensors_noise(nominal: Tracks) -> None:
     assert streams["/imu/data"]["accel_x"][still].mean() == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_accelerometer_agrees_with_the_motion(nominal: Tracks) -> None:
+def test_the_accelerometer_agrees_with_the_motion(nominal: SimulatedFlights) -> None:
     """Turned into the world's axes and summed up, it gives the change of velocity."""
     imu, lead = record_streams(nominal)["/imu/data"], nominal.lead[0]
     theta, velocity = nominal.pose[0, lead:-1, 2], nominal.velocity[0, lead:-1]
@@ -106,7 +106,7 @@ def test_the_accelerometer_agrees_with_the_motion(nominal: Tracks) -> None:
         assert np.abs(summed - velocity[:, i]).max() < 0.03
 
 
-def test_blade_pitch_and_throttle_are_what_acted(nominal: Tracks) -> None:
+def test_blade_pitch_and_throttle_are_what_acted(nominal: SimulatedFlights) -> None:
     """The logged commands, replayed from the logged state, lead where the flight went."""
     lead = nominal.lead[0]
     twin = Twin(SPEC, 1, num_threads=1)
@@ -148,7 +148,7 @@ def test_sensors_errors_reach_log_and_pilot() -> None:
     assert (streams["/imu/data"]["rate"][still] - rate[still]).mean() == pytest.approx(0.2, abs=5e-3)
 
 
-def test_the_same_seed_gives_the_same_flight(nominal: Tracks) -> None:
+def test_the_same_seed_gives_the_same_flight(nominal: SimulatedFlights) -> None:
     """Bit-equal again with the same seed, another one with another."""
     again, other = record_streams(fly_steps({})), record_streams(fly_steps({}, seed=2))
     for topic, stream in record_streams(nominal).items():
@@ -157,7 +157,7 @@ def test_the_same_seed_gives_the_same_flight(nominal: Tracks) -> None:
     assert (other["/imu/data"]["rate"] != again["/imu/data"]["rate"]).any()
 
 
-def test_a_flight_does_not_depend_on_those_beside_it(nominal: Tracks) -> None:
+def test_a_flight_does_not_depend_on_those_beside_it(nominal: SimulatedFlights) -> None:
     """Row 0 of two flights is the flight alone."""
     reference = find_manoeuvre(LIBRARY, "x_steps").plan(drone(), {"period": 1.2}, DURATION)
     other = find_manoeuvre(LIBRARY, "flip").plan(drone(), {}, DURATION)
@@ -179,7 +179,7 @@ def test_gusts_are_as_strong_and_as_long_as_they_say() -> None:
     np.testing.assert_allclose(twin.parameter("rail_x.bias", "force"), 0.5 + blown.force[:, 7, 0])
 
 
-def test_gusts_move_the_craft(nominal: Tracks) -> None:
+def test_gusts_move_the_craft(nominal: SimulatedFlights) -> None:
     """The flight differs, by centimetres at most."""
     away = np.abs(fly_steps({}, gusts=True).pose[0, :, :2] - nominal.pose[0, :, :2]).max()
     assert 1e-3 < away < 0.15

@@ -293,7 +293,7 @@ def test_viewers_that_do_not_read_hold_one_scene() -> None:
 
 def test_viewers_that_read_nothing_for_long_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """What they hold is let go; the others go on."""
-    monkeypatch.setattr("vpptwin.viz.pages.serve.LONGEST_WRITE", 0.2)
+    monkeypatch.setattr("vpptwin.viz.pages.serve.MAX_WRITE_S", 0.2)
     server = Server()
     reader = connect(server)
     wait_for(lambda: len(server._viewers) == 1)
@@ -307,7 +307,7 @@ def test_viewers_that_read_nothing_for_long_are_cut_off(monkeypatch: pytest.Monk
 
 def test_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """One more than there may be is closed at once; when one goes, another may come."""
-    monkeypatch.setattr("vpptwin.viz.pages.serve.MOST_CONNECTIONS", 3)
+    monkeypatch.setattr("vpptwin.viz.pages.serve.MAX_CONNECTIONS", 3)
     server = Server()
     idle = [connect(server) for _ in range(3)]
     wait_for(lambda: len(server._viewers) == 3)

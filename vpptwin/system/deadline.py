@@ -14,7 +14,7 @@ from vpptwin.system.errors import InputError
 Found = TypeVar("Found")
 SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 """Units of a time limit [s]."""
-LONGEST = 30 * 86_400.0
+MAX_LIMIT_S = 30 * 86_400.0
 """More [s] is a mistake of units."""
 
 
@@ -97,7 +97,7 @@ def read_limit(text: str | float, name: str = "--limit") -> float:
     """A time limit [s], as 90, 90s, 10m or 1h."""
     match = re.fullmatch(r"(\d+\.?\d*|\.\d+) *(s|m|min|h|)", str(text).strip(), re.ASCII)
     seconds = float(match[1]) * SECONDS[match[2]] if match else math.nan
-    if not 0.0 < seconds <= LONGEST:
+    if not 0.0 < seconds <= MAX_LIMIT_S:
         raise InputError(f"{name} {text}", "a time such as 90s, 10m or 1h, of 30 days at most", "correct it")
     return seconds
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from unicodedata import category
 
-LONGEST = 1000
+MAX_CHARACTERS = 1000
 """Characters shown of each part of a message, which may quote what a file holds."""
 EXTRAS = {
     "train": ("torch", "tensordict", "torchrl", "hydra", "omegaconf", "tensorboard", "psutil"),
@@ -51,7 +51,7 @@ class InputError(ValueError):
     def __init__(self, found: str, expected: str, action: str) -> None:
         self.found, self.expected, self.action = found, expected, action
         parts = (found, f"expected {expected}", action)
-        line = "; ".join(part if len(part) <= LONGEST else f"{part[:LONGEST]}…" for part in parts)
+        line = "; ".join(part if len(part) <= MAX_CHARACTERS else f"{part[:MAX_CHARACTERS]}…" for part in parts)
         super().__init__(escape_text(" ".join(line.split())))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
@@ -87,7 +87,7 @@ def describe_failure(error: Exception) -> str:
         return escape_text(f"{error.strerror} ({error.filename or type(error).__name__})")
     *_, last = [None, *traceback.extract_tb(error.__traceback__)]
     place = f" ({Path(last.filename).name}:{last.lineno})" if last else ""
-    told = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
+    told = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_CHARACTERS]
     return f"{escape_text(told)}{place}, which is a mistake of vpptwin: please report it"
 
 

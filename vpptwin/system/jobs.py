@@ -22,8 +22,7 @@ Jobs = int | Literal["ray"]
 """How many processes share the work, or that Ray's do."""
 RAY: Literal["ray"] = "ray"
 FEWER = "see that they have the memory and files they need, or take fewer --jobs"
-MOST = 1024
-"""Processes at most."""
+MAX_PROCESSES = 1024
 ALONE = "start one with `ray start --head`, or unset RAY_ADDRESS to use this machine only"
 SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -40,8 +39,8 @@ def read_jobs(text: str) -> Jobs:
     """The value of --jobs."""
     if text == RAY:
         return RAY
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST):
-        raise InputError(f"--jobs {text}", f"1 to {MOST} processes, or ray", "leave it out for one")
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MAX_PROCESSES):
+        raise InputError(f"--jobs {text}", f"1 to {MAX_PROCESSES} processes, or ray", "leave it out for one")
     return int(text)
 
 

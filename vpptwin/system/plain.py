@@ -11,9 +11,9 @@ from typing import Any, BinaryIO
 
 import yaml
 
-MOST_BYTES = 1 << 18
+MAX_BYTES = 1 << 18
 """Longest file [bytes], which takes a second or two; a twin has 1 kB, metadata of a bag 100."""
-MOST_NODES = 50_000
+MAX_NODES = 50_000
 """Values in it, those behind an alias counted as often as they are named."""
 
 
@@ -45,9 +45,9 @@ def read_json(path: Path) -> Any:  # noqa: ANN401
         ValueError: if it is no JSON, or longer or deeper than one that describes anything.
     """
     with open_regular(path) as file:
-        text = file.read(MOST_BYTES + 1)
-    if len(text) > MOST_BYTES:
-        raise ValueError(f"longer than {MOST_BYTES} bytes")
+        text = file.read(MAX_BYTES + 1)
+    if len(text) > MAX_BYTES:
+        raise ValueError(f"longer than {MAX_BYTES} bytes")
     try:
         return json.loads(text)
     except RecursionError:
@@ -63,16 +63,16 @@ def read_yaml(path: Path) -> Any:  # noqa: ANN401
         yaml.YAMLError: if it is no YAML, longer, deeper or more often referred to than one that describes anything.
     """
     with open_regular(path) as file:
-        text = file.read(MOST_BYTES + 1).decode()
-    if len(text) > MOST_BYTES:
-        raise yaml.YAMLError(f"longer than {MOST_BYTES} bytes")
+        text = file.read(MAX_BYTES + 1).decode()
+    if len(text) > MAX_BYTES:
+        raise yaml.YAMLError(f"longer than {MAX_BYTES} bytes")
     loader = yaml.SafeLoader(text)
     try:
         node = loader.get_single_node()
         if node is None:
             return None
-        if count_nodes(node, {}) > MOST_NODES:
-            raise yaml.YAMLError(f"aliases make more than {MOST_NODES} values of it")
+        if count_nodes(node, {}) > MAX_NODES:
+            raise yaml.YAMLError(f"aliases make more than {MAX_NODES} values of it")
         return loader.construct_document(node)
     except RecursionError:
         raise yaml.YAMLError("nested too deeply, or in itself") from None

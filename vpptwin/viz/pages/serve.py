@@ -23,11 +23,11 @@ from vpptwin.system.errors import InputError
 from vpptwin.viz.pages.page import TEMPLATES, VIEWER, Command
 
 LOOPBACK = "127.0.0.1"
-MOST_BODY = 1000
+MAX_BODY_BYTES = 1000
 """Longest request taken [bytes]."""
-MOST_CONNECTIONS = 400
+MAX_CONNECTIONS = 400
 """Connections held at once; more are closed as they come, before the process runs out of file descriptors."""
-LONGEST_WRITE = 25.0
+MAX_WRITE_S = 25.0
 """A viewer that takes nothing for so long is cut off [s]."""
 SEND_BUFFER = 1 << 16
 """What the kernel may hold for one viewer [bytes]: a viewer that reads nothing costs no more."""
@@ -152,7 +152,7 @@ class Server:
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
         server = _LimitedServer(
-            self._app, max_body_size=MOST_BODY, max_header_size=1 << 14, idle_connection_timeout=60.0
+            self._app, max_body_size=MAX_BODY_BYTES, max_header_size=1 << 14, idle_connection_timeout=60.0
         )
         server.add_sockets(self._sockets)
         self._loop.call_soon(self._ready.set)
@@ -197,13 +197,13 @@ class _Guarded(RequestHandler):
 
 
 class _LimitedServer(HTTPServer):
-    """Holds `MOST_CONNECTIONS` at once."""
+    """Holds `MAX_CONNECTIONS` at once."""
 
     _streams: tuple[IOStream, ...] = ()
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         self._streams = tuple(held for held in self._streams if not held.closed())
-        if len(self._streams) >= MOST_CONNECTIONS:
+        if len(self._streams) >= MAX_CONNECTIONS:
             stream.close()
             return
         self._streams += (stream,)
@@ -237,7 +237,7 @@ class _Outbox:
             while self._due:
                 batch, self._due = self._due, {}
                 writes = [self._viewer.write_message(message, binary=True) for message in batch.values()]
-                await asyncio.wait_for(asyncio.gather(*writes), LONGEST_WRITE)
+                await asyncio.wait_for(asyncio.gather(*writes), MAX_WRITE_S)
         except (WebSocketClosedError, StreamClosedError):
             pass
         except TimeoutError:

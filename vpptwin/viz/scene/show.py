@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.estimation.joints import straighten_joint
+from vpptwin.estimation.series import interpolate
 from vpptwin.system.errors import InputError
 from vpptwin.twin.robot.manifold import BALL, FREE, follow_sign
 from vpptwin.twin.robot.robot import Robot, by_robot
@@ -179,11 +180,6 @@ def count_frames(model: mujoco.MjModel, copies: int) -> int:
     return max(MAX_PAGE_NUMBERS // (copies * (NUMBERS_OF_BODY * bodies + NUMBERS_OF_OVERLAY)), 2)
 
 
-def interpolate(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Linear interpolation of (n, k) values."""
-    return np.stack([np.interp(at, time, column) for column in values.T], -1)
-
-
 def sample_prediction(prediction: Prediction, at: np.ndarray) -> Trajectory:
     """The twin at the frame times; hidden where the prediction has no finite sample nearby."""
     known = np.isfinite(prediction.qpos).all(axis=1)
@@ -192,7 +188,7 @@ def sample_prediction(prediction: Prediction, at: np.ndarray) -> Trajectory:
     time, qpos = prediction.time[known], prediction.qpos[known]
     after = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
     nearest = np.minimum(np.abs(at - time[after - 1]), np.abs(at - time[np.minimum(after, len(time) - 1)]))
-    return Trajectory(interpolate(time, qpos, at), nearest <= LONGEST_GAP)
+    return Trajectory(interpolate(at, time, qpos), nearest <= LONGEST_GAP)
 
 
 def view_show(show: Show, **options: float) -> CameraView:

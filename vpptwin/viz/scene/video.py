@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MP4 = ".mp4"
 FORMATS = (".gif", ".webp", MP4)
 RATE = 25.0  # frames a second; a GIF's frames last multiples of 10 ms
-LONGEST = 120.0  # s; longer ones are not what anybody loads, other than as MP4
+MAX_LOOP_S = 120.0  # s; longer ones are not what anybody loads, other than as MP4
 MARGIN, SMALLEST_HALF_HEIGHT = 0.4, 0.55  # m; nearer than a page, which can be turned and zoomed
 
 
@@ -59,9 +59,9 @@ def write_video(
     check_video(out)
     show = prepare_show(flight, prediction, spec)
     film = out.suffix.lower() == MP4
-    if show.time[-1] > LONGEST and not film:
+    if show.time[-1] > MAX_LOOP_S and not film:
         found = f"{flight.path}: {show.time[-1]:.0f} s"
-        raise InputError(found, f"at most {LONGEST:.0f} s for an animation", "cut the log, or use --html, or .mp4")
+        raise InputError(found, f"at most {MAX_LOOP_S:.0f} s for an animation", "cut the log, or use --html, or .mp4")
     view = view_show(show, margin=MARGIN, smallest=SMALLEST_HALF_HEIGHT, aspect=size[0] / size[1])
     painter = Painter(show.model, view, size)
     times = np.arange(0.0, show.time[-1], 1.0 / RATE)

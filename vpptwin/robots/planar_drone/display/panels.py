@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
+from vpptwin.estimation.series import interpolate
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.robots.planar_drone.craft import PlanarDrone
 from vpptwin.robots.planar_drone.vehicle import Rotor
 from vpptwin.viz.plots.palette import ORANGE, PURPLE, SKY, TARGET
 from vpptwin.viz.plots.panels import Line, Panel, differentiate, measured, twin_line
-from vpptwin.viz.scene.show import interpolate
 
 if TYPE_CHECKING:
     from vpptwin.estimation.replay import Prediction
@@ -73,7 +73,7 @@ def tell_rotors(flight: Flight, rotor: Rotor) -> list[Panel]:
     if command is not None:
         speed = np.full((len(command), 2), rotor.speed)
         if state is not None:
-            speed = interpolate(state.time, state["speed"], command.time)
+            speed = interpolate(command.time, state.time, state["speed"])
         thrust = compute_thrust(rotor, speed, command["blade_pitch"])
         lines = [Line(f"rotor {i + 1}, by the map", command.time, thrust[:, i], c) for i, c in enumerate(looks)]
         asked = flight.streams.get("/cmd/rate_thrust")

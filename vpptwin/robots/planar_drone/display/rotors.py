@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
+from vpptwin.estimation.series import interpolate
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.viz.plots.palette import DISC, to_rgb
-from vpptwin.viz.scene.show import interpolate
 
 if TYPE_CHECKING:
     from vpptwin.logs.flight import Flight
@@ -82,8 +82,8 @@ def turn_rotors(
     """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]."""
     step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)[:, None]  # φ = ∫ ω dt, by trapezoids
     angle = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-    thrust = compute_thrust(vehicle.rotor, interpolate(time, speed, at), pitch)
-    return RotorMotion(interpolate(time, angle, at), pitch, thrust)
+    thrust = compute_thrust(vehicle.rotor, interpolate(at, time, speed), pitch)
+    return RotorMotion(interpolate(at, time, angle), pitch, thrust)
 
 
 def sample_rotors(flight: Flight, vehicle: Vehicle, at: np.ndarray) -> RotorMotion | None:

@@ -13,7 +13,7 @@ from vpptwin import __version__
 from vpptwin.actuators.adaptive import DRAG, FAULT, FAULTS, HALF_GAP, TRIM
 from vpptwin.logs.flight import Stream
 from vpptwin.logs.write import Message, write_flight
-from vpptwin.robots.planar_drone.pilot.flight import SETTLING, Pilot, Tracks, fly
+from vpptwin.robots.planar_drone.pilot.flight import SETTLING, Pilot, SimulatedFlights, fly
 from vpptwin.robots.planar_drone.pilot.gusts import CARRIERS, Gusts
 from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.recording import record_streams
@@ -48,7 +48,7 @@ def check_out(out: Path | None) -> Path:
     return out
 
 
-def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
+def fly_log(pilot: Pilot, sortie: Sortie) -> SimulatedFlights:
     """Fly once, write the log and say what happened.
 
     Raises:
@@ -73,7 +73,7 @@ def fly_log(pilot: Pilot, sortie: Sortie) -> Tracks:
     return tracks
 
 
-def describe_flight(tracks: Tracks, vehicle: Vehicle, sortie: Sortie) -> None:
+def describe_flight(tracks: SimulatedFlights, vehicle: Vehicle, sortie: Sortie) -> None:
     """Print how the flight went and where its log lies."""
     lead, lead_ticks = tracks.lead
     pose = tracks.pose[0, lead:]

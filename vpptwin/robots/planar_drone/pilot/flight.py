@@ -35,7 +35,7 @@ class Pilot(Protocol):
 
 
 @dataclass(frozen=True)
-class Noise:
+class ReadingNoise:
     """Readings' errors of N flights at unit variance, each flight's its own."""
 
     fast: np.ndarray  # gyro, accelerometer x and z, rotor speeds, currents, at every sample of the IMU, (N, K, 7)
@@ -43,7 +43,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Tracks:
+class SimulatedFlights:
     """What N flights did: K samples of the IMU, T ticks of the policy; the log starts with sample and tick `lead`."""
 
     twin: Twin  # that flew them
@@ -57,19 +57,19 @@ class Tracks:
     speed: np.ndarray  # of the rotors, (N, K, 2) rad/s
     command: np.ndarray  # of the policy, (N, T, 2) N, rad/s
     target: np.ndarray  # (N, T, 3) m, m, rad
-    noise: Noise  # of the readings
+    noise: ReadingNoise  # of the readings
     diverged: np.ndarray  # when numbers stopped making sense, (N,) s; infinite where they never did
     actuators: np.ndarray  # their state at the end, (N,) records
 
 
-def draw_noise(seed: int, count: int, samples: int, ticks: int) -> Noise:
+def draw_noise(seed: int, count: int, samples: int, ticks: int) -> ReadingNoise:
     """Errors of `count` flights; those of the first few do not depend on how many there are."""
     rngs = [np.random.default_rng([seed, i]) for i in range(count)]
     fast = np.stack([rng.standard_normal((samples, 7)) for rng in rngs])
-    return Noise(fast, np.stack([rng.standard_normal((ticks, 3)) for rng in rngs]))
+    return ReadingNoise(fast, np.stack([rng.standard_normal((ticks, 3)) for rng in rngs]))
 
 
-def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> Tracks:
+def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> SimulatedFlights:
     """Room for the tracks of flights that settle for so long [s] before the log starts, and the noise on them."""
     control, n = twin.vehicle.control, twin.num_sims
     period, every = 1.0 / control.policy_rate, max(round(1.0 / (twin.vehicle.sensors.imu.rate * twin.dt)), 1)
@@ -80,7 +80,7 @@ def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> Tracks:
     blade, throttle, speed = np.empty((3, n, ticks * each, 2))
     command, target = np.empty((n, ticks, 2)), np.empty((n, ticks, 3))
     noise, diverged = draw_noise(seed, n, ticks * each, ticks), np.full(n, np.inf)
-    return Tracks(
+    return SimulatedFlights(
         twin, step, period, (lead * each, lead), pose, velocity, blade, throttle, speed, command, target, noise,
         diverged, np.empty(0),
     )  # fmt: skip
@@ -88,7 +88,7 @@ def make_tracks(twin: Twin, pilot: Pilot, seed: int, settling: float) -> Tracks:
 
 def fly(
     twin: Twin, pilot: Pilot, seed: int, gusts: Gusts | None = None, start: tuple[np.ndarray, np.ndarray] | None = None
-) -> Tracks:
+) -> SimulatedFlights:
     """Fly from rest at the first target, settling first, or at once from given states.
 
     What the pilot sees is the estimate of a Kalman filter from motion capture, gyro and accelerometer, with the twin's
@@ -132,7 +132,7 @@ def fly(
     return replace(tracks, actuators=state.actuators)
 
 
-def fly_tick(tracks: Tracks, tick: int, state: TwinState, estimate: KalmanFilter) -> None:
+def fly_tick(tracks: SimulatedFlights, tick: int, state: TwinState, estimate: KalmanFilter) -> None:
     """Carry `state` and the filter through a tick under its command, one IMU sample after the other; keep the track."""
     twin, step, imu = tracks.twin, tracks.step, tracks.twin.vehicle.sensors.imu
     imu_std = np.array([imu.gyro_std, imu.accel_std, imu.accel_std])

@@ -8,14 +8,14 @@ from vpptwin.actuators.layer import supply
 from vpptwin.actuators.motor import compute_current
 from vpptwin.actuators.numbers import record_vehicle
 from vpptwin.logs.flight import Stream
-from vpptwin.robots.planar_drone.pilot.flight import Tracks
+from vpptwin.robots.planar_drone.pilot.flight import SimulatedFlights
 from vpptwin.twin.sensors import age_of_pose, body_force, measure_pose, measure_rate, sensor_noise
 
 BATTERY_PERIOD = 1.0
 """Between messages about the battery [s]."""
 
 
-def record_streams(tracks: Tracks, row: int = 0) -> dict[str, Stream]:
+def record_streams(tracks: SimulatedFlights, row: int = 0) -> dict[str, Stream]:
     """What the log of one of the flights holds, topic → samples; time zero is the log's start.
 
     Accelerometer samples are means over the two steps about their stamp; currents are those under the voltage that
@@ -51,7 +51,7 @@ def record_streams(tracks: Tracks, row: int = 0) -> dict[str, Stream]:
     }
 
 
-def record_mocap(tracks: Tracks, row: int) -> Stream:
+def record_mocap(tracks: SimulatedFlights, row: int) -> Stream:
     """Poses of the motion capture: what the craft's were when each was taken, by its clock, with its errors."""
     vehicle, constants = tracks.twin.vehicle, tracks.twin.constants[row : row + 1]
     frames = max(round(1.0 / (vehicle.sensors.mocap.rate * tracks.period)), 1)

@@ -16,7 +16,7 @@ TURN = 8.0
 """Rate asked for per radian of angle error [1/s]."""
 LEAN = 0.7
 """Largest angle that the pilot leans away from upright or inverted to move sideways [rad]."""
-INTEGRAL, MOST_TRIM, NEAR = 3.0, 1.5, 0.3
+INTEGRAL, MAX_TRIM, NEAR = 3.0, 1.5, 0.3
 """Acceleration gathered per metre and second off the target [1/s³], its limit [m/s²], and how near it begins [m]."""
 
 
@@ -70,7 +70,7 @@ class ScriptedPilot:
         target, period = self.target(tick), 1.0 / self.vehicle.control.policy_rate
         off = (target - pose)[:, :2]
         calm = (np.abs(off) < NEAR) & is_level(target[:, 2])[:, None]
-        memory = np.clip(memory + np.where(calm, period * INTEGRAL * off, 0.0), -MOST_TRIM, MOST_TRIM)
+        memory = np.clip(memory + np.where(calm, period * INTEGRAL * off, 0.0), -MAX_TRIM, MAX_TRIM)
         now = max(tick, 0)
         acceleration = self._acceleration[:, now] + memory
         command = pilot_commands(

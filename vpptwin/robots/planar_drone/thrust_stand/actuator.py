@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from vpptwin.estimation.regression import solve_linear
+from vpptwin.estimation.series import interpolate
 from vpptwin.robots.planar_drone.thrust_stand.bench import BenchRun, Levels
 from vpptwin.robots.planar_drone.thrust_stand.thrust_map import CANDIDATES, ThrustMap, choose_map, fit_map
 from vpptwin.system.errors import InputError
@@ -140,7 +141,7 @@ def fit_load(levels: Levels, thrust: ThrustMap, k_v: Constant) -> tuple[tuple[Co
 def lag_pitch(run: BenchRun, time_constant: float, delay: float) -> np.ndarray:
     """Blade pitch behind delay and first-order lag of a run's commands, (n, r) rad (paper, System Identification)."""
     time = run.time
-    late = np.stack([np.interp(time - delay, time, run.pitch[:, i]) for i in range(run.pitch.shape[1])], axis=1)
+    late = interpolate(time - delay, time, run.pitch)
     keep = float(np.exp(-run.dt / max(time_constant, 1e-6)))
     filtered, _ = lfilter([1.0 - keep], [1.0, -keep], late, axis=0, zi=late[:1] * keep)
     return np.concatenate([late[:1], filtered[:-1]])  # a command acts from its stamp on

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vpptwin.logs.flight import Flight, Stream
+from vpptwin.estimation.series import interpolate
+from vpptwin.logs.flight import Flight
 from vpptwin.logs.read import read_flight
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.errors import InputError
@@ -98,7 +99,7 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
         voltage = np.interp(time, battery.time, battery["voltage"])
     held = np.clip(np.searchsorted(command.time, time + 1e-9, side="right") - 1, 0, None)
     pitch, throttle = (command[name][held][:, turning] for name in ("blade_pitch", "throttle"))
-    speed, current = (interpolate(time, state, name)[:, turning] for name in ("speed", "current"))
+    speed, current = (interpolate(time, state.time, state[name])[:, turning] for name in ("speed", "current"))
     thrust = np.interp(time, wrench.time, wrench["force_z"])
     torque = np.interp(time, wrench.time, wrench["torque_z"]) if "torque_z" in wrench.values else None
     return BenchRun(
@@ -117,12 +118,6 @@ def check_topics(flight: Flight) -> None:
         if topic not in flight.streams:
             found = f"{flight.path} has no messages on {topic}, only on {', '.join(sorted(flight.streams)) or 'others'}"
             raise InputError(found, f"{topic}, for {constants}", "record it, or name it in a topic map")
-
-
-def interpolate(time: np.ndarray, stream: Stream, column: str) -> np.ndarray:
-    """A column (n, k) of a stream at other times."""
-    values = stream[column]
-    return np.stack([np.interp(time, stream.time, values[:, i]) for i in range(values.shape[1])], axis=1)
 
 
 def find_levels(runs: Sequence[BenchRun]) -> Levels:
