@@ -71,7 +71,7 @@ def test_the_command(
     """It prints values, pairs and errors, and writes a twin that has them."""
     pair = (("air.drag", "k_d"), ("servo.lag", "time_constant"), -0.95)
     shown = replace(fitted, alike=[*fitted.alike, pair])
-    monkeypatch.setattr("vpptwin.robots.planar_drone.thrust_stand.command.fit_flights", lambda *given: shown)
+    monkeypatch.setattr("vpptwin.drift.identify.fit_flights", lambda *given: shown)
     out = tmp_path / "twin.yaml"
     assert main(["identify", *map(str, logs), "--parameters", "air.drag,servo.lag", "--out", str(out)]) == 0
     said = capsys.readouterr().out

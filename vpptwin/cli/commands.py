@@ -146,12 +146,14 @@ def run_layouts(options: argparse.Namespace) -> None:
 
 def run_identify(options: argparse.Namespace) -> None:
     """`vpptwin identify`."""
-    from vpptwin.robots.planar_drone.thrust_stand.command import identify_bench, identify_flights
-
     if options.parameters is not None:
+        from vpptwin.drift.identify import identify_flights
+
         given = (options.logs, options.parameters, options.twin, options.out, options.topic_map, options.effects)
         identify_flights(*given)
         return
+    from vpptwin.robots.planar_drone.thrust_stand.command import identify_bench
+
     identify_bench(options.logs, options.out, options.topic_map, options.vehicle, options.force)
 
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from vpptwin.actuators.blade import compute_thrust
-from vpptwin.estimation.series import interpolate
+from vpptwin.estimation.series import integrate, interpolate
 from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.viz.plots.palette import DISC, to_rgb
 
@@ -80,8 +80,7 @@ def turn_rotors(
     time: np.ndarray, speed: np.ndarray, pitch: np.ndarray, at: np.ndarray, vehicle: Vehicle
 ) -> RotorMotion:
     """Rotors at the frames from speed (n, 2) [rad/s] at time (n,) and blade pitch (T, 2) [rad]."""
-    step = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)[:, None]  # φ = ∫ ω dt, by trapezoids
-    angle = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+    angle = integrate(speed, time)  # φ = ∫ ω dt
     thrust = compute_thrust(vehicle.rotor, interpolate(at, time, speed), pitch)
     return RotorMotion(interpolate(at, time, angle), pitch, thrust)
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from vpptwin.effects import SIGMAS_90
 from vpptwin.estimation.regression import solve_linear
 from vpptwin.estimation.series import interpolate
 from vpptwin.robots.planar_drone.thrust_stand.bench import BenchRun, Levels
@@ -25,6 +26,11 @@ LAGS, DELAYS = (0.005, 0.015, 0.03, 0.06), (0.0, 0.005, 0.012, 0.025)
 """Time constants and delays that a search begins with [s]."""
 
 
+def bound_90(value: float, std: float) -> tuple[float, float]:
+    """Ends of the 90 % interval of a Gaussian."""
+    return value - SIGMAS_90 * std, value + SIGMAS_90 * std
+
+
 @dataclass(frozen=True)
 class Constant:
     """One identified number."""
@@ -34,6 +40,11 @@ class Constant:
     std: float  # standard deviation; 0 where it follows from another
     unit: str  # SI
     note: str = ""  # what it rests on, where that is not the measurement alone
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its 90 % interval."""
+        return bound_90(self.value, self.std)
 
 
 @dataclass(frozen=True)

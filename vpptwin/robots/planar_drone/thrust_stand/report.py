@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vpptwin.effects import SIGMAS_90
 from vpptwin.report.html.page import open_templates
 from vpptwin.report.provenance import Provenance
-from vpptwin.robots.planar_drone.thrust_stand.actuator import WINDOW, Actuator, find_steps, lag_pitch
+from vpptwin.robots.planar_drone.thrust_stand.actuator import WINDOW, Actuator, Constant, find_steps, lag_pitch
 from vpptwin.robots.planar_drone.thrust_stand.bench import BenchRun
 from vpptwin.robots.planar_drone.thrust_stand.thrust_map import ThrustMap
 from vpptwin.viz.plots.figure import name_axes, open_figure, write_svg
@@ -19,11 +18,10 @@ from vpptwin.viz.plots.palette import BLUE, GREEN, ORANGE, VERMILION
 def render_page(found: Actuator, runs: Sequence[BenchRun], origin: Provenance) -> str:
     """The page as HTML."""
     rows = []
-    for name, value, std in zip(("k_1", "k_2", "k_3"), found.thrust.values, found.thrust.std):
-        interval = f"{value - SIGMAS_90 * std:.5g} to {value + SIGMAS_90 * std:.5g}"
-        rows.append((f"thrust map {name}", f"{value:.5g}", interval, "", found.thrust.candidate.name))
-    for c in found.constants:
-        low, high = c.value - SIGMAS_90 * c.std, c.value + SIGMAS_90 * c.std
+    form, terms = found.thrust.candidate.name, zip(("k_1", "k_2", "k_3"), found.thrust.values, found.thrust.std)
+    coefficients = (Constant(f"thrust map {name}", value, std, "", form) for name, value, std in terms)
+    for c in (*coefficients, *found.constants):
+        low, high = c.interval
         rows.append((c.name, f"{c.value:.5g}", f"{low:.5g} to {high:.5g}", c.unit, c.note))
     line = min((m for m in found.maps if len(m.values) == 1), key=lambda m: m.held_out)
     largest = float(np.abs(found.levels.thrust).max())
