@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FLIGHTS = ROOT / "demo" / "flights"
 DIAGNOSED = [str(FLIGHTS / f"{name}.mcap") for name in demo.DIAGNOSED]
 UNSEEN = FLIGHTS / "flip.mcap"
-HORIZONS = [0.05, 0.1, 0.25, 0.5, 1.0]  # s, SPEC 7
+HORIZONS = [0.05, 0.1, 0.25, 0.5, 1.0]  # s, of every verdict
 COMMANDS = ("effects", "diagnose", "compare", "history", "play", "fly", "identify", "train", "evaluate")
 
 
@@ -167,7 +167,7 @@ def check_numbers(values: object, count: int) -> None:
 
 
 def check_score(score: dict) -> None:
-    """`before` or `after` of SPEC 7; velocities are ours."""
+    """`before` or `after`."""
     assert set(score) == {"position_rmse_m", "angle_rmse_rad", "chi2", "velocity_rmse"}
     check_numbers(score["position_rmse_m"], len(HORIZONS))
     check_numbers(score["angle_rmse_rad"], len(HORIZONS))
@@ -177,7 +177,7 @@ def check_score(score: dict) -> None:
 
 
 def check_cause(cause: dict) -> None:
-    """An entry of `causes` in SPEC 7, against the catalogue."""
+    """An entry of `causes`, against the catalogue."""
     assert set(cause) == {"effect", "confidence", "parameters", "gain", "gain_interval", "also_explained_by"}
     effect = find_effect(CATALOGUE, cause["effect"])
     assert 0.0 < cause["confidence"] < 1.0
@@ -215,7 +215,7 @@ def check_power(verdict: dict) -> None:
 
 
 def check_verdict(verdict: dict) -> None:
-    """verdict.json has the form of SPEC 7, key by key; the last line of keys is ours."""
+    """verdict.json has the form of docs/diagnose.md, key by key."""
     keys = ("logs", "twin", "samples", "horizons_s", "before", "after", "gap", "causes", "unexplained")
     ours = ("misfit", "experiment", "cleared", "unseen", "improvement", "warnings", "stopped", "only")
     assert set(verdict) == {*keys, "suggested_experiment", *ours}
@@ -247,7 +247,7 @@ def check_verdict(verdict: dict) -> None:
 
 
 def test_diagnose_writes_a_verdict_of_the_agreed_form(diagnosed: Run) -> None:
-    """verdict.json conforms to SPEC 7; the folder holds the results and nothing else."""
+    """verdict.json has its form; the folder holds the results and nothing else."""
     check_verdict(diagnosed.verdict)
     assert diagnosed.verdict["logs"] == DIAGNOSED
     assert diagnosed.verdict["twin"] == "nominal"

@@ -51,7 +51,7 @@ def nominal() -> SimulatedFlights:
 
 
 def test_all_topics_come_at_their_rates(nominal: SimulatedFlights) -> None:
-    """SPEC 3: every topic but the thrust stand's, from time zero on, at the rates of the table."""
+    """Every topic of docs/logs.md but the thrust stand's, from time zero on, at the rates of the table."""
     streams = record_streams(nominal)
     assert set(streams) == set(CHANNELS) - {"/thrust_stand/wrench"}
     rates = {

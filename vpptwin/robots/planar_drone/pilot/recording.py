@@ -1,4 +1,4 @@
-"""From tracks to a log: the topics of SPEC 3 as the sensors would have given them."""
+"""From tracks to a log: the topics of docs/logs.md as the sensors would have given them."""
 
 from __future__ import annotations
 

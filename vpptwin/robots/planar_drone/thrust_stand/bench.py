@@ -72,7 +72,7 @@ def read_bench(path: Path, vehicle: Vehicle, topic_map: Path | None = None) -> B
     """Read one run.
 
     Args:
-        path: MCAP log with the topics of SPEC 3 for bench runs.
+        path: MCAP log with the topics of a thrust stand (docs/logs.md).
         vehicle: gives the inner rate, and the voltage where the log has none.
         topic_map: as of every command that reads logs.
     """
