@@ -153,7 +153,7 @@ def report(options: argparse.Namespace) -> dict:
     if options.tracks < 1:
         raise InputError(f"tracks={options.tracks}", "at least 1", "ask for more, e.g. --tracks 1000")
     policy, trained = build_policy(read_checkpoint(options.checkpoint), options.checkpoint)
-    if trained.sight.names != OBSERVATION or trained.task.target.dwell is None:
+    if trained.observation.names != OBSERVATION or trained.task.target.dwell is None:
         raise InputError(f"{options.checkpoint} is no flip policy of setup=All", "one", "train it with task=flip")
     config = configure_flights(trained, Conditions(tracks=options.tracks, seed=options.seed))
     env = make_env(config)

@@ -98,8 +98,8 @@ def load_flyer(checkpoint: Path | str, task: str | None = None) -> tuple[Policy,
         InputError: if there is no such checkpoint, or it sees something else than SPEC 6 says.
     """
     module, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
-    if trained.sight.names != OBSERVATION:
-        found = f"{checkpoint}: a policy that sees {', '.join(trained.sight.names)}"
+    if trained.observation.names != OBSERVATION:
+        found = f"{checkpoint}: a policy that sees {', '.join(trained.observation.names)}"
         raise InputError(found, "the observation of SPEC 6", "train with setup=All paper_inputs=false")
 
     @torch.no_grad()

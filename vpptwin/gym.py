@@ -23,9 +23,9 @@ from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.environments import make_task_env
 from vpptwin.train.env.tasks import TASKS
 
-Told = dict[str, Any]
-METADATA: Told = {"render_modes": ["rgb_array"], "render_fps": 100}
-TOLD = ("position_error", "success")
+Info = dict[str, Any]
+METADATA: Info = {"render_modes": ["rgb_array"], "render_fps": 100}
+INFO = ("position_error", "success")
 """What `info` holds: m, and whether an episode that ends here was one."""
 
 
@@ -48,18 +48,18 @@ class TwinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.observation_space, self.action_space = make_spaces(self._env)
         self.render_mode = render_mode
 
-    def reset(self, *, seed: int | None = None, options: Told | None = None) -> tuple[np.ndarray, Told]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[np.ndarray, Info]:
         """Begin an episode: observation and info."""
         super().reset(seed=seed)
         self._env.rng = self.np_random
         shown = self._env.reset()
-        return shown["observation"][0].numpy(), tell(shown, 0)
+        return shown["observation"][0].numpy(), make_info(shown, 0)
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Told]:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
         """Fly a policy step, 0.01 s: observation, reward, terminated, truncated, info."""
         after = advance(self._env, action[None])
         terminated, truncated = (bool(after[name][0]) for name in ("terminated", "truncated"))
-        return after["observation"][0].numpy(), float(after["reward"][0]), terminated, truncated, tell(after, 0)
+        return after["observation"][0].numpy(), float(after["reward"][0]), terminated, truncated, make_info(after, 0)
 
     def render(self) -> np.ndarray | None:
         """The drone from the side, (400, 640, 3) uint8; None without a render mode."""
@@ -84,36 +84,33 @@ class TwinVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __init__(
         self, num_envs: int = 1, task: str = "flip", render_mode: str | None = None, **options: Any  # noqa: ANN401
     ) -> None:  # fmt: skip
-        self._env, self.num_envs, self.render_mode = (
-            make_task_env(task, num_envs=num_envs, **options),
-            num_envs,
-            render_mode,
-        )
+        self._env = make_task_env(task, num_envs=num_envs, **options)
+        self.num_envs, self.render_mode = num_envs, render_mode
         self.single_observation_space, self.single_action_space = make_spaces(self._env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
-    def reset(self, *, seed: int | Sequence[int] | None = None, options: Told | None = None) -> tuple[np.ndarray, Told]:
+    def reset(self, *, seed: int | Sequence[int] | None = None, options: Info | None = None) -> tuple[np.ndarray, Info]:
         """Begin all episodes: observations (N, inputs) and info."""
         if seed is not None:
             self.np_random = np.random.default_rng(seed)
         self._env.rng = self.np_random
         shown = self._env.reset()
-        return shown["observation"].numpy(), tell(shown)
+        return shown["observation"].numpy(), make_info(shown)
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Told]:
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
         """Fly a policy step; where an episode ended, `final_obs` of info is what it ended with."""
         after = advance(self._env, actions)
         terminated, truncated = (after[name].numpy()[:, 0] for name in ("terminated", "truncated"))
-        done, told, seen = terminated | truncated, tell(after), after["observation"].numpy()
+        done, info, seen = terminated | truncated, make_info(after), after["observation"].numpy()
         if done.any():
             last = np.full(self.num_envs, None, object)
             for row in np.flatnonzero(done):
                 last[row] = seen[row]
-            told |= {"final_obs": last, "_final_obs": done, "final_info": dict(told), "_final_info": done}
+            info |= {"final_obs": last, "_final_obs": done, "final_info": dict(info), "_final_info": done}
             mask = TensorDict({"_reset": torch.from_numpy(done[:, None])}, self._env.batch_size)
             seen = self._env.reset(mask)["observation"].numpy()
-        return seen, after["reward"].numpy()[:, 0].astype(np.float64), terminated, truncated, told
+        return seen, after["reward"].numpy()[:, 0].astype(np.float64), terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """The first drone from the side, (400, 640, 3) uint8; None without a render mode."""
@@ -133,9 +130,9 @@ def advance(env: BaseEnv, actions: np.ndarray) -> TensorDictBase:
     return after
 
 
-def tell(shown: TensorDictBase, row: int | slice = slice(None)) -> Told:
+def make_info(shown: TensorDictBase, row: int | slice = slice(None)) -> Info:
     """The info of one drone, or of all."""
-    return {name: shown[name].numpy()[row, 0] for name in TOLD}
+    return {name: shown[name].numpy()[row, 0] for name in INFO}
 
 
 for name in TASKS:

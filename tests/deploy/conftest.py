@@ -53,7 +53,7 @@ def make_random(*overrides: str, vehicle: Vehicle | None = None) -> Content:
     """What an export of an untrained policy holds."""
     torch.manual_seed(7)
     trained = compose_config(["task=flip", *overrides])
-    policy = Policy(trained.sight, (trained.hidden[0], trained.hidden[1]))
+    policy = Policy(trained.observation, (trained.hidden[0], trained.hidden[1]))
     with torch.no_grad():
         for layer in policy.layers():
             layer.weight.mul_(1.5)

@@ -52,7 +52,7 @@ def test_every_setup_is_observed_as_in_python(options: tuple[str, ...], tmp_path
     pose, velocity, target = (rng.normal(size=(count, 3)) * [0.5, 0.5, spread] for spread in (10.0, 4.0, 3.0))
     before = rng.normal(size=(count, 2))
     integral = accumulate_error(before, (target - pose)[:, :2])
-    seen = observe(pose, velocity, target, integral, content.trained.sight)
+    seen = observe(pose, velocity, target, integral, content.trained.observation)
     wanted = content.policy(seen)
     for i in range(count):
         grown, found = before[i].astype(np.float32), np.empty(seen.shape[1], np.float32)

@@ -47,7 +47,7 @@ def test_onnx_gives_the_actions_of_torch(shipped: Content, model: Path) -> None:
     pose, velocity, target, before = (values.astype(float) for values in given)
     integral = accumulate_error(before, (target - pose)[:, :2])
     np.testing.assert_allclose(grown, integral, atol=1e-6)
-    np.testing.assert_allclose(seen, observe(pose, velocity, target, integral, shipped.trained.sight), atol=3e-6)
+    np.testing.assert_allclose(seen, observe(pose, velocity, target, integral, shipped.trained.observation), atol=3e-6)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_exports_say_where_they_come_from(shipped: Content, library: Path, model
     for loaded in (load_exported(library), load_exported(model)):
         about = loaded.metadata
         assert about["checkpoint"] == "flip"
-        assert about["observation"] == list(shipped.trained.sight.names)
+        assert about["observation"] == list(shipped.trained.observation.names)
         assert len(about["twin_sha256"]) == 64
         assert about["steps"] > 1e6
         assert len(about["trained_at"]) == 40

@@ -12,7 +12,7 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 
-from vpptwin.train.config import Curriculum, Lesson, Ramp, TrainConfig, to_config, to_plain
+from vpptwin.train.config import Curriculum, Ramp, Schedule, TrainConfig, to_config, to_plain
 from vpptwin.train.env.vpp_env import VppEnv, make_env
 from vpptwin.train.main import compose_config, parse_overrides, run_train
 
@@ -49,10 +49,10 @@ def tiny_config(*overrides: str) -> TrainConfig:
     return to_config(OmegaConf.to_container(config))
 
 
-def tiny_env(*overrides: str, lesson: Lesson | None = None) -> VppEnv:
+def tiny_env(*overrides: str, schedule: Schedule | None = None) -> VppEnv:
     """Four drones hovering as nominal, seen without noise, unless overridden."""
     plain = ("num_envs=4", "minibatch=32", "desynchronize=false", "noise=0", "randomize=[]")
-    return make_env(tiny_config(*plain, *overrides), lesson=lesson)
+    return make_env(tiny_config(*plain, *overrides), schedule=schedule)
 
 
 def step(env: VppEnv, action: torch.Tensor = HOVER) -> TensorDict:
@@ -84,9 +84,9 @@ def read_log(run: Path, name: str) -> np.ndarray:
     return np.loadtxt(run / "log" / "scalars" / f"{name}.csv", delimiter=",", ndmin=2)
 
 
-def plain_lesson(steps: int) -> Lesson:
+def plain_schedule(steps: int) -> Schedule:
     """A curriculum of so many steps: difficulty 0 for 10 % of them, then rising to 1 at 50 %; no nominal twins."""
-    return Lesson(Curriculum(difficulty=Ramp(0.0, 1.0, begin=0.1, finish=0.5), single_below=0.4, nominal=0.0), steps)
+    return Schedule(Curriculum(difficulty=Ramp(0.0, 1.0, begin=0.1, finish=0.5), single_below=0.4, nominal=0.0), steps)
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from torch.utils._pytree import tree_flatten
 from vpptwin.cli.main import main
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import to_config
-from vpptwin.train.env.observe import Sight
+from vpptwin.train.env.observe import ObservationTerms
 from vpptwin.train.evaluate.evaluate import load_policy
 from vpptwin.train.learn.actor import build_actor
 from vpptwin.train.learn.checkpoint import build_policy, read_checkpoint, write_checkpoint
@@ -101,7 +101,7 @@ def damage(content: dict[str, Any], kind: str) -> dict[str, Any]:
     if kind == "kind":
         return {"weights": content["policy"]}
     if kind == "architecture":
-        return {**content, "policy": Policy(Sight(), (32, 32)).state_dict()}
+        return {**content, "policy": Policy(ObservationTerms(), (32, 32)).state_dict()}
     return {**content, "config": {**content["config"], "unknown_option": 1}}
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
-from vpptwin.train.config import MEMORY
+from tests.train.conftest import HOVER, plain_schedule, reset_rows, step, tiny_env
+from vpptwin.train.config import LSTM_STEPS
 from vpptwin.train.env.observe import FORESIGHT, OBSERVATION, PRIVILEGED
 from vpptwin.train.env.reward import ANGLE, POSITION
 from vpptwin.train.env.vpp_env import VppEnv
@@ -24,9 +24,9 @@ def shown(env: VppEnv) -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def flown() -> VppEnv:
-    """Forty flips after a dozen steps of an early lesson: noise, drawn parameters, triggers, turns, single criteria."""
+    """Forty flips after a dozen early steps: noise, drawn parameters, triggers, turns, single criteria."""
     overrides = ("task=flip", "task.target.dwell=[0.03,0.2]", "task.target.turns=0.5", "noise=1", WORLD)
-    env = tiny_env("num_envs=40", *overrides, lesson=plain_lesson(4000))
+    env = tiny_env("num_envs=40", *overrides, schedule=plain_schedule(4000))
     env.flown = 24  # 960 of 4000 steps: difficulty 0.35
     env.reset()
     torch.manual_seed(0)
@@ -106,7 +106,7 @@ def test_an_lstm_sees_the_last_five_steps() -> None:
     """Oldest first; at the start of an episode the first step stands for those before it."""
     env = tiny_env("critic=lstm", "noise=1", WORLD)
     seen = [env.reset()["critic_observation"]]
-    assert seen[0].shape[:2] == (4, MEMORY) == (4, 5)
+    assert seen[0].shape[:2] == (4, LSTM_STEPS) == (4, 5)
     for k in range(5):
         assert torch.equal(seen[0][:, k], seen[0][:, -1])
     for _ in range(8):

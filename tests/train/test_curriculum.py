@@ -8,23 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.train.conftest import EXAMINED, plain_lesson, read_log, see, step, tiny_env, truth
+from tests.train.conftest import EXAMINED, plain_schedule, read_log, see, step, tiny_env, truth
 from vpptwin.train.config import Curriculum
-from vpptwin.train.env.base_env import NEAR
+from vpptwin.train.env.base_env import MAX_START_ANGLE
 from vpptwin.train.env.observe import wrap_angle
 from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.train.main import run_train
 from vpptwin.twin.sensors import sensor_noise
 
-LESSON = plain_lesson(40_000)
+LESSON = plain_schedule(40_000)
 EASY = replace(LESSON, curriculum=replace(LESSON.curriculum, single_below=0.0))
 """The same, every episode judged by everything."""
 
 
 def env_at(progress: float, *overrides: str) -> VppEnv:
     """An environment of 400 drones after this share of training, its episodes just begun."""
-    env = tiny_env("num_envs=400", *overrides, lesson=LESSON)
+    env = tiny_env("num_envs=400", *overrides, schedule=LESSON)
     env.flown = round(progress * LESSON.steps / 400)
     assert env.flown * 400 == round(progress * LESSON.steps)
     env.reset()
@@ -32,11 +32,11 @@ def env_at(progress: float, *overrides: str) -> VppEnv:
 
 
 def test_difficulty_goes_by_the_steps_of_all_simulations() -> None:
-    """Four drones that fly 25 steps have flown 100; without a lesson difficulty is full."""
-    env = tiny_env(lesson=plain_lesson(200))
+    """Four drones that fly 25 steps have flown 100; without a curriculum difficulty is full."""
+    env = tiny_env(schedule=plain_schedule(200))
     env.reset()
     for k in range(25):
-        assert env.difficulty == plain_lesson(200).difficulty_at(4 * k)
+        assert env.difficulty == plain_schedule(200).difficulty_at(4 * k)
         step(env)
     assert env.difficulty == 1.0
     assert tiny_env().difficulty == 1.0
@@ -59,7 +59,7 @@ def test_position_episodes_start_near_and_keep_their_target() -> None:
     episodes = env.episodes
     place, angle = episodes.criterion == POSITION, episodes.criterion == ANGLE
     off = np.abs(wrap_angle(env.state.qpos[:, 2] - episodes.target[:, 2]))
-    assert NEAR == 0.3
+    assert MAX_START_ANGLE == 0.3
     assert off[place].max() <= 0.3
     assert off[place].max() > 0.25
     assert off[angle].max() > 3.0
@@ -97,8 +97,8 @@ def test_noise_and_randomization_grow_with_difficulty(progress: float, difficult
 
 def test_some_episodes_are_flown_in_the_nominal_twin() -> None:
     """A share of them, whatever the difficulty, is at the off value of everything; outside of training none is."""
-    lesson = replace(LESSON, curriculum=replace(LESSON.curriculum, nominal=0.2))
-    env = tiny_env("num_envs=1000", "randomize=[airframe.mass,rail_x.coulomb]", lesson=lesson)
+    schedule = replace(LESSON, curriculum=replace(LESSON.curriculum, nominal=0.2))
+    env = tiny_env("num_envs=1000", "randomize=[airframe.mass,rail_x.coulomb]", schedule=schedule)
     env.flown = LESSON.steps
     env.reset()
     assert env.difficulty == 1.0
@@ -113,10 +113,10 @@ def test_some_episodes_are_flown_in_the_nominal_twin() -> None:
 
 
 def test_episodes_of_training_may_be_shorter() -> None:
-    """`training_episode` ends those of a lesson, whose triggers may come up to the end; flights last as they did."""
+    """`training_episode` ends those of a curriculum, whose triggers may come up to the end; flights last as they did."""
     overrides = ("task=flip", "task.training_episode=0.3", "task.episode=1", "task.success.window=0.2")
     triggers = ("task.target.dwell=[0.05,0.1]", "task.target.quiet=0.8")
-    trained, flown = tiny_env(*overrides, *triggers, lesson=EASY), tiny_env(*overrides, *triggers)
+    trained, flown = tiny_env(*overrides, *triggers, schedule=EASY), tiny_env(*overrides, *triggers)
     last = {}
     for env, steps in ((trained, 30), (flown, 100)):
         env.reset()

@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from tests.train.conftest import plain_lesson, reset_rows, tiny_config
+from tests.train.conftest import plain_schedule, reset_rows, tiny_config
 from vpptwin import make_env as make_task_env
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.vpp_env import VppEnv, make_env
@@ -116,7 +116,7 @@ def fly(env: DeviceEnv, steps: int = 30) -> torch.Tensor:
 
 def test_lesson() -> None:
     """Below its level episodes are judged by one criterion; failed starts are flown again; the bank follows."""
-    env = device_env("task=flip", lesson=plain_lesson(100_000))
+    env = device_env("task=flip", schedule=plain_schedule(100_000))
     env.reset()
     assert set(env.episodes.criterion.tolist()) == {1, 2}
     env.failed_starts.add(torch.tensor([True] + [False] * 15), env.episodes.started)
@@ -228,7 +228,7 @@ def test_missing_parts_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_step_asks_the_device() -> None:
     """On a device that only knows shapes: nothing reads a number back, or mixes in what is elsewhere."""
-    env = device_env("task=flip", "noise=1", "critic=lstm", lesson=plain_lesson(100_000))
+    env = device_env("task=flip", "noise=1", "critic=lstm", schedule=plain_schedule(100_000))
     env.reset()
     for part in (env, env.episodes, env.sensors, env.failed_starts, env.bank):
         tensors = {name: value.to("meta") for name, value in vars(part).items() if isinstance(value, torch.Tensor)}

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from tests.train.conftest import HOVER, plain_lesson, reset_rows, step, tiny_env
+from tests.train.conftest import HOVER, plain_schedule, reset_rows, step, tiny_env
 from vpptwin.system.errors import InputError
 from vpptwin.train.env.tasks import Limits
 
@@ -149,12 +149,14 @@ def test_a_snapshot_of_a_version_that_kept_less_is_refused() -> None:
 
 
 def test_snapshot_continues_bit_equal() -> None:
-    """An environment put back in the middle of a full turn and of a lesson flies, measures and draws as the original.
+    """An environment put back in the middle of a full turn and of a curriculum flies, measures and draws as the original.
 
     So do its curriculum and what a critic remembers.
     """
     overrides = ("task=flip", "task.target.turns=1", "task.target.dwell=[0.04,0.08]", "noise=1", "randomize=all")
-    original, copy = (tiny_env(*overrides, "critic=lstm", f"seed={seed}", lesson=plain_lesson(100)) for seed in (0, 9))
+    original, copy = (
+        tiny_env(*overrides, "critic=lstm", f"seed={seed}", schedule=plain_schedule(100)) for seed in (0, 9)
+    )
     original.flown = 10
     original.reset()
     for _ in range(8):

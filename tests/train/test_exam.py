@@ -11,8 +11,8 @@ import torch
 
 from tests.train.conftest import BRIEF, EXAMINED, read_log, tiny_config
 from vpptwin.train.config import TrainConfig
-from vpptwin.train.env.observe import Sight
-from vpptwin.train.evaluate.flights import LOST, Exam, Flights
+from vpptwin.train.env.observe import ObservationTerms
+from vpptwin.train.evaluate.flights import FAILED_ERROR, Exam, Flights
 from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.train.learn.networks import Policy
 from vpptwin.train.main import run_train
@@ -24,7 +24,7 @@ SMALL = (*BRIEF, "randomize=all", "exam_every=100", "exam_from=0", "exam_tracks=
 def some_policy(seed: int) -> Policy:
     """A policy that does something."""
     torch.manual_seed(seed)
-    return Policy(Sight())
+    return Policy(ObservationTerms())
 
 
 def advance(exam: Exam, steps: int, total: int = 1000) -> None:
@@ -113,7 +113,7 @@ def test_the_best_policy_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_the_error_is_of_flights_that_did_not_fail(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failed: list[bool], error: float
 ) -> None:
-    """A craft that fell metres away counts in the score, as `LOST`, and not in the error."""
+    """A craft that fell metres away counts in the score, as `FAILED_ERROR`, and not in the error."""
     none = np.zeros(2, bool)
     flown = Flights(np.array([0.1, 7.0]), np.zeros(2), np.array(failed), none, none, none, 0, 0)
     monkeypatch.setattr(Exam, "_fly", lambda self: flown)
@@ -122,4 +122,4 @@ def test_the_error_is_of_flights_that_did_not_fail(
     logged = exam()
     assert logged is not None
     assert logged["exam_error_m"] == pytest.approx(error, nan_ok=True)
-    assert logged["exam_score_m"] == pytest.approx(LOST if all(failed) else (0.1 + LOST) / 2.0)
+    assert logged["exam_score_m"] == pytest.approx(FAILED_ERROR if all(failed) else (0.1 + FAILED_ERROR) / 2.0)

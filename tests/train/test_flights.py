@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from tests.train.conftest import tiny_env
-from vpptwin.train.env.observe import Sight, wrap_angle
+from vpptwin.train.env.observe import ObservationTerms, wrap_angle
 from vpptwin.train.evaluate.flights import Flights, count_turns, fly_tracks
 from vpptwin.train.learn.networks import Policy
 
@@ -81,7 +81,7 @@ def test_flights_are_measured_step_by_step() -> None:
     """Errors are means over the last window of every flight, angles shortest ways; the policy does not explore."""
     overrides = ("task=flip", "task.episode=0.4", "task.success.window=0.15", "num_envs=12", "noise=1")
     torch.manual_seed(0)
-    policy = Policy(Sight())
+    policy = Policy(ObservationTerms())
     flown = fly_tracks(tiny_env(*overrides), policy)
     env = tiny_env(*overrides)
     observation, place, angle, failed = env.reset()["observation"], [], [], np.zeros(12, bool)
@@ -105,7 +105,7 @@ def test_success_takes_all_of_it() -> None:
     """Near enough, level enough, not failed and no angle missed: each of them alone undoes a success."""
     limits = ("task.success.position=1", "task.success.angle=3.1", "task.episode=0.3", "task.success.window=0.1")
     start = ("task.start.x=[-0.1,0.1]", "task.start.z=[1.2,1.3]", "task.target.x=[0,0]", "num_envs=12")
-    policy = Policy(Sight())
+    policy = Policy(ObservationTerms())
     assert fly_tracks(tiny_env(*limits, *start), policy).success.all()
     for spoilt in ("task.success.position=0.001", "task.success.angle=0.001", "task.limits.rate=0.001"):
         assert not fly_tracks(tiny_env(*limits, *start, spoilt), policy).success.any(), spoilt

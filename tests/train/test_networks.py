@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from tests.train.conftest import EXAMINED
-from vpptwin.train.env.observe import OBSERVATION, SETUPS, Sight
+from vpptwin.train.env.observe import OBSERVATION, SETUPS, ObservationTerms
 from vpptwin.train.evaluate.evaluate import load_policy
 from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.train.learn.networks import (
@@ -32,7 +32,7 @@ TIGHT = 0.125
 def wild_policy(seed: int, gain: float = 5.0) -> Policy:
     """A policy whose weights are larger than those that training begins with."""
     torch.manual_seed(seed)
-    policy = Policy(Sight())
+    policy = Policy(ObservationTerms())
     with torch.no_grad():
         for layer in policy.layers():
             layer.weight.mul_(gain)
@@ -65,7 +65,7 @@ def test_policy_is_the_mode_of_the_trained_actor() -> None:
 @pytest.mark.parametrize("setup", SETUPS)
 def test_paper_network(setup: str) -> None:
     """The actor is the paper's: 96 ReLU, 64 tanh, two outputs, of whatever inputs a setup has."""
-    policy, inputs = Policy(Sight(setup)), len(Sight(setup).names)
+    policy, inputs = Policy(ObservationTerms(setup)), len(ObservationTerms(setup).names)
     layers = [str(layer).split("(")[0] for layer in policy.body[1:]]
     assert layers == ["Linear", "ReLU", "Linear", "Tanh", "Linear"]
     assert [tuple(layer.weight.shape) for layer in policy.layers()] == [(96, inputs), (64, 96), (2, 64)]
@@ -113,7 +113,7 @@ def test_actions_change_no_faster_than_the_bound(seed: int, apart: float) -> Non
 
 def test_small_distances_are_magnified() -> None:
     """A centimetre and its integral count as by hand, rising throughout; speeds and angles are only divided."""
-    scaling = Policy(Sight()).body[0]
+    scaling = Policy(ObservationTerms()).body[0]
     one = dict(zip(OBSERVATION, scaling(torch.full((1, 11), 0.01))[0].tolist()))
     assert one["delta_x"] == one["delta_z"] == pytest.approx(0.01 / 0.5 + 0.25 * 0.01 / 0.03)
     assert one["integral_x"] == one["integral_z"] == pytest.approx(0.01 / 2.0 + 0.25 * 0.01 / 0.21)
@@ -151,7 +151,7 @@ def test_training_keeps_the_bound(tight_run: Path) -> None:
 
     The bound binds: some layer stands at its share.
     """
-    raw = Policy(Sight())
+    raw = Policy(ObservationTerms())
     weights = read_checkpoint(tight_run, flying=False)["training"]["trainer"]["loss_module"]
     prefix = next(key for key in weights if key.endswith("body.1.weight") and "actor" in key)[: -len("body.1.weight")]
     raw.load_state_dict({key: weights[prefix + key] for key in raw.state_dict()})

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.train.conftest import step, tiny_env
-from vpptwin.train.env.observe import OBSERVATION, SETUPS, Sight, accumulate_error, observe
+from vpptwin.train.env.observe import OBSERVATION, SETUPS, ObservationTerms, accumulate_error, observe
 
 POSE = np.array([[0.1, 1.2, 0.5]])
 VELOCITY = np.array([[0.3, -0.4, 2.0]])
@@ -33,22 +33,22 @@ PAPERS = {"VA": 6, "TA": 7, "PI": 8, "All": 9}
 @pytest.mark.parametrize("setup", SETUPS)
 def test_setups_by_hand(setup: str) -> None:
     """Every input is where its name says, with the sign of target minus state."""
-    sight = Sight(setup)
-    seen = observe(POSE, VELOCITY, TARGET, INTEGRAL, sight)
+    observation = ObservationTerms(setup)
+    seen = observe(POSE, VELOCITY, TARGET, INTEGRAL, observation)
     assert seen.dtype == np.float32
     np.testing.assert_allclose(seen, [SHOWN[setup]], atol=1e-6)  # float32
     values = dict(zip(OBSERVATION, SHOWN["All"])) | {"delta_theta": 2.5, "target_theta": 3.0}
-    np.testing.assert_allclose(seen[0], [values[name] for name in sight.names], atol=1e-6)
+    np.testing.assert_allclose(seen[0], [values[name] for name in observation.names], atol=1e-6)
 
 
 @pytest.mark.parametrize("setup", SETUPS)
 def test_the_papers_inputs_come_first(setup: str) -> None:
     """Without the target's angle a setup is a prefix of itself with it, so the ablation differs in nothing else."""
-    without, count = Sight(setup, target_angle=False), PAPERS[setup]
+    without, count = ObservationTerms(setup, target_angle=False), PAPERS[setup]
     rng = np.random.default_rng(0)
     arguments = [rng.standard_normal((5, k)) for k in (3, 3, 3, 2)]
-    assert without.names == Sight(setup).names[:count]
-    np.testing.assert_array_equal(observe(*arguments, without), observe(*arguments, Sight(setup))[:, :count])
+    assert without.names == ObservationTerms(setup).names[:count]
+    np.testing.assert_array_equal(observe(*arguments, without), observe(*arguments, ObservationTerms(setup))[:, :count])
 
 
 @pytest.mark.parametrize("setup", ["VA", "PI"])
@@ -56,14 +56,14 @@ def test_angles_in_radians_stay_within_half_a_turn(setup: str) -> None:
     """However often the craft has turned, Δθ and the target's angle are the same angles within ±π."""
     rng = np.random.default_rng(0)
     pose, target = rng.uniform(-30.0, 30.0, (2, 400, 3))
-    sight = Sight(setup)
-    seen = observe(pose, np.zeros((400, 3)), target, np.zeros((400, 2)), sight)
+    observation = ObservationTerms(setup)
+    seen = observe(pose, np.zeros((400, 3)), target, np.zeros((400, 2)), observation)
     for name, angle in (("delta_theta", target[:, 2] - pose[:, 2]), ("target_theta", target[:, 2])):
-        shown = seen[:, sight.names.index(name)].astype(float)
+        shown = seen[:, observation.names.index(name)].astype(float)
         assert (np.abs(shown) <= np.float32(np.pi)).all()
         np.testing.assert_allclose(np.exp(1j * shown), np.exp(1j * angle), atol=1e-6)  # float32
     turn = np.array([0.0, 0.0, 2.0 * np.pi])
-    turned = observe(pose + turn, np.zeros((400, 3)), target - 2.0 * turn, np.zeros((400, 2)), sight)
+    turned = observe(pose + turn, np.zeros((400, 3)), target - 2.0 * turn, np.zeros((400, 2)), observation)
     np.testing.assert_allclose(turned, seen, atol=1e-5)  # float32
 
 
@@ -76,9 +76,11 @@ def test_the_environment_shows_the_setup(setup: str, paper_inputs: bool) -> None
     assert first.shape == (4, len(SHOWN[setup]) if not paper_inputs else PAPERS[setup])
     assert env.observation_spec["observation"].shape == first.shape
     seen = step(env)["observation"]
-    expected = observe(env.state.qpos, env.state.qvel, env.episodes.target, env.episodes.integral, env.config.sight)
+    expected = observe(
+        env.state.qpos, env.state.qvel, env.episodes.target, env.episodes.integral, env.config.observation
+    )
     assert torch.equal(seen, torch.from_numpy(expected))
-    assert env.config.sight == Sight(setup, not paper_inputs)
+    assert env.config.observation == ObservationTerms(setup, not paper_inputs)
 
 
 def test_integral_recursion() -> None:

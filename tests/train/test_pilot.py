@@ -77,7 +77,7 @@ def test_a_pilot_gets_the_rotors_that_its_task_wants(tiny_run: Path) -> None:
     assert spec.vehicle.control.thrust_max == pytest.approx(2.5 * 0.5 * 9.81)
     pose, still, blank = np.array([[1.0, 1.2, 0.0]]), np.zeros((1, 3)), np.zeros((1, 2))
     command, integral = pilot.command(0, pose, still, blank)
-    seen = observe(pose, still, pilot.target(0), integral, pilot.trained.sight)
+    seen = observe(pose, still, pilot.target(0), integral, pilot.trained.observation)
     action = load_policy(tiny_run)(torch.from_numpy(seen)).detach().numpy()
     np.testing.assert_allclose(command, action * [12.2625, 12.0], rtol=1e-6)  # N and rad/s
     assert load_pilot(tiny_run, None, load_twin(), 6.0, 3)[1].vehicle == drone()
@@ -104,7 +104,7 @@ def test_a_pilot_sees_the_setup_it_was_trained_on(tiny_run: Path) -> None:
     pilot = PolicyPilot(policy, trained, trained.task, drone(), 6.0, 3)
     pose, velocity = np.array([[0.1, 1.2, 0.7]]), np.array([[0.2, -0.1, 1.0]])
     command, integral = pilot.command(0, pose, velocity, np.zeros((1, 2)))
-    seen = observe(pose, velocity, pilot.target(0), integral, trained.sight)
+    seen = observe(pose, velocity, pilot.target(0), integral, trained.observation)
     assert seen.shape == (1, 6)
     expected = policy(seen) * [10.0, 12.0]  # N and rad/s
     np.testing.assert_allclose(command, expected, rtol=1e-6)

@@ -128,9 +128,9 @@ def test_interrupted_run_goes_on_with_new_episodes(flown: Flown) -> None:
     assert content["training"]["env"] is None
     for name in ("reward", "difficulty", "faults", "loss_objective"):
         assert np.loadtxt(flown.run / f"log/scalars/{name}.csv", delimiter=",")[:, 0].tolist() == [128, 256, 384, 512]
-    lesson = compose_config(WORKED).lesson()
+    schedule = compose_config(WORKED).schedule()
     logged = np.loadtxt(flown.run / "log/scalars/difficulty.csv", delimiter=",")
-    assert logged[:, 1] == pytest.approx([lesson.difficulty_at(steps) for steps in (128, 256, 384, 512)])
+    assert logged[:, 1] == pytest.approx([schedule.difficulty_at(steps) for steps in (128, 256, 384, 512)])
     assert not torch.equal(flown.batches[0]["observation"][:, 0], flown.batches[3]["observation"][:, 0])
 
 
@@ -149,7 +149,7 @@ def test_workers_share_the_simulations_and_the_curriculum(tmp_path: Path) -> Non
     with torch.random.fork_rng():
         env = makers[3]()
     assert env.batch_size == torch.Size([8])
-    assert env.difficulty == pytest.approx(config.lesson().difficulty_at(128))
+    assert env.difficulty == pytest.approx(config.schedule().difficulty_at(128))
     assert env.config.fault_folder == tmp_path / "worker-1"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.train.conftest import step, tiny_env
-from vpptwin.train.config import Curriculum, Lesson
+from vpptwin.train.config import Curriculum, Schedule
 from vpptwin.train.env.observe import FORESIGHT, PRIVILEGED, wrap_angle
 from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK
 from vpptwin.train.env.vpp_env import VppEnv
@@ -174,7 +174,10 @@ def test_success_needs_the_vertical_to_be_reached() -> None:
 def test_training_ends_where_an_angle_was_missed() -> None:
     """With the trigger that takes the unmet angle away an episode of training fails; one that is flown goes on."""
     overrides = ("task=wall-backtrack", "task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.1]")
-    flown, trained = tiny_env(*overrides), tiny_env(*overrides, lesson=Lesson(Curriculum(enabled=False), 1000))
+    flown, trained = (
+        tiny_env(*overrides),
+        tiny_env(*overrides, schedule=Schedule(Curriculum(enabled=False), 1000)),
+    )
     for env in (flown, trained):
         env.reset()
         ended = []
@@ -199,8 +202,11 @@ def test_training_ends_where_an_angle_is_late() -> None:
     """
     overrides = ("task=wall-backtrack", "task.target.dwell=[0.1,0.1]", "task.target.hold=[0.1,0.2]")
     # A time has come with the first step at or after it.
-    for lesson, ends in ((None, [[]]), (Lesson(Curriculum(enabled=False), 1000), [[20, 21, 22], [21, 22]])):
-        env, ended = tiny_env(*overrides, lesson=lesson), []
+    for schedule, ends in (
+        (None, [[]]),
+        (Schedule(Curriculum(enabled=False), 1000), [[20, 21, 22], [21, 22]]),
+    ):
+        env, ended = tiny_env(*overrides, schedule=schedule), []
         env.reset()
         for k in range(1, 28):
             # Row 0 is there in time, row 1 after 0.12 s.

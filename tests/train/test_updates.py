@@ -13,7 +13,7 @@ from torchrl.objectives.value import GAE
 
 from tests.train.conftest import EXAMINED
 from vpptwin.system.errors import InputError
-from vpptwin.train.env.observe import OBSERVATION, Sight
+from vpptwin.train.env.observe import OBSERVATION, ObservationTerms
 from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.train.learn.networks import Critic, Policy
 from vpptwin.train.learn.updates import Advantages, Averaging, ExplorationRamp, Minibatches, normalize
@@ -151,7 +151,7 @@ def test_minibatches_use_every_sample_once() -> None:
 def test_average_by_hand() -> None:
     """The first update is taken as it is; then 80 % of the average stay and 20 % come from the weights of now."""
     torch.manual_seed(0)
-    policy = Policy(Sight(), (4, 4))
+    policy = Policy(ObservationTerms(), (4, 4))
     averaging = Averaging(policy, 0.8)
     history = []
     for _ in range(4):

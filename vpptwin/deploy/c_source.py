@@ -47,7 +47,7 @@ def describe(content: Content) -> dict[str, object]:
     """What the templates fill in."""
     vehicle, policy, metadata = content.vehicle, content.policy, content.metadata
     rotor, cascade = trace_cascade(vehicle)
-    names = content.trained.sight.names
+    names = content.trained.observation.names
     return {
         "prefix": PREFIX, "header": FILES[0], "names": names, "inputs": INPUTS, "vectors": VECTORS,
         "trigonometric": any(name.startswith("sin") for name in names), "decay": INTEGRAL_DECAY,

@@ -31,7 +31,7 @@ class Content:
     """Everything that goes into an export."""
 
     policy: Actor  # the network
-    trained: TrainConfig  # how it was trained; its `sight` says what is observed
+    trained: TrainConfig  # how it was trained; its `observation` says what is observed
     vehicle: Vehicle  # believed by the controller
     adaptive: bool  # whether the twin's actuator controller adapts
     inputs: np.ndarray  # of the test vectors, (`VECTORS`, inputs) float32
@@ -72,7 +72,7 @@ def make_content(policy: Actor, trained: TrainConfig, about: dict[str, Any], twi
     metadata = {
         "vpptwin": __version__, **about, "exported_at": find_commit(), "versions": find_versions(),
         "twin": Path(spec.name).name, "twin_sha256": hash_twin(spec), "controller": spec.controller,
-        "observation": list(trained.sight.names), "config": to_plain(replace(trained, out=None, resume=None)),
+        "observation": list(trained.observation.names), "config": to_plain(replace(trained, out=None, resume=None)),
     }  # fmt: skip
     return Content(policy, trained, spec.vehicle, spec.controller == "adaptive", inputs, policy(inputs), metadata)
 
@@ -85,7 +85,7 @@ def draw_observations(trained: TrainConfig, count: int, seed: int) -> np.ndarray
     near = rng.uniform(size=(count, 1)) < 0.5
     angles = {name: rng.uniform(-np.pi, np.pi, count) for name in ("delta_theta", "target_theta")}
     columns = []
-    for name in trained.sight.names:
+    for name in trained.observation.names:
         kind, _, angle = name.partition("_")
         if name in spread:
             columns.append(spread[name] * rng.standard_normal(count) * np.where(near[:, 0], 0.05, 1.0))

@@ -79,7 +79,7 @@ class OnnxController(Exported):
 
     def _retrace(self, observations: np.ndarray) -> np.ndarray:
         """Actions of observations: the states that would have given them go in."""
-        names, count = self.trained.sight.names, len(observations)
+        names, count = self.trained.observation.names, len(observations)
         column = {name: observations[:, i].astype(np.float64) for i, name in enumerate(names)}
         zero = np.zeros(count)
         target_angle = angle_of(column, "target_theta", zero)
@@ -127,7 +127,7 @@ class CompiledController(Exported):
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `Exported.decide`."""
         grown = np.array(integral, np.float32)
-        seen = np.empty(len(self.trained.sight.names), np.float32)
+        seen = np.empty(len(self.trained.observation.names), np.float32)
         self.call("observe", *(np.asarray(v, np.float32) for v in (pose, velocity, target)), grown, seen)
         return self.act(seen).astype(float), grown.astype(float)
 

@@ -16,7 +16,7 @@ from torch import nn
 
 from vpptwin.deploy.content import STATES, Content
 from vpptwin.system.files import write_whole
-from vpptwin.train.env.observe import Sight, accumulate_error, observe
+from vpptwin.train.env.observe import ObservationTerms, accumulate_error, observe
 from vpptwin.train.learn.networks import Policy
 
 OUTPUTS = ("action", "integral_next", "observation")
@@ -27,19 +27,19 @@ class WholePolicy(nn.Module):
 
     Args:
         policy: the network.
-        sight: what it is shown.
+        observation: what it is shown.
     """
 
-    def __init__(self, policy: Policy, sight: Sight) -> None:
+    def __init__(self, policy: Policy, observation: ObservationTerms) -> None:
         super().__init__()
-        self.policy, self.sight = policy, sight
+        self.policy, self.observation = policy, observation
 
     def forward(
         self, pose: torch.Tensor, velocity: torch.Tensor, target: torch.Tensor, integral: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Action (N, 2), integral of the next step (N, 2) m and observation (N, inputs), from (N, 3), ... (N, 2)."""
         grown = accumulate_error(integral, (target - pose)[:, :2])
-        observation = observe(pose, velocity, target, grown, self.sight)
+        observation = observe(pose, velocity, target, grown, self.observation)
         return self.policy(observation), grown, observation
 
 
@@ -49,9 +49,9 @@ def write_onnx(content: Content, path: Path) -> Path:
     Raises:
         InputError: if the file cannot be written.
     """
-    policy = Policy(content.trained.sight, (content.trained.hidden[0], content.trained.hidden[1]))
+    policy = Policy(content.trained.observation, (content.trained.hidden[0], content.trained.hidden[1]))
     policy.load_state_dict({name: torch.from_numpy(values) for name, values in content.policy.weights.items()})
-    module = WholePolicy(policy, content.trained.sight).eval()
+    module = WholePolicy(policy, content.trained.observation).eval()
     examples = (torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 2))
     batch = torch.export.Dim("batch")
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from vpptwin.system.errors import InputError
-from vpptwin.train.env.observe import SETUPS, Sight
+from vpptwin.train.env.observe import SETUPS, ObservationTerms
 from vpptwin.train.env.tasks import HOVER, Task, check_task
 
 ESTIMATORS = ("sensors", "kalman")
@@ -63,7 +63,7 @@ class Curriculum:
 
 
 @dataclass(frozen=True)
-class Lesson:
+class Schedule:
     """A curriculum and the number of policy steps that it spans.
 
     Attributes:
@@ -205,30 +205,30 @@ class TrainConfig:
         return (self.engine or ("numba" if self.device == "cpu" else "warp")) == "warp"
 
     @property
-    def sight(self) -> Sight:
+    def observation(self) -> ObservationTerms:
         """What the policy is shown."""
-        return Sight(self.setup, not self.paper_inputs)
+        return ObservationTerms(self.setup, not self.paper_inputs)
 
     @property
     def critic_memory(self) -> int:
         """Steps that the critic is shown."""
-        return MEMORY if self.critic == "lstm" else 1
+        return LSTM_STEPS if self.critic == "lstm" else 1
 
     @property
     def discount(self) -> float:
         """Discount per policy step."""
         return self.task.gamma if self.gamma is None else self.gamma
 
-    def lesson(self, workers: int = 1) -> Lesson:
+    def schedule(self, workers: int = 1) -> Schedule:
         """The curriculum over the share of the run that one of so many workers flies."""
-        return Lesson(self.curriculum, max(self.total_steps // workers, 1), self.task.again)
+        return Schedule(self.curriculum, max(self.total_steps // workers, 1), self.task.again)
 
 
-MOST = 1e12
+MAX_NUMBER = 1e12
 """Numbers beyond make no sense in any option."""
-WIDEST = 4096
+MAX_UNITS = 4096
 """Units of a layer at most: two of them are 64 MB of weights."""
-MEMORY = 5
+LSTM_STEPS = 5
 """Steps that the LSTM of the critic sees (paper, Asymmetric Network Structure)."""
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {},
@@ -358,10 +358,10 @@ def check_values(config: TrainConfig) -> None:
     if (
         len(config.hidden) != 2
         or not 1 <= len(config.critic_hidden) <= 8
-        or not 1 <= min(sizes) <= max(sizes) <= WIDEST
+        or not 1 <= min(sizes) <= max(sizes) <= MAX_UNITS
     ):
         found = f"hidden={config.hidden} critic_hidden={config.critic_hidden} critic_lstm={config.critic_lstm}"
-        raise InputError(shorten(found, 100), f"two, one to eight and one layer sizes up to {WIDEST}", HELP)
+        raise InputError(shorten(found, 100), f"two, one to eight and one layer sizes up to {MAX_UNITS}", HELP)
     check(("device",), lambda value: bool(re.fullmatch(r"cpu|cuda(:\d+)?", value)), "cpu, cuda or cuda:N")
     if config.collector == "ray" and config.device != "cpu":
         raise InputError(f"device={config.device} with collector=ray", "device=cpu", "leave one of them out")
@@ -376,5 +376,5 @@ def check_values(config: TrainConfig) -> None:
         raise InputError(found, "as many simulations for each worker", f"make num_envs a multiple of {config.workers}")
     check_task(config.task)
     for name, value in list_numbers(to_plain(config)):
-        if not abs(value) <= MOST:
-            raise InputError(f"{name}={value}", f"a number within ±{MOST:g}", HELP)
+        if not abs(value) <= MAX_NUMBER:
+            raise InputError(f"{name}={value}", f"a number within ±{MAX_NUMBER:g}", HELP)

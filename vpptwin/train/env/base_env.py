@@ -21,9 +21,16 @@ from torchrl.envs import EnvBase
 
 from vpptwin.engine.arrays import Array, MaskedRows, Rows, library, select
 from vpptwin.system.errors import InputError
-from vpptwin.train.config import Lesson
+from vpptwin.train.config import Schedule
 from vpptwin.train.env.episodes import Episodes
-from vpptwin.train.env.observe import Sight, accumulate_error, observe, observe_critic, privileged_size, wrap_angle
+from vpptwin.train.env.observe import (
+    ObservationTerms,
+    accumulate_error,
+    observe,
+    observe_critic,
+    privileged_size,
+    wrap_angle,
+)
 from vpptwin.train.env.randomize import Priors
 from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.env.tasks import Task
@@ -32,11 +39,11 @@ from vpptwin.twin.sensors import sensor_noise
 from vpptwin.twin.stepping.past import history_depth
 
 if TYPE_CHECKING:
-    from vpptwin.train.env.watch import Watcher
+    from vpptwin.train.env.renderer import Renderer
 
-NEAR = 0.3
+MAX_START_ANGLE = 0.3
 """Largest angle from the target at the start of an episode that is judged by its position only, rad."""
-SOON = 1.0
+EARLY_FAILURE = 1.0
 """How long after its start a failure is put down to it, s."""
 
 
@@ -50,10 +57,10 @@ class EnvConfig:
         noise: multiplies the standard deviations of the vehicle's sensors; 0 for perfect ones.
         randomized: ids of effects whose parameters are drawn from their priors at every reset.
         narrowed: parameters that the twin has intervals of are drawn within those.
-        sight: what the policy is shown.
+        observation: what the policy is shown.
         estimator: `kalman` for a policy that is shown what the Kalman filter on board estimates, not sensor readings.
         desynchronize: start at random clock times when all are reset at once, so that not all end together.
-        lesson: of training; None for flying at full difficulty.
+        schedule: of training; None for flying at full difficulty.
         memory: steps that are shown to a critic; 0 for none at all.
         privileged: a critic sees the privileged state of `observe.observe_critic` instead of the policy's observation.
         fault_folder: where the first steps in which a simulation diverges are written; None to only count them.
@@ -64,10 +71,10 @@ class EnvConfig:
     noise: float = 0.0
     randomized: Sequence[str] = ()
     narrowed: bool = False
-    sight: Sight = field(default_factory=Sight)
+    observation: ObservationTerms = field(default_factory=ObservationTerms)
     estimator: str = "sensors"
     desynchronize: bool = False
-    lesson: Lesson | None = None
+    schedule: Schedule | None = None
     memory: int = 0
     privileged: bool = True
     fault_folder: Path | None = None
@@ -115,7 +122,7 @@ class BaseEnv(EnvBase):
     def __init__(self, twin: Twin, config: EnvConfig, count: int, device: torch.device) -> None:
         super().__init__(device=device, batch_size=torch.Size([count]))
         self.twin, self.config, self.count = twin, config, count
-        self.task, self.lesson, self.randomized = config.task, config.lesson, tuple(config.randomized)
+        self.task, self.schedule, self.randomized = config.task, config.schedule, tuple(config.randomized)
         self._faults: Any = 0
         self.restored, self.flown = False, 0
         control = twin.vehicle.control
@@ -126,13 +133,13 @@ class BaseEnv(EnvBase):
         self._priors = Priors.of(drawn, twin.spec.effects, twin.spec.intervals if config.narrowed else None)
         self.rng = np.random.default_rng(config.seed)
         self.duration = self.task.episode
-        if self.lesson is not None:
+        if self.schedule is not None:
             self.duration = self.task.training_episode or self.task.episode
         self._depth = history_depth(twin.effects.values(), self._period, self.duration)
-        inputs, parameters = len(config.sight.names), len(self._priors.keys)
+        inputs, parameters = len(config.observation.names), len(self._priors.keys)
         width = privileged_size(parameters) if config.privileged else inputs
         self.episodes: Any = Episodes.allocate(count, inputs, parameters, config.memory, width if config.memory else 0)
-        self._watcher: Watcher | None = None
+        self._renderer: Renderer | None = None
         self._make_specs(count)
 
     def _make_specs(self, n: int) -> None:
@@ -141,8 +148,8 @@ class BaseEnv(EnvBase):
         if self.config.memory:
             shapes["critic_observation"] = self.episodes.seen.shape
         shown = {key: Unbounded(shape=shape, dtype=torch.float32) for key, shape in shapes.items()}
-        told = {key: number.clone() for key in ("position_error", "success", "surprised", "episode_return")}
-        self.observation_spec = Composite(**shown, **told, shape=(n,))
+        values = {key: number.clone() for key in ("position_error", "success", "surprised", "episode_return")}
+        self.observation_spec = Composite(**shown, **values, shape=(n,))
         self.action_spec = Bounded(-1.0, 1.0, shape=(n, 2), dtype=torch.float32)
         self.reward_spec = number
         flags = {key: Binary(1, shape=(n, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
@@ -184,7 +191,7 @@ class BaseEnv(EnvBase):
     @property
     def difficulty(self) -> float:
         """Level of the curriculum, 0 to 1."""
-        return 1.0 if self.lesson is None else self.lesson.difficulty_at(self.flown * self.count)
+        return 1.0 if self.schedule is None else self.schedule.difficulty_at(self.flown * self.count)
 
     @property
     def max_steps(self) -> int:
@@ -202,12 +209,12 @@ class BaseEnv(EnvBase):
         """
         if mode != "rgb_array":
             raise InputError(f"render mode {mode!r}", "rgb_array", "leave it out")
-        if self._watcher is None:
-            from vpptwin.train.env.watch import Watcher  # which brings the drawing
+        if self._renderer is None:
+            from vpptwin.train.env.renderer import Renderer  # which brings the drawing
 
-            self._watcher = Watcher(self.twin)
+            self._renderer = Renderer(self.twin)
         target = np.asarray(self.episodes.target[0].tolist())
-        return self._watcher.draw(self._show_first(), target, float(self.episodes.elapsed[0]))
+        return self._renderer.draw(self._show_first(), target, float(self.episodes.elapsed[0]))
 
     def _set_seed(self, seed: int | None) -> None:
         self.rng = np.random.default_rng(seed)
@@ -228,18 +235,18 @@ class BaseEnv(EnvBase):
 
     def _begin(self, rows: Any) -> None:  # noqa: ANN401
         """Start new episodes in some rows; the others stay as they are."""
-        episodes, task, draws, lesson = self.episodes, self.task, self.draws, self.lesson
+        episodes, task, draws, schedule = self.episodes, self.task, self.draws, self.schedule
         self._draw_parameters(rows)
         target = task.target.draw(draws, rows.count)
         pose, velocity = task.start.draw(draws, target)
-        single = lesson is not None and lesson.single(self.flown * self.count)
+        single = schedule is not None and schedule.single(self.flown * self.count)
         rows.put(episodes.criterion, draws.choice([POSITION, ANGLE], rows.count) if single else BOTH)
-        if lesson is not None:
-            share = lesson.again(self.flown * self.count)
+        if schedule is not None:
+            share = schedule.again(self.flown * self.count)
             target, pose, velocity = self.failed_starts.replace(share, draws, target, pose, velocity)
         rows.put(episodes.started, library(pose).column_stack([target, pose, velocity]))
         near = select(rows.take(episodes.criterion) == POSITION)
-        near.put(pose[:, 2], near.take(target[:, 2]) + draws.uniform(-NEAR, NEAR, near.count))
+        near.put(pose[:, 2], near.take(target[:, 2]) + draws.uniform(-MAX_START_ANGLE, MAX_START_ANGLE, near.count))
         self._start_rigs(rows, pose, velocity)
         for name in ("turn", "stage", "missed", "integral", "age", "elapsed", "total", "action"):
             rows.put(getattr(episodes, name), 0)
@@ -254,8 +261,8 @@ class BaseEnv(EnvBase):
     def _draw_levels(self, count: int) -> np.ndarray:
         """How far from nominal new episodes may be, (count,)."""
         level = np.full(count, self.difficulty)
-        if self.lesson is not None and self.lesson.curriculum.nominal:
-            level[self.rng.uniform(size=count) < self.lesson.curriculum.nominal] = 0.0
+        if self.schedule is not None and self.schedule.curriculum.nominal:
+            level[self.rng.uniform(size=count) < self.schedule.curriculum.nominal] = 0.0
         return level
 
     def _schedule(self, rows: Any) -> None:  # noqa: ANN401
@@ -263,7 +270,7 @@ class BaseEnv(EnvBase):
         episodes, target = self.episodes, self.task.target
         now, stage = rows.take(episodes.elapsed), rows.take(episodes.stage)
         time, soonest = now + target.draw_dwell(self.draws, stage), now + target.span_dwell(stage)[0]
-        last = math.inf if self.lesson is not None else self.duration - target.quiet
+        last = math.inf if self.schedule is not None else self.duration - target.quiet
         never = (time > last) | (rows.take(episodes.criterion) == POSITION)
         rows.put(episodes.switch, library(time).where(never, math.inf, time))
         rows.put(episodes.due, library(time).where(never, math.inf, soonest))
@@ -279,7 +286,7 @@ class BaseEnv(EnvBase):
         target = rows.take(episodes.target)
         integral = accumulate_error(rows.take(episodes.integral), (target - pose)[:, :2])
         rows.put(episodes.integral, integral)
-        rows.put(episodes.observation, observe(pose, velocity, target, integral, self.config.sight))
+        rows.put(episodes.observation, observe(pose, velocity, target, integral, self.config.observation))
         if self.config.memory:
             now = rows.take(episodes.observation)
             if self.config.privileged:
@@ -310,8 +317,8 @@ class BaseEnv(EnvBase):
         reward = xp.where(diverged, 0.0, reward)
         episodes.total += reward
         terminated = task.limits.exceeded(self.twin.vehicle, pose, velocity) | failed
-        if self.lesson is not None:
-            self.failed_starts.add(terminated & (episodes.age <= SOON), episodes.started)
+        if self.schedule is not None:
+            self.failed_starts.add(terminated & (episodes.age <= EARLY_FAILURE), episodes.started)
             terminated = terminated | episodes.missed | ((episodes.elapsed >= episodes.due) & self._unmet())
         truncated = (episodes.elapsed > self.duration - 0.5 * self._period) & ~terminated
         return self._pack(terminated, truncated, reward)
@@ -357,8 +364,10 @@ class BaseEnv(EnvBase):
         if self.config.memory:
             shown["critic_observation"] = episodes.seen
         flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        told = {name: torch.as_tensor(value).to(torch.float32, copy=True) for name, value in shown.items()}
-        told |= {name: torch.as_tensor(value).to(torch.float32, copy=True)[:, None] for name, value in numbers.items()}
-        told |= {name: torch.as_tensor(value)[:, None].clone() for name, value in flags.items()}
+        values = {name: torch.as_tensor(value).to(torch.float32, copy=True) for name, value in shown.items()}
+        values |= {
+            name: torch.as_tensor(value).to(torch.float32, copy=True)[:, None] for name, value in numbers.items()
+        }
+        values |= {name: torch.as_tensor(value)[:, None].clone() for name, value in flags.items()}
         # TorchRL would copy it all once more if it did not say where it is.
-        return TensorDict(told, batch_size=self.batch_size, device=self.device)
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from vpptwin.train.config import Lesson, TrainConfig, check_values
+from vpptwin.train.config import Schedule, TrainConfig, check_values
 from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.device_env import make_device_env
 from vpptwin.train.env.tasks import TASKS, check_task_name
@@ -17,12 +17,15 @@ from vpptwin.train.learn.devices import find_device
 
 
 def open_env(
-    config: TrainConfig, device: torch.device, fault_folder: Path | None = None, lesson: Lesson | None = None
+    config: TrainConfig,
+    device: torch.device,
+    fault_folder: Path | None = None,
+    schedule: Schedule | None = None,
 ) -> BaseEnv:
     """The environment of a run, as `make_env`: on the device, by Warp, or on the processor's cores, by numba."""
     if config.on_device:
-        return make_device_env(config, device, lesson)
-    return make_env(config, fault_folder, lesson)
+        return make_device_env(config, device, schedule)
+    return make_env(config, fault_folder, schedule)
 
 
 def make_task_env(

@@ -8,7 +8,7 @@ import numpy as np
 
 from vpptwin.engine.arrays import Array
 
-KEPT = 256
+MAX_STARTS = 256
 """Failed starts that are kept, the latest."""
 
 
@@ -56,19 +56,19 @@ class Episodes:
 class FailedStarts:
     """A ring of the latest starts that led to a failure."""
 
-    target: Array  # x, z, θ that were asked for, (KEPT, 3) m, m, rad
-    pose: Array  # x, z, θ, (KEPT, 3) m, m, rad
-    velocity: Array  # m/s, m/s, rad/s, (KEPT, 3)
+    target: Array  # x, z, θ that were asked for, (MAX_STARTS, 3) m, m, rad
+    pose: Array  # x, z, θ, (MAX_STARTS, 3) m, m, rad
+    velocity: Array  # m/s, m/s, rad/s, (MAX_STARTS, 3)
     seen: Array  # how many there have been so far, (1,) int
 
     @classmethod
     def empty(cls) -> FailedStarts:
         """None yet."""
-        return cls(np.zeros((KEPT, 3)), np.zeros((KEPT, 3)), np.zeros((KEPT, 3)), np.zeros(1, int))
+        return cls(np.zeros((MAX_STARTS, 3)), np.zeros((MAX_STARTS, 3)), np.zeros((MAX_STARTS, 3)), np.zeros(1, int))
 
     def add(self, failed: np.ndarray, started: np.ndarray) -> None:
         """Keep the starts, of (N, 9), of the rows where `failed`, (N,) bool, says so, in place of the oldest."""
-        slots = (self.seen[0] + np.arange(np.count_nonzero(failed))) % KEPT
+        slots = (self.seen[0] + np.arange(np.count_nonzero(failed))) % MAX_STARTS
         self.target[slots], self.pose[slots], self.velocity[slots] = np.split(started[failed], 3, axis=1)
         self.seen += len(slots)
 
@@ -77,7 +77,7 @@ class FailedStarts:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Starts (n, 3) each, one of these in place of a `share` of them, in place; of none while there are none."""
         again = np.flatnonzero(rng.uniform(size=len(target)) < share)
-        kept = min(int(self.seen[0]), KEPT)
+        kept = min(int(self.seen[0]), MAX_STARTS)
         if kept and len(again):
             ids = rng.integers(0, kept, len(again))
             target[again], pose[again], velocity[again] = self.target[ids], self.pose[ids], self.velocity[ids]

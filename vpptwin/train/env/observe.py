@@ -31,7 +31,7 @@ INTEGRAL_DECAY = 0.9
 
 
 @dataclass(frozen=True)
-class Sight:
+class ObservationTerms:
     """What a policy is shown."""
 
     setup: str = "All"  # one of `SETUPS`
@@ -69,38 +69,40 @@ def wrap_angle(angle: Array) -> Array:
 
 
 TERMS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
-    "delta_x": lambda delta, velocity, target, integral: delta[:, 0],
-    "delta_z": lambda delta, velocity, target, integral: delta[:, 1],
-    "velocity_x": lambda delta, velocity, target, integral: velocity[:, 0],
-    "velocity_z": lambda delta, velocity, target, integral: velocity[:, 1],
-    "sin_delta_theta": lambda delta, velocity, target, integral: library(delta).sin(delta[:, 2]),
-    "cos_delta_theta": lambda delta, velocity, target, integral: library(delta).cos(delta[:, 2]),
-    "delta_theta": lambda delta, velocity, target, integral: wrap_angle(delta[:, 2]),
-    "rate": lambda delta, velocity, target, integral: velocity[:, 2],
+    "delta_x": lambda delta, *_: delta[:, 0],
+    "delta_z": lambda delta, *_: delta[:, 1],
+    "delta_theta": lambda delta, *_: wrap_angle(delta[:, 2]),
+    "sin_delta_theta": lambda delta, *_: library(delta).sin(delta[:, 2]),
+    "cos_delta_theta": lambda delta, *_: library(delta).cos(delta[:, 2]),
+    "velocity_x": lambda delta, velocity, *_: velocity[:, 0],
+    "velocity_z": lambda delta, velocity, *_: velocity[:, 1],
+    "rate": lambda delta, velocity, *_: velocity[:, 2],
+    "target_theta": lambda delta, velocity, target, _: wrap_angle(target[:, 2]),
+    "sin_target_theta": lambda delta, velocity, target, _: library(target).sin(target[:, 2]),
+    "cos_target_theta": lambda delta, velocity, target, _: library(target).cos(target[:, 2]),
     "integral_x": lambda delta, velocity, target, integral: integral[:, 0],
     "integral_z": lambda delta, velocity, target, integral: integral[:, 1],
-    "sin_target_theta": lambda delta, velocity, target, integral: library(target).sin(target[:, 2]),
-    "cos_target_theta": lambda delta, velocity, target, integral: library(target).cos(target[:, 2]),
-    "target_theta": lambda delta, velocity, target, integral: wrap_angle(target[:, 2]),
 }
-"""Every observation term by name: of Δ = target - pose, velocity and target, (N, 3) each, and Γ, (N, 2)."""
+"""Every observation term: a function of Δ = target - pose, velocity and target, (N, 3) each, and Γ, (N, 2)."""
 
 
-def observe(pose: Array, velocity: Array, target: Array, integral: Array, sight: Sight | None = None) -> Array:
-    """What the policy sees, in the order of `sight.names`.
+def observe(
+    pose: Array, velocity: Array, target: Array, integral: Array, observation: ObservationTerms | None = None
+) -> Array:
+    """What the policy sees, in the order of `observation.names`.
 
     Args:
         pose: x, z, θ of the craft, (N, 3) m, m, rad.
         velocity: v_x, v_z, q, (N, 3) m/s, m/s, rad/s.
         target: x, z, θ to reach, (N, 3) m, m, rad.
         integral: Γ_t, (N, 2) m.
-        sight: what it is shown; by default `OBSERVATION`.
+        observation: what it is shown; by default `OBSERVATION`.
 
     Returns:
-        (N, len(sight.names)) float32; of tensors, their own type.
+        (N, len(observation.names)) float32; of tensors, their own type.
     """
     xp, delta = library(pose), target - pose
-    names = OBSERVATION if sight is None else sight.names
+    names = OBSERVATION if observation is None else observation.names
     seen: Array = xp.stack([TERMS[name](delta, velocity, target, integral) for name in names], -1)
     return seen.astype(np.float32) if xp is np else seen
 

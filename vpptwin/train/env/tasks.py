@@ -218,9 +218,9 @@ WALL_BACKTRACK = Task(
     weights=RewardWeights(position=0.5, orientation=1.0, velocity=0.1, rate=0.1, integral=0.1, near=0.0),
     limits=Limits(ends=False), success=Success(reach=math.radians(15.0)),
 )  # fmt: skip
-LONGEST = 600.0
+MAX_EPISODE = 600.0
 """Longest episode [s]."""
-MOST_ANGLES = 100
+MAX_ANGLES = 100
 TASKS: dict[str, Task] = {task.name: task for task in (HOVER, FLIP, WALL_BACKTRACK)}
 """Every task by name."""
 
@@ -232,16 +232,16 @@ def check_task(task: Task) -> None:
         InputError: naming the first.
     """
     target = task.target
-    if len(target.angles) > MOST_ANGLES:
-        raise InputError(f"{len(target.angles)} task.target.angles", f"at most {MOST_ANGLES}", "drop some")
+    if len(target.angles) > MAX_ANGLES:
+        raise InputError(f"{len(target.angles)} task.target.angles", f"at most {MAX_ANGLES}", "drop some")
     for part, ranges in (("start", task.start), ("target", target)):
         for f in fields(ranges):
             value = getattr(ranges, f.name)
             if isinstance(value, (list, tuple)) and f.name != "angles" and (len(value) != 2 or value[0] > value[1]):
                 raise InputError(f"task.{part}.{f.name}={list(value)}", "[low, high]", "correct the range")
-    if not 0.0 < task.success.window <= task.episode <= LONGEST:
+    if not 0.0 < task.success.window <= task.episode <= MAX_EPISODE:
         found = f"task.episode={task.episode} task.success.window={task.success.window}"
-        raise InputError(found, f"a positive window within an episode of at most {LONGEST:g} s", "correct them")
+        raise InputError(found, f"a positive window within an episode of at most {MAX_EPISODE:g} s", "correct them")
     if len(target.angles) < (1 if target.dwell is None else 2):
         found = f"task.target.angles={list(target.angles)} task.target.dwell={target.dwell}"
         raise InputError(found, "one angle, or two and more to change between", "add angles, or set dwell=null")

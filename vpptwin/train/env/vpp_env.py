@@ -13,7 +13,7 @@ import torch
 from vpptwin.engine.arrays import Rows
 from vpptwin.robots.planar_drone.kalman import FilterNoise, KalmanFilter
 from vpptwin.system.errors import InputError
-from vpptwin.train.config import Lesson, TrainConfig
+from vpptwin.train.config import Schedule, TrainConfig
 from vpptwin.train.env.base_env import BaseEnv, EnvConfig
 from vpptwin.train.env.episodes import Episodes, FailedStarts
 from vpptwin.train.env.randomize import IDENTIFIED, name_effects, randomize
@@ -179,22 +179,24 @@ def to_arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
     return {name: value.numpy().copy() for name, value in tensors.items()}
 
 
-def make_env(config: TrainConfig, fault_folder: Path | None = None, lesson: Lesson | None = None) -> VppEnv:
+def make_env(config: TrainConfig, fault_folder: Path | None = None, schedule: Schedule | None = None) -> VppEnv:
     """The environment of a run.
 
     Args:
         config: of the run.
         fault_folder: where simulations that diverged are written; None to only count them.
-        lesson: of training; None for flying at full difficulty.
+        schedule: of training; None for flying at full difficulty.
 
     Raises:
         InputError: if the twin is unknown or not a drone, or an effect is not in its catalogue.
     """
-    spec, flown = configure_env(config, lesson, fault_folder)
+    spec, flown = configure_env(config, schedule, fault_folder)
     return VppEnv(Twin(spec, config.num_envs, active=flown.randomized, num_threads=config.sim_threads), flown)
 
 
-def configure_env(config: TrainConfig, lesson: Lesson | None, faults: Path | None = None) -> tuple[TwinSpec, EnvConfig]:
+def configure_env(
+    config: TrainConfig, schedule: Schedule | None, faults: Path | None = None
+) -> tuple[TwinSpec, EnvConfig]:
     """The twin of a run, and what an environment flies with it; arguments as `make_env`.
 
     Raises:
@@ -205,7 +207,7 @@ def configure_env(config: TrainConfig, lesson: Lesson | None, faults: Path | Non
     randomized = name_effects(config.randomize, spec.catalogue, spec.intervals)
     check_effects({effect: {} for effect in randomized}, spec.catalogue, "randomize")
     flown = EnvConfig(
-        config.task, config.seed, config.noise, randomized, IDENTIFIED in config.randomize, config.sight,
-        config.estimator, config.desynchronize, lesson, config.critic_memory, config.privileged, faults,
+        config.task, config.seed, config.noise, randomized, IDENTIFIED in config.randomize, config.observation,
+        config.estimator, config.desynchronize, schedule, config.critic_memory, config.privileged, faults,
     )  # fmt: skip
     return strengthen(spec, config.task.thrust_to_weight, config.task.commanded), flown

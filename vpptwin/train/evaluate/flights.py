@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +25,7 @@ TURN_ERROR = 0.6
 
 SEED = 2_000_003
 """Of the flights, which are none of those that `vpptwin evaluate` flies by default."""
-LOST = 0.5
+FAILED_ERROR = 0.5
 """What a failed flight counts as in the score, m."""
 
 
@@ -97,7 +96,7 @@ def count_turns(theta: np.ndarray, turn: np.ndarray, grace: int) -> tuple[int, i
 class Exam(Hook):
     """Flies a fixed set at full difficulty every so many steps and keeps the best policy as best.pt.
 
-    Logs `exam_score_m` (mean position error, failed flights counted as `LOST`), `exam_error_m` (of those that did not
+    Logs `exam_score_m` (mean position error, `FAILED_ERROR` for a failed flight), `exam_error_m` (of those that did not
     fail; not a number if all did), `exam_failures` and `exam_success`. The random numbers of training are left as they
     are.
 
@@ -105,7 +104,11 @@ class Exam(Hook):
         best: lowest score so far, m.
     """
 
-    place, name = "post_steps_log", "exam"  # after the updates of a batch, before the checkpoint is written
+    place, name, saved = (
+        "post_steps_log",
+        "exam",
+        ("best", "taken"),
+    )  # after the updates of a batch, before the checkpoint is written
 
     def __init__(self, config: TrainConfig, policy: Policy, folder: Path) -> None:
         self.config, self.policy, self.path = config, policy, folder / BEST_NAME
@@ -121,7 +124,7 @@ class Exam(Hook):
             return None
         self.taken = steps
         flown = self._fly()
-        score = flown.score(LOST)
+        score = flown.score(FAILED_ERROR)
         if score <= self.best:
             self.best = score
             write_checkpoint(self.path, self.config, self.policy, steps)
@@ -138,11 +141,3 @@ class Exam(Hook):
         self._env.set_seed(SEED)
         with torch.random.fork_rng():
             return fly_tracks(self._env, self.policy)
-
-    def state_dict(self) -> dict[str, Any]:
-        """When it last flew and how well."""
-        return {"best": self.best, "taken": self.taken}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on from a saved run."""
-        self.best, self.taken = state_dict["best"], state_dict["taken"]

@@ -52,7 +52,7 @@ class PolicyPilot:
         """Thrust [N] and rate [rad/s], (1, 2), from estimates (1, 3), and Γ, (1, 2) m, for the next tick."""
         target = self.target(tick)
         integral = accumulate_error(memory, (target - pose)[:, :2])
-        seen = observe(pose, velocity, target, integral, self.trained.sight)
+        seen = observe(pose, velocity, target, integral, self.trained.observation)
         assert self.policy is not None
         action = self.policy(seen).astype(np.float64)
         return np.clip(action, -1.0, 1.0) * self._limit, integral

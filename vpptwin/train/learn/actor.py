@@ -71,7 +71,7 @@ def build_actor(content: Mapping[str, Any], source: object) -> tuple[Actor, Trai
 
 def list_shapes(config: TrainConfig) -> dict[str, tuple[int, ...]]:
     """Shapes of a policy's weights, by name."""
-    sizes = [len(config.sight.names), *config.hidden, 2]
+    sizes = [len(config.observation.names), *config.hidden, 2]
     shapes: dict[str, tuple[int, ...]] = {f"body.0.{name}": (sizes[0],) for name in ("scale", "fine", "share")}
     for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:]):
         shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}

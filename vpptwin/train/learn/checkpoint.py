@@ -50,7 +50,7 @@ def build_policy(content: dict[str, Any], source: object) -> tuple[Policy, Train
 
 def make_policy(config: TrainConfig) -> Policy:
     """An untrained policy of the configured size."""
-    return Policy(config.sight, (config.hidden[0], config.hidden[1]), config.magnify)
+    return Policy(config.observation, (config.hidden[0], config.hidden[1]), config.magnify)
 
 
 class SaveCheckpoint(Hook):
@@ -64,7 +64,7 @@ class SaveCheckpoint(Hook):
             are elsewhere, and new episodes begin.
     """
 
-    place, name = "post_steps_log", "save_checkpoint"  # the last of them that is registered
+    place, name, kept = "post_steps_log", "save_checkpoint", ("saved",)  # the last of them that is registered
 
     def __init__(self, path: Path, config: TrainConfig, policy: Policy, env: BaseEnv | None) -> None:
         self.path, self.config, self.policy, self.env = path, config, policy, env
@@ -79,11 +79,3 @@ class SaveCheckpoint(Hook):
         env = None if self.env is None else self.env.take_snapshot()
         training = {"trainer": self.trainer.state_dict(), "env": env, "torch_random": torch.get_rng_state()}
         write_checkpoint(self.path, self.config, self.policy, steps, training)
-
-    def state_dict(self) -> dict[str, Any]:
-        """When it last saved."""
-        return {"saved": self.saved}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continue counting from a saved run."""
-        self.saved = state_dict["saved"]

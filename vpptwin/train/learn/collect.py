@@ -56,7 +56,7 @@ class WorkerEnv:
         check_share(config)
         share = replace(config, num_envs=config.num_envs // config.workers, seed=self.seed)
         folder = self.fault_folder / f"worker-{self.worker}"
-        env = make_env(share, folder, config.lesson(config.workers))
+        env = make_env(share, folder, config.schedule(config.workers))
         env.flown = self.begun // config.num_envs
         return env
 
@@ -80,10 +80,10 @@ class RayWorkers(RayCollector):
         self, config: TrainConfig, actor: TensorDictModuleBase, makers: list[WorkerEnv], started: bool
     ) -> None:
         self.faults, self.started = 0, started
-        self.begun, self.lesson = makers[0].begun, config.lesson()
+        self.begun, self.schedule = makers[0].begun, config.schedule()
         super().__init__(
             makers, actor, frames_per_batch=config.num_envs * config.rollout, total_frames=sys.maxsize, sync=True,
-            update_after_each_batch=True, weight_sync_schemes={}, postproc=merge_workers,
+            update_after_each_batch=True, weight_sync_schemes={}, postproc=lambda batches: batches.flatten(0, 1),
             collector_kwargs=[dict(OPTIONS) for _ in makers], remote_configs={"num_cpus": config.sim_threads},
         )  # fmt: skip
         self._weight_sync_initialized = True  # by update_policy_weights_, not by one of TorchRL's schemes
@@ -91,7 +91,7 @@ class RayWorkers(RayCollector):
     @property
     def difficulty(self) -> float:
         """Level of the curriculum, 0 to 1."""
-        return self.lesson.difficulty_at(self.begun + self.collected_frames)
+        return self.schedule.difficulty_at(self.begun + self.collected_frames)
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Batches without end.
@@ -126,11 +126,6 @@ class RayWorkers(RayCollector):
     def shutdown(self, timeout: float | None = None, shutdown_ray: bool = False) -> None:
         """End the workers, and Ray if it was started for them."""
         super().shutdown(timeout, shutdown_ray or self.started)
-
-
-def merge_workers(batches: TensorDictBase) -> TensorDictBase:
-    """Workers' batches (workers, num_envs / workers, rollout) as one (num_envs, rollout)."""
-    return batches.flatten(0, 1)
 
 
 def start_workers(config: TrainConfig, actor: TensorDictModuleBase, fault_folder: Path, begun: int) -> RayWorkers:
@@ -196,7 +191,7 @@ def start_env(config: TrainConfig, fault_folder: Path, saved: dict[str, Any] | N
         import ray  # noqa: F401  # refused here, before anything is made
 
         return make_env(replace(config, num_envs=1, sim_threads=1))
-    env = open_env(config, device, fault_folder, config.lesson())
+    env = open_env(config, device, fault_folder, config.schedule())
     if saved is not None:
         # Before the collector exists, which resets the environment as it is made.
         env.restore_snapshot(saved["training"]["env"])

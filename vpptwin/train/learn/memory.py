@@ -87,7 +87,7 @@ def size_step(config: TrainConfig) -> int:
 
 def critic_shape(config: TrainConfig) -> tuple[int, int]:
     """Steps and numbers of each that the critic sees."""
-    width = privileged_size(count_parameters(config)) if config.privileged else len(config.sight.names)
+    width = privileged_size(count_parameters(config)) if config.privileged else len(config.observation.names)
     return config.critic_memory, width
 
 

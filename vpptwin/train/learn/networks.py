@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from vpptwin.train.env.observe import Sight
+from vpptwin.train.env.observe import ObservationTerms
 
 INPUT_SCALE = {
     "delta_x": 0.5, "delta_z": 0.5, "velocity_x": 2.0, "velocity_z": 2.0, "rate": 5.0,
@@ -59,19 +59,19 @@ class Policy(nn.Module):
     """The deterministic policy: observation (..., inputs) to action (..., 2) in [-1, 1].
 
     Args:
-        sight: what it is shown.
+        observation: what it is shown.
         hidden: units of the ReLU layer and of the tanh layer.
         magnify: see `ScaleInputs`.
     """
 
-    def __init__(self, sight: Sight, hidden: tuple[int, int] = (96, 64), magnify: bool = True) -> None:
+    def __init__(self, observation: ObservationTerms, hidden: tuple[int, int] = (96, 64), magnify: bool = True) -> None:
         super().__init__()
         first, second = hidden
         last = nn.Linear(second, 2)
         with torch.no_grad():
             last.weight.mul_(0.1)
             last.bias.zero_()
-        scale, inputs = ScaleInputs(sight.names, magnify), len(sight.names)
+        scale, inputs = ScaleInputs(observation.names, magnify), len(observation.names)
         self.body = nn.Sequential(scale, nn.Linear(inputs, first), nn.ReLU(), nn.Linear(first, second), nn.Tanh(), last)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:

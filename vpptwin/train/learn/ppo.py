@@ -49,7 +49,7 @@ def start_from(policy: Policy, config: TrainConfig) -> None:
     """
     content = read_checkpoint(str(config.init_from))
     other, trained = build_policy(content, config.init_from)
-    if trained.sight != config.sight or trained.hidden != config.hidden:
+    if trained.observation != config.observation or trained.hidden != config.hidden:
         found, expected = (
             f"setup={c.setup} paper_inputs={c.paper_inputs} hidden={c.hidden}" for c in (trained, config)
         )
@@ -72,7 +72,7 @@ def build_training(config: TrainConfig, folder: Path, saved: dict[str, Any] | No
         start_from(policy, config)
     exploration = Exploration(policy, config.exploration.at(0.0), config.learn_exploration).to(device)
     actor = make_actor(exploration)
-    names = OBSERVATION if config.privileged else config.sight.names
+    names = OBSERVATION if config.privileged else config.observation.names
     lstm = config.critic_lstm if config.critic == "lstm" else 0
     width = env.episodes.seen.shape[-1]
     values = Critic(names, width, config.critic_hidden, lstm, config.magnify)

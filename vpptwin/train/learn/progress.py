@@ -23,10 +23,11 @@ LAYOUT = "{percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{rate_fmt}, left {re
 
 
 class Hook(TrainerHookBase):
-    """A hook that is called at one place of the trainer; unless it says otherwise it has nothing to save."""
+    """A hook that is called at one place of the trainer."""
 
     place: ClassVar[str]  # where the trainer calls it
     name: ClassVar[str]  # of its state in a checkpoint
+    kept: ClassVar[tuple[str, ...]] = ()  # attributes that are its state
     trainer: Trainer  # from `register` on
 
     def register(self, trainer: Trainer, name: str | None = None) -> None:
@@ -36,11 +37,13 @@ class Hook(TrainerHookBase):
         trainer.register_module(name or self.name, self)
 
     def state_dict(self) -> dict[str, Any]:
-        """Nothing."""
-        return {}
+        """What a checkpoint keeps of it."""
+        return {name: getattr(self, name) for name in self.kept}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Nothing to restore."""
+        """Go on from a saved run."""
+        for name, value in state_dict.items():
+            setattr(self, name, value)
 
 
 class Simulations(Protocol):
@@ -76,14 +79,10 @@ class EpisodeStatistics(Hook):
         self.success.extend(last["success"][done].tolist())
         self.errors.extend(last["position_error"][done & ~terminated].tolist())
         return {
-            "reward": float(last["reward"].mean()),
-            "return": mean(self.returns),
-            "error_m": mean(self.errors),
-            "failures": mean(self.failed),
-            "success": mean(self.success),
-            "difficulty": self.simulations.difficulty,
+            "reward": float(last["reward"].mean()), "return": mean(self.returns), "error_m": mean(self.errors),
+            "failures": mean(self.failed), "success": mean(self.success), "difficulty": self.simulations.difficulty,
             "faults": float(self.simulations.faults),
-        }
+        }  # fmt: skip
 
     def state_dict(self) -> dict[str, Any]:
         """The episodes remembered."""

@@ -17,7 +17,7 @@ VIEW = CameraView(np.array([0.1, 0.0, 1.25]), 1.3)
 """The whole rig: floor, wall, rail and guide."""
 
 
-class Watcher:
+class Renderer:
     """Draws the first of many simulations."""
 
     def __init__(self, twin: Twin) -> None:
