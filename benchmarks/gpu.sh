@@ -26,7 +26,8 @@ python - <<'PY' || exit 2
 import sys
 import torch
 from vpptwin.system.errors import InputError
-from vpptwin.train.learn.devices import check_warp, find_device
+from vpptwin.train.env.device_env import check_warp
+from vpptwin.train.env.environments import find_device
 try:
     check_warp(find_device("cuda"))
 except InputError as error:

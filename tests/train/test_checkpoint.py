@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -171,17 +170,6 @@ LARGE = {
     "hidden": [10**7, 10**7], "critic_hidden": [10**7], "critic_lstm": 10**7, "gamma": float("nan"), "noise": 1e300,
     "setup": "${oc.env:HOME}", "sim_threads": 10**7, "loggers": "csv", "effects": {"a": 1},
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("key", LARGE)
-def test_absurd_configurations_are_refused(tmp_path: Path, key: str) -> None:
-    """In one line, before anything of that size is made or anything is looked up."""
-    content = read_checkpoint("flip")
-    torch.save({**content, "config": {**content["config"], key: LARGE[key]}}, tmp_path / "large.pt")
-    with pytest.raises(InputError, match=r"large\.pt: ") as caught:
-        load_policy(tmp_path / "large.pt")
-    assert "\n" not in str(caught.value)
-    assert os.environ["HOME"] not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["config", "steps", "policy", "commit", "training"])

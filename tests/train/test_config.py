@@ -10,9 +10,9 @@ import pytest
 
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import Ramp, TrainConfig, to_plain
+from vpptwin.train.env.environments import find_device
 from vpptwin.train.env.tasks import HOVER, Start
 from vpptwin.train.env.vpp_env import make_env
-from vpptwin.train.learn.devices import find_device
 from vpptwin.train.main import compose_config, run_train
 
 

@@ -7,26 +7,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from tests.train.conftest import EXAMINED, plain_schedule, read_log, see, step, tiny_env, truth
-from vpptwin.train.config import Curriculum
-from vpptwin.train.env.base_env import MAX_START_ANGLE
+from tests.train.conftest import EXAMINED, plain_schedule, read_log, reset_rows, see, step, tiny_env, truth
+from vpptwin.train.config import Curriculum, Schedule
+from vpptwin.train.env.base_env import EARLY_FAILURE, MAX_START_ANGLE
+from vpptwin.train.env.episodes import MAX_STARTS, FailedStarts
 from vpptwin.train.env.observe import wrap_angle
 from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, compute_reward
 from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.train.main import run_train
 from vpptwin.twin.sensors import sensor_noise
 
-LESSON = plain_schedule(40_000)
-EASY = replace(LESSON, curriculum=replace(LESSON.curriculum, single_below=0.0))
+SCHEDULE = plain_schedule(40_000)
+EASY = replace(SCHEDULE, curriculum=replace(SCHEDULE.curriculum, single_below=0.0))
 """The same, every episode judged by everything."""
 
 
 def env_at(progress: float, *overrides: str) -> VppEnv:
     """An environment of 400 drones after this share of training, its episodes just begun."""
-    env = tiny_env("num_envs=400", *overrides, schedule=LESSON)
-    env.flown = round(progress * LESSON.steps / 400)
-    assert env.flown * 400 == round(progress * LESSON.steps)
+    env = tiny_env("num_envs=400", *overrides, schedule=SCHEDULE)
+    env.flown = round(progress * SCHEDULE.steps / 400)
+    assert env.flown * 400 == round(progress * SCHEDULE.steps)
     env.reset()
     return env
 
@@ -97,9 +99,9 @@ def test_noise_and_randomization_grow_with_difficulty(progress: float, difficult
 
 def test_some_episodes_are_flown_in_the_nominal_twin() -> None:
     """A share of them, whatever the difficulty, is at the off value of everything; outside of training none is."""
-    schedule = replace(LESSON, curriculum=replace(LESSON.curriculum, nominal=0.2))
+    schedule = replace(SCHEDULE, curriculum=replace(SCHEDULE.curriculum, nominal=0.2))
     env = tiny_env("num_envs=1000", "randomize=[airframe.mass,rail_x.coulomb]", schedule=schedule)
-    env.flown = LESSON.steps
+    env.flown = SCHEDULE.steps
     env.reset()
     assert env.difficulty == 1.0
     friction, mass = env.twin.parameter("rail_x.coulomb", "force"), env.twin.parameter("airframe.mass", "mass")
@@ -113,7 +115,7 @@ def test_some_episodes_are_flown_in_the_nominal_twin() -> None:
 
 
 def test_episodes_of_training_may_be_shorter() -> None:
-    """`training_episode` ends those of a curriculum, whose triggers may come up to the end; flights last as they did."""
+    """`training_episode` ends those of a curriculum, with triggers up to the end; flights last as they did."""
     overrides = ("task=flip", "task.training_episode=0.3", "task.episode=1", "task.success.window=0.2")
     triggers = ("task.target.dwell=[0.05,0.1]", "task.target.quiet=0.8")
     trained, flown = tiny_env(*overrides, *triggers, schedule=EASY), tiny_env(*overrides, *triggers)
@@ -140,3 +142,83 @@ def test_a_run_follows_its_lesson(tiny_run: Path, tmp_path: Path) -> None:
     assert level[-1] == 1.0
     plain = run_train([*EXAMINED, "total_steps=256", "exam_every=0", "curriculum.enabled=false", f"out={tmp_path}"])
     assert read_log(plain, "difficulty")[:, 1].tolist() == [1.0, 1.0]
+
+
+FALL = torch.tensor([-1.0, 0.0])
+"""Full thrust downwards: on the floor within half a second."""
+
+
+def fail(starts: FailedStarts, first: int, count: int) -> None:
+    """Keep starts whose targets, poses and velocities tell which they belong to."""
+    number = np.arange(first, first + count, dtype=float)[:, None]
+    starts.add(np.ones(count, bool), number + np.repeat([0.0, 1000.0, 2000.0], 3))
+
+
+def test_the_latest_are_kept() -> None:
+    """A full ring forgets its oldest; target, pose and velocity stay together."""
+    starts = FailedStarts.empty()
+    fail(starts, 0, 10)
+    fail(starts, 10, MAX_STARTS)
+    kept = np.sort(starts.target[:, 0])
+    np.testing.assert_array_equal(kept, np.arange(10, MAX_STARTS + 10))
+    np.testing.assert_array_equal(starts.pose, starts.target + 1000.0)
+    np.testing.assert_array_equal(starts.velocity, starts.target + 2000.0)
+
+
+def test_a_share_of_new_starts_is_replaced() -> None:
+    """A quarter of 4000, by starts that are kept, each as likely; without any, or with a share of 0, none."""
+    rng, starts = np.random.default_rng(0), FailedStarts.empty()
+    new = tuple(np.full((4000, 3), -1.0) for _ in range(3))
+    starts.replace(1.0, rng, *new)
+    assert all((part == -1.0).all() for part in new)
+    fail(starts, 0, 5)
+    starts.replace(0.0, rng, *new)
+    assert all((part == -1.0).all() for part in new)
+    starts.replace(0.25, rng, *new)
+    replaced = new[0][:, 0] >= 0.0
+    assert abs(replaced.mean() - 0.25) < 0.03  # 4.4 standard deviations
+    np.testing.assert_array_equal(new[1][replaced], new[0][replaced] + 1000.0)
+    np.testing.assert_array_equal(new[2][replaced], new[0][replaced] + 2000.0)
+    counts = np.bincount(new[0][replaced, 0].astype(int), minlength=5)
+    assert counts.min() > 0.7 * counts.mean()
+
+
+def test_failures_soon_after_a_start_are_put_down_to_it() -> None:
+    """Driven into the floor after 0 s and after 1.2 s of hovering: the first starts are kept, the second not."""
+    env = tiny_env(schedule=Schedule(Curriculum(enabled=False), 1000))
+    env.reset()
+    starts = env.episodes.started.copy()
+    for _ in range(60):
+        last = step(env, FALL)
+        if last["terminated"].all():
+            break
+    assert env.episodes.age.max() <= EARLY_FAILURE
+    kept = int(env.failed_starts.seen[0])
+    assert kept >= 4  # those on the floor count again until they are reset
+    np.testing.assert_array_equal(np.unique(env.failed_starts.pose[:kept], axis=0), np.unique(starts[:, 3:6], axis=0))
+    env.failed_starts = FailedStarts.empty()
+    last = reset_rows(env, [0, 1, 2, 3], last)
+    env.episodes.age[:] = EARLY_FAILURE + 0.2
+    for _ in range(60):
+        if step(env, FALL)["terminated"].all():
+            break
+    assert env.failed_starts.seen[0] == 0
+
+
+def test_episodes_begin_where_others_failed() -> None:
+    """With a share of 1 every new episode has the start that failed; in the easy part and in flights none."""
+    schedule = plain_schedule(100_000)
+    schedule.curriculum.again = 1.0
+    for flown, again in ((0, False), (90_000, True)):
+        env = tiny_env("task=flip", schedule=schedule)
+        env.flown = flown
+        failed = np.array([[0.3, 1.2, 0.0]]), np.array([[-0.2, 1.0, 2.0]]), np.array([[0.5, -0.5, 3.0]])
+        env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
+        env.reset()
+        same = np.allclose(env.state.qpos, failed[1]) and np.allclose(env.state.qvel, failed[2])
+        assert same == again
+        assert np.allclose(env.episodes.target, failed[0]) == again
+    env = tiny_env("task=flip")
+    env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
+    env.reset()
+    assert not np.allclose(env.state.qpos[:, 2], 2.0)

@@ -20,11 +20,10 @@ from vpptwin.system.errors import InputError
 from vpptwin.train.env.vpp_env import VppEnv, make_env
 from vpptwin.train.evaluate.evaluate import Conditions, evaluate
 from vpptwin.train.learn.checkpoint import SaveCheckpoint, build_policy, read_checkpoint
-from vpptwin.train.learn.devices import check_warp
 from vpptwin.train.main import run_train
 
 pytest.importorskip("mujoco_warp")
-from vpptwin.train.env.device_env import DeviceEnv, make_device_env
+from vpptwin.train.env.device_env import DeviceEnv, check_warp, make_device_env
 
 FLOWN = ("num_envs=16", "minibatch=32", "randomize=paper", "engine=warp", "desynchronize=false", "sim_threads=1")
 HERE = torch.device("cpu")

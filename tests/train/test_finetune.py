@@ -50,14 +50,6 @@ def test_draws_lie_within_what_was_identified(twin: Path) -> None:
     assert np.mean(inner) == pytest.approx(0.5, abs=0.015)
 
 
-def test_without_the_group_an_extended_twin_is_randomized_by_its_priors(twin: Path) -> None:
-    """Naming an effect means its prior, wide as ever; what is not drawn stays as the file says."""
-    wide = make_env(tiny_config(f"twin={twin}", "randomize=[rail_x.coulomb]", "num_envs=64"))
-    force = wide._priors.draw(np.random.default_rng(2), 1000)[:, 0]
-    assert force.std() > 0.1
-    assert wide.twin.spec.effects["command.delay"] == {"delay": 0.012}
-
-
 def test_without_difficulty_the_twin_is_flown_as_it_is(twin: Path) -> None:
     """Level 0 is the twin's own value, not that of a rig without the effect; a level between lies between."""
     spec = load_twin(twin)

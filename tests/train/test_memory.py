@@ -50,21 +50,6 @@ def test_too_large_a_run_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_usual_runs_fit() -> None:
-    """The defaults need less than 0.1 GiB and the paper's networks less than 0.3 GiB besides the program itself."""
-    assert estimate_run("preset=fast") < 0.1
-    assert estimate_run("preset=paper") < 0.3
-
-
-def estimate_run(*overrides: str) -> float:
-    """What a run is refused for when nothing is free, GiB."""
-    config, needed = compose_config([*overrides, "exam_every=0"]), []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(memory, "compare", lambda _, size: needed.append(size))
-        memory.check_run(config)
-    return needed[0] / memory.GIB
-
-
 @pytest.mark.parametrize("overrides", [(), ("randomize=all",), ("critic=lstm",), ("privileged=false",)])
 def test_record_is_what_a_collector_returns(overrides: tuple[str, ...]) -> None:
     """The bytes of a collected batch are those of the estimate, to the byte."""

@@ -60,7 +60,11 @@ def compose_config(overrides: Sequence[str]) -> TrainConfig:
     Raises:
         InputError: on an unknown option or task, a value of the wrong type, or numbers that make no sense.
     """
-    given = [write_list(override) for override in parse_overrides(overrides).values()]
+    given = []
+    for override in parse_overrides(overrides).values():  # a single name stands for a list of one: `randomize=all`
+        key, value = override.key_or_group, override.value()
+        alone = key in ("randomize", "effects", "loggers") and isinstance(value, str)
+        given.append(f"{key}=[{value}]" if alone else str(override.input_line))
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainConfig)
     store.store(name="train", node={"defaults": ["schema", {"task": HOVER.name}, {"preset": "fast"}, "_self_"]})
@@ -106,12 +110,6 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Override]:
             parts = ", ".join(f"{key}.{name}" for name in nested[key])
             raise InputError(override.input_line or key, f"a value for each part: {parts}", HELP)
     return {override.key_or_group: override for override in parsed}
-
-
-def write_list(override: Override) -> str:
-    """The text of an override, a single name given for a list as a list of one: `randomize=all`."""
-    text, value, key = str(override.input_line), override.value(), override.key_or_group
-    return f"{key}=[{value}]" if key in ("randomize", "effects", "loggers") and isinstance(value, str) else text
 
 
 def list_options(node: object = None, prefix: str = "") -> list[str]:

@@ -15,8 +15,8 @@ import yaml
 from vpptwin.system.errors import InputError
 from vpptwin.system.files import check_own, replace_files, write_whole
 from vpptwin.train.config import RESUMABLE, TrainConfig, check_values, to_config, to_plain
+from vpptwin.train.env.environments import find_device
 from vpptwin.train.learn.checkpoint import read_checkpoint
-from vpptwin.train.learn.devices import find_device
 from vpptwin.train.learn.memory import check_run, explain_exhaustion
 from vpptwin.train.learn.ppo import FAULTS, build_training
 from vpptwin.train.stored import FILE_NAME

@@ -19,13 +19,12 @@ from vpptwin.train.env.base_env import BaseEnv, EnvConfig
 from vpptwin.train.env.episodes import MAX_STARTS, Episodes
 from vpptwin.train.env.randomize import Priors, randomize
 from vpptwin.train.env.vpp_env import configure_env
-from vpptwin.train.learn.devices import check_warp
 from vpptwin.twin import Twin, TwinState
 from vpptwin.twin.health import FASTEST
 from vpptwin.twin.sensors import PERFECT, read_sensors
 from vpptwin.twin.stepping.kernel import COMPILING
 from vpptwin.twin.stepping.past import record_poses, start_sensors
-from vpptwin.twin.warp.device import load_warp
+from vpptwin.twin.warp.device import check_driver, load_warp
 from vpptwin.twin.warp.mujoco import WarpMujoco
 from vpptwin.twin.warp.step import WarpStep
 
@@ -306,3 +305,14 @@ def make_device_env(config: TrainConfig, device: torch.device, schedule: Schedul
     spec, flown = configure_env(config, schedule)
     twin = Twin(spec, BANK_SIZE if flown.randomized else 1, active=flown.randomized, num_threads=config.sim_threads)
     return DeviceEnv(twin, flown, config.num_envs, device)
+
+
+def check_warp(device: torch.device) -> None:
+    """Refuse a device that Warp does not step on.
+
+    Raises:
+        InputError: if Warp is not installed, or the card's driver is older than what it was built for.
+    """
+    load_warp()
+    if device.type == "cuda":
+        check_driver(f"device={device}", "say engine=numba, which simulates on the processor")

@@ -1,4 +1,4 @@
-"""Environments by what steps them, and by a task's name."""
+"""Environments by what steps them and where, and by a task's name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,28 @@ from pathlib import Path
 
 import torch
 
+from vpptwin.system.errors import InputError
 from vpptwin.train.config import Schedule, TrainConfig, check_values
 from vpptwin.train.env.base_env import BaseEnv
 from vpptwin.train.env.device_env import make_device_env
 from vpptwin.train.env.tasks import TASKS, check_task_name
 from vpptwin.train.env.vpp_env import make_env
-from vpptwin.train.learn.devices import find_device
+
+
+def find_device(name: str) -> torch.device:
+    """Where networks are trained, of `cpu`, `cuda` or `cuda:1`.
+
+    Raises:
+        InputError: if torch finds no such device.
+    """
+    device, count = torch.device(name), torch.cuda.device_count()
+    if device.type == "cpu":
+        return device
+    device = torch.device("cuda", device.index or 0)
+    if device.index >= count:
+        found = f"device={name}, and torch {torch.__version__} finds {count} CUDA devices"
+        raise InputError(found, "one that it finds", "say device=cpu, or install a torch for your GPU's driver")
+    return device
 
 
 def open_env(

@@ -15,11 +15,11 @@ from torchrl.trainers.algorithms import PPOTrainer
 
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import TrainConfig
+from vpptwin.train.env.environments import find_device
 from vpptwin.train.env.observe import OBSERVATION
 from vpptwin.train.evaluate.flights import Exam
 from vpptwin.train.learn.checkpoint import SaveCheckpoint, build_policy, make_policy, read_checkpoint
 from vpptwin.train.learn.collect import make_collector, start_env
-from vpptwin.train.learn.devices import find_device
 from vpptwin.train.learn.networks import Critic, Exploration, Policy, make_actor
 from vpptwin.train.learn.progress import EpisodeStatistics, ProgressBar, Simulations, make_logger
 from vpptwin.train.learn.updates import Advantages, Averaging, ExplorationRamp, LipschitzBound, Minibatches
