@@ -104,11 +104,8 @@ class Exam(Hook):
         best: lowest score so far, m.
     """
 
-    place, name, saved = (
-        "post_steps_log",
-        "exam",
-        ("best", "taken"),
-    )  # after the updates of a batch, before the checkpoint is written
+    place, name = "post_steps_log", "exam"  # after the updates of a batch, before the checkpoint is written
+    kept = ("best", "taken")
 
     def __init__(self, config: TrainConfig, policy: Policy, folder: Path) -> None:
         self.config, self.policy, self.path = config, policy, folder / BEST_NAME
