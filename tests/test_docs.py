@@ -75,7 +75,7 @@ def test_code_that_pages_name_exists(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for name in re.findall(r"`(vpptwin(?:\.\w+)*\.\w{2,})`", text):  # a file `vpptwin.h` is none
         find_name(name)
-    paths = re.findall(r"`((?:vpptwin|models|benchmarks|tests|demo)/[\w./-]+\.\w+)`", text)
+    paths = re.findall(r"`((?:vpptwin|models|benchmarks|proving|tests|demo)/[\w./-]+\.\w+)`", text)
     scripts = re.findall(r"\b(?:python|pytest) ((?:benchmarks|tests|examples)/[\w/]+\.py)([^`\n]*)", text)
     assert [path for path in [*paths, *(script for script, _ in scripts)] if not (ROOT / path).exists()] == []
     for script, options in scripts:
