@@ -96,6 +96,15 @@ def test_effects_lists_the_catalogue(capsys: pytest.CaptureFixture[str]) -> None
     assert [line.split()[:2] for line in lines] == [[e.id, p.name] for e in CATALOGUE for p in e.parameters]
     mass = next(line for line in lines if line.startswith("airframe.mass"))
     assert re.split(r"  +", mass) == ["airframe.mass", "mass", "kg", "0", "-0.09 to 0.15", "a wrong mass of the craft"]
+    # docs/effects.md is what `vpptwin effects --markdown` prints; its table is rectangular.
+    assert main(["effects", "--markdown"]) == 0
+    page = capsys.readouterr().out
+    assert page == (ROOT / "docs" / "effects.md").read_text(encoding="utf-8"), (
+        "run `vpptwin effects --markdown > docs/effects.md`"
+    )
+    table = [line for line in page.splitlines() if line.startswith("|")]
+    assert len(table) == 2 + sum(len(effect.parameters) for effect in CATALOGUE)
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table}) == 1
 
 
 def find_blocks(language: str) -> list[str]:
@@ -145,18 +154,6 @@ def test_the_documented_mistakes_are_told_so(
         Path("rig.yaml").write_text(content)
         assert main(["effects", "--twin", "rig.yaml"]) == 2
         assert capsys.readouterr().err == line
-
-
-def test_the_page_of_effects_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
-    """docs/effects.md is what `vpptwin effects --markdown` prints; its table is rectangular."""
-    assert main(["effects", "--markdown"]) == 0
-    page = capsys.readouterr().out
-    assert page == (ROOT / "docs" / "effects.md").read_text(encoding="utf-8"), (
-        "run `vpptwin effects --markdown > docs/effects.md`"
-    )
-    table = [line for line in page.splitlines() if line.startswith("|")]
-    assert len(table) == 2 + sum(len(effect.parameters) for effect in CATALOGUE)
-    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in table}) == 1
 
 
 def check_numbers(values: object, count: int) -> None:
@@ -246,18 +243,15 @@ def check_verdict(verdict: dict) -> None:
     assert all(isinstance(warning, str) and "\n" not in warning for warning in verdict["warnings"])
 
 
-def test_diagnose_writes_a_verdict_of_the_agreed_form(diagnosed: Run) -> None:
-    """verdict.json has its form; the folder holds the results and nothing else."""
+def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
+    """The demo rig hides 0.30 N of dry friction on the rail, on top of up to 0.01 N of its own."""
     check_verdict(diagnosed.verdict)
     assert diagnosed.verdict["logs"] == DIAGNOSED
     assert diagnosed.verdict["twin"] == "nominal"
     predictions = sorted(f"prediction_{Path(log).stem}.mcap" for log in DIAGNOSED)
     results = [*predictions, "report.html", "twin.yaml", "verdict.json"]
     assert sorted(file.name for file in diagnosed.out.iterdir()) == results
-
-
-def test_diagnose_names_the_friction_of_the_demo(diagnosed: Run) -> None:
-    """The demo rig hides 0.30 N of dry friction on the rail, on top of up to 0.01 N of its own."""
+    # The demo rig hides 0.30 N of dry friction on the rail, on top of up to 0.01 N of its own.
     verdict = diagnosed.verdict
     assert verdict["gap"] is True
     (cause,) = verdict["causes"]
@@ -343,10 +337,7 @@ def test_compare_prints_and_writes_the_error(tmp_path: Path, capsys: pytest.Capt
     assert f"whole-log chi² {written['error']['chi2']:.3g}" in said
     assert f"{1000 * written['error']['position_rmse_m'][2]:.3g}" in said
     assert [file.name for file in tmp_path.iterdir()] == ["score.json"]
-
-
-def test_compare_gives_its_figures_to_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
-    """`--json -` prints them and nothing else on stdout."""
+    # `--json -` prints them and nothing else on stdout.
     assert main(["compare", str(UNSEEN), "--json", "-"]) == 0
     check_score(json.loads(capsys.readouterr().out)["error"])
 

@@ -54,7 +54,7 @@ def logs(folder: Path) -> dict[str, Log]:
     return {name: read_log(folder, name) for name in ("00", "02", "04", "11", "13")}
 
 
-def test_the_model_has_the_mass_matrix_of_its_makers() -> None:
+def test_the_model_is_that_of_its_makers() -> None:
     """Inertia, with the coupling through the elbow's rotor, and gravity are those of DFKI's equations."""
     model = mujoco.MjModel.from_xml_path(str(EXAMPLE / "double_pendulum.xml"))
     model.dof_frictionloss[:] = 0.0
@@ -69,10 +69,7 @@ def test_the_model_has_the_mass_matrix_of_its_makers() -> None:
     weight = np.array([RIGID["G1"] * np.sin(0.3), 0.0]) + RIGID["G2"] * np.sin(1.0)
     assert torques[0] == pytest.approx(weight, rel=1e-4)
     assert np.array(torques[1:]) - torques[0] == pytest.approx(np.array(matrix), abs=1e-5)
-
-
-def test_the_twin_rubs_as_much_as_its_makers_say() -> None:
-    """Their friction cf atan(100 v) levels off at cf π/2."""
+    # Their friction cf atan(100 v) levels off at cf π/2.
     model = load_twin(TWIN).model
     assert list(model.dof_frictionloss) == pytest.approx([0.093 * np.pi / 2.0, 0.078 * np.pi / 2.0], rel=1e-4)
     assert [FRICTION["F1"], FRICTION["F2"]] == pytest.approx(list(model.dof_frictionloss), rel=1e-3)

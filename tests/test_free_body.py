@@ -66,10 +66,7 @@ def test_poses_of_free_bodies_move_as_mujoco_moves_them() -> None:
         mujoco.mj_differentiatePos(model, way, 1.0, here, there)
     np.testing.assert_allclose(difference_poses(model, pose, moved), back, atol=1e-12)
     np.testing.assert_array_equal(chart(model, pose)[:, [0, 1, 2, 6]], pose[:, [0, 1, 2, 7]])
-
-
-def test_attitudes_turn_vectors_and_keep_their_sign() -> None:
-    """As MuJoCo turns them; q and -q are one rotation, angles those of roll, pitch and yaw."""
+    # As MuJoCo turns them; q and -q are one rotation, angles those of roll, pitch and yaw.
     rng = np.random.default_rng(2)
     attitude = rotate(np.array([1.0, 0.0, 0.0, 0.0]), rng.standard_normal((30, 3)))
     vector, expected = rng.standard_normal((30, 3)), np.empty((30, 3))

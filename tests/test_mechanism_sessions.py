@@ -121,22 +121,23 @@ def look(
     )[0][0]
 
 
-def test_dry_friction_of_a_carriage_is_told_from_all_else() -> None:
+def test_what_logs_of_a_carriage_show() -> None:
     """12 N of some 60 N stand out, and no other law does the same; weaker disturbances show it better."""
     hidden, values = Hidden("slide.coulomb", 0, 0.2), {"force": 12.0}
     found, shaken = (look({"coulomb": 12.0}, hidden, values, Disturbance("ou", s, 0.1)) for s in (1e-4, 1e-2))
     assert found.separable
     assert not found.alike
     assert found.seen > shaken.seen > shaken.apart
-
-
-def test_gain_and_mass_of_a_bare_carriage_look_the_same() -> None:
-    """On a level rail without friction a drive that is 20 % too strong is a mass that is 17 % too small."""
+    # On a level rail without friction a drive that is 20 % too strong is a mass that is 17 % too small.
     found = look({}, Hidden("motor.gain", 0, 0.18), {"gain": 1.2})
     assert found.detectable
     assert not found.separable
     assert found.nearest == "slide.inertia"
     assert found.alike == ["slide.inertia"]
+    # A thousandth of a newton on 40 kg shows in no log.
+    found = look({"coulomb": 1e-3}, Hidden("slide.coulomb", 0, 1e-5), {"force": 1e-3})
+    assert found.seen < 0.5
+    assert not found.detectable
 
 
 def test_a_force_shifts_predictions_as_newton_says() -> None:
@@ -147,13 +148,6 @@ def test_a_force_shifts_predictions_as_newton_says() -> None:
     noise = 1e-3 * track.moved[:, 0].std()
     # Sums over steps of 20 ms count the force a step longer: 3 % of a second squared.
     assert found.shift == pytest.approx(1.0 / (40.0 * np.sqrt(5.0)) / noise, rel=0.05)
-
-
-def test_nothing_is_seen_of_what_is_lost_in_noise() -> None:
-    """A thousandth of a newton on 40 kg shows in no log."""
-    found = look({"coulomb": 1e-3}, Hidden("slide.coulomb", 0, 1e-5), {"force": 1e-3})
-    assert found.seen < 0.5
-    assert not found.detectable
 
 
 def test_jitter_shows_where_disturbances_are_weak() -> None:
@@ -182,7 +176,7 @@ def test_disturbances_are_as_strong_and_slow_as_stated(kind: str) -> None:
     assert abs(np.mean(first[800:] * first[:-800])) < 0.2
 
 
-def test_sensors_quantise_and_differentiate() -> None:
+def test_sensors_by_hand() -> None:
     """Encoder positions are whole steps; filtered velocities lag by the filter's 1/(2π cut)."""
     time = np.arange(4000) * 0.005
     moved = np.stack([np.sin(2.0 * time), 2.0 * np.cos(2.0 * time), 0.0 * time], 1)[:, :, None]
@@ -196,10 +190,7 @@ def test_sensors_quantise_and_differentiate() -> None:
     late = [2.0 * np.cos(2.0 * (time[200:] - shift)) for shift in (0.0, lag, 3.0 * lag)]
     error = [np.mean((velocity[200:, 0] - true) ** 2) for true in late]
     assert error[1] < min(error[0], error[2])
-
-
-def test_torque_sensors_lie_as_told() -> None:
-    """Gain and offset first, then a dead band of 0.2, then steps of 0.5, by hand."""
+    # Gain and offset first, then a dead band of 0.2, then steps of 0.5, by hand.
     given = np.array([[0.1, 1.0], [-1.0, 2.0]])
     np.testing.assert_allclose(measure_inputs(given, {0: {"sensor_dead": 0.2}}), [[0.0, 1.0], [-0.8, 2.0]])
     np.testing.assert_allclose(measure_inputs(given, {1: {"gain": 0.5, "offset": 0.1}}), [[0.1, 0.6], [-1.0, 1.1]])

@@ -94,7 +94,7 @@ def test_friction_stops_a_slider_where_work_says() -> None:
     assert path[int(0.58 / 2.0 * 1000) + 1, 3] == 0.0  # m v / F = 0.29 s
 
 
-def test_servo_step_is_exact_between_milliseconds() -> None:
+def test_servo_by_hand() -> None:
     """A command reaches the blade after exactly its delay, 7.3 ms, then with the lag of 35 ms."""
     effects = {"command.delay": {"delay": 0.0073}, "servo.lag": {"time_constant": 0.035}}
     servo = Servo(Rig([effects], [None]), np.zeros((2, 1)))
@@ -102,10 +102,7 @@ def test_servo_step_is_exact_between_milliseconds() -> None:
     time = np.arange(40)[:, None] * 0.001 + NODES
     expected = 0.1 * (1 - np.exp(-np.maximum(time - 0.0073, 0.0) / 0.035))
     np.testing.assert_allclose(pitch, expected, atol=1e-12)
-
-
-def test_late_command_waits_before_a_limited_servo_moves() -> None:
-    """Until it arrives, amid a millisecond, the blade stands; then it follows at its rate less the play."""
+    # Until it arrives, amid a millisecond, the blade stands; then it follows at its rate less the play.
     effects = {
         "command.delay": {"delay": 0.0073},
         "servo.rate_limit": {"rate": 2.0},

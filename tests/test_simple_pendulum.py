@@ -140,16 +140,12 @@ def verdict(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 @pytest.mark.slow
-def test_dry_friction_is_named(verdict: dict) -> None:
-    """It is there, with its size, and in a log in which somebody pushed it is suggested, not sure."""
+def test_the_verdict_on_a_pendulum_that_was_pushed(verdict: dict) -> None:
+    """Friction is there, with its size, and in a log in which somebody pushed it is suggested, not sure."""
     named = {cause["effect"]: cause for cause in verdict["causes"]}
     assert named["pendulum.coulomb"]["parameters"]["torque"]["value"] == pytest.approx(0.25, abs=0.08)
     assert named["pendulum.coulomb"]["confidence"] < SURE
-
-
-@pytest.mark.slow
-def test_the_push_is_not_explained(verdict: dict) -> None:
-    """No law of a joint or motor gives 12 J: there is a gap, something is left, and nothing excluded is sure."""
+    # No law of a joint or motor gives 12 J: there is a gap, something is left, and nothing excluded is sure.
     assert verdict["gap"]
     assert verdict["unexplained"]["significant"]
     check_causes(verdict, NEVER, ROOM)

@@ -81,10 +81,7 @@ def test_wheel_runs_its_own_code(installation: Installation) -> None:
     for path in done.stdout.splitlines():
         assert Path(path).exists()
         assert Path(path).is_relative_to(installation.folder)
-
-
-def test_installed_command_prints_the_catalogue(installation: Installation) -> None:
-    """`vpptwin effects` lists the effects."""
+    # `vpptwin effects` lists the effects.
     done = installation.run("vpptwin", "effects")
     assert done.returncode == 0, done.stderr
     missing = [effect for effect in FIRST_EFFECTS if effect not in done.stdout]

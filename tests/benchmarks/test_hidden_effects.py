@@ -222,10 +222,7 @@ def test_wilsons_interval() -> None:
     """8 of 10: 49 to 94 % (Brown, Cai and DasGupta 2001); none of 20: below 16.1 %."""
     assert rates.Rate("", 8, 10).interval == pytest.approx((0.490, 0.943), abs=1e-3)
     assert rates.Rate("", 0, 20).interval == pytest.approx((0.0, 0.161), abs=1e-3)
-
-
-def test_failures_are_listed_and_successes_are_not() -> None:
-    """A line names what was hidden, what was said, and a claim that is wrong."""
+    # A line names what was hidden, what was said, and a claim that is wrong.
     truth = {"rail_x.coulomb": {"force": 0.3}}
     cases = [
         session(0, "single", truth, finding(cause("rail_x.coulomb"))),

@@ -33,18 +33,14 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 @pytest.mark.slow
-def test_results_say_where_they_come_from(result: dict) -> None:
+def test_the_results_file(result: dict) -> None:
     """Machine, versions, seed and tolerance stand in the file."""
     assert result["machine"]["cores"] >= 1
     assert result["versions"]["mujoco"]
     assert result["versions"]["torchrl"]
     assert result["seed"] == 3
     assert result["tolerance"]["after_s"] == 0.2
-
-
-@pytest.mark.slow
-def test_every_simulator_is_timed_or_says_why_not(result: dict) -> None:
-    """A row has numbers of its rounds, or a reason; only gymnasium may be missing here."""
+    # A row has numbers of its rounds, or a reason; only gymnasium may be missing here.
     rows = {row["name"]: row for row in result["rows"]}
     assert set(rows) == {"raw", "raw-clockless", "vpptwin", "gymnasium", "torchrl-serial"}
     for name, row in rows.items():
@@ -57,11 +53,7 @@ def test_every_simulator_is_timed_or_says_why_not(result: dict) -> None:
         assert row["us_per_physics_step"] == pytest.approx(1e5 / row["control_steps_per_s"])
         assert row["ratio_to_raw"] > 0.0
         assert row["leaves_out"]
-
-
-@pytest.mark.slow
-def test_what_is_timed_flies_like_the_twin(result: dict) -> None:
-    """Every simulator with a controller was compared with the twin and is within the tolerance in the file."""
+    # Every simulator with a controller was compared with the twin and is within the tolerance in the file.
     timed = [row for row in result["rows"] if not row["skipped"] and not row["name"].startswith("raw")]
     assert len(timed) >= 2
     for row in timed:

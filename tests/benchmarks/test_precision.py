@@ -18,34 +18,22 @@ def result() -> dict:
 
 
 @pytest.mark.slow
-def test_flights_are_those_of_evaluate(result: dict) -> None:
-    """Same seed, same flights, same error."""
+def test_what_the_report_says(result: dict) -> None:
+    """Same seed, same flights, same error as `evaluate`."""
     expected = evaluate("flip", Conditions(tracks=24, seed=3))
     assert result["fail_rate"] == expected["fail_rate"]
     assert result["error_m"] == pytest.approx(expected["position_error_m"]["mean"], rel=1e-9)
-
-
-@pytest.mark.slow
-def test_reward_is_taken_apart(result: dict) -> None:
-    """Perfection in one thing gains part of what rest lacks, at least as much as nothing."""
+    # Perfection in one thing gains part of what rest lacks, at least as much as nothing.
     missing = result["missing_reward"]
     assert 0.0 < missing["all"] < 0.1
     parts = [missing[name] for name in ("position", "angle", "velocity", "rate", "integral")]
     assert all(0.0 <= part < missing["all"] for part in parts)
     assert sum(parts) == pytest.approx(missing["all"], rel=0.1)  # r_p multiplies the others
-
-
-@pytest.mark.slow
-def test_every_flight_is_in_one_band_of_friction(result: dict) -> None:
-    """On each rail the bands hold all flights that did not fail."""
+    # On each rail the bands hold all flights that did not fail.
     kept = round(24 * (1.0 - result["fail_rate"]))
     for rail in ("rail_x", "rail_z"):
         assert sum(count for name, _, _, count, _ in result["bands"] if name == rail) == kept
-
-
-@pytest.mark.slow
-def test_the_linear_controller_begins_as_the_policy(result: dict) -> None:
-    """The policy made linear over ten centimetres hovers too, hardly tuned, if not as close as the bent one."""
+    # The policy made linear over ten centimetres hovers too, hardly tuned, if not as close as the bent one.
     policy, linear = (np.array(result["linear"][name]) for name in ("policy", "linear"))
     assert (policy > 0.0).all()
     assert 0.5 * policy[0] < linear[0] < 3.0 * policy[0]

@@ -29,7 +29,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 
 @pytest.mark.slow
-def test_every_contender_has_its_numbers(result: dict) -> None:
+def test_the_results_file(result: dict) -> None:
     """Each is timed in every round and set against the engine in the same round; the engine's own ratio is one."""
     assert [row["name"] for row in result["rows"]] == list(NAMES)
     for row in result["rows"]:
@@ -37,11 +37,7 @@ def test_every_contender_has_its_numbers(result: dict) -> None:
         assert min(row["rounds"]) <= row["control_steps_per_s"] <= max(row["rounds"])
         assert row["processor_us_per_physics_step"] > 0.0
     assert result["rows"][0]["ratio"] == result["rows"][0]["processor_ratio"] == 1.0
-
-
-@pytest.mark.slow
-def test_results_say_where_they_come_from(result: dict) -> None:
-    """Machine, versions, seed and threads stand in the file, with speed of one rig and memory."""
+    # Machine, versions, seed and threads stand in the file, with speed of one rig and memory.
     assert result["versions"]["mujoco"]
     assert (result["seed"], result["threads"], result["friction_n"]) == (0, 1, 0.3)
     assert [alone["name"] for alone in result["alone"]] == ["twin, all effects", "environment"]

@@ -32,7 +32,7 @@ def flight() -> Measurements:
 
 
 def test_excitation_is_measured(flight: Measurements) -> None:
-    """Ranges, speeds, share of time moving and reversals are those of the motion."""
+    """Ranges, speeds, share of time moving and reversals are those of the motion; a line and JSON tell them."""
     found = inspect_flight(SPEC, flight)
     for axis, name in enumerate(("x", "z", "θ")):
         low, high = found.ranges[name]
@@ -44,10 +44,7 @@ def test_excitation_is_measured(flight: Measurements) -> None:
     assert found.inverted == 0.0
     assert found.saturated == {"blade pitch 1": pytest.approx(0.1), "blade pitch 2": 0.0}
     assert found.usable == 1.0
-
-
-def test_one_line_tells_all(flight: Measurements) -> None:
-    """The line names rates, motion, limits and clocks, and the same comes as JSON."""
+    # The line names rates, motion, limits and clocks, and the same comes as JSON.
     found = inspect_flight(SPEC, flight)
     line = found.describe()
     assert "\n" not in line
@@ -64,10 +61,7 @@ def test_one_line_tells_all(flight: Measurements) -> None:
         assert part in line
     assert found.clock_drift == pytest.approx(1.5e-4)
     assert json.loads(json.dumps(found.as_dict()))["ranges"]["z"][0] == pytest.approx(1.2, abs=0.01)
-
-
-def test_ranges_span_all_flights(flight: Measurements) -> None:
-    """Over several flights each quantity has the least and the greatest of all of them."""
+    # Over several flights each quantity has the least and the greatest of all of them.
     higher = {**flight.positions, 1: replace(flight.positions[1], value=flight.positions[1].value + 1.0)}
     low, high = describe_range([flight, replace(flight, positions=higher)])["z"]
     assert (low, high) == pytest.approx((1.2, 2.8), abs=0.01)

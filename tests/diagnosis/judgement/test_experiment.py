@@ -60,22 +60,16 @@ def test_delay_and_lag_are_told_apart_by_fast_turns(few: tuple[list[Candidate], 
     assert sigma["hover"] < 0.2 * sigma["x_steps"]
 
 
-def test_mass_and_thrust_gain_are_told_apart_by_moving_sideways(few: tuple[list[Candidate], Bench]) -> None:
+def test_rivals_are_told_apart_by_what_the_physics_says(few: tuple[list[Candidate], Bench]) -> None:
     """By hand: along z only the ratio of thrust and lifted mass counts, along x the carriage adds to the mass."""
     sigma = rank(few, MASS, GAIN)
     assert sigma["x_steps"] > 3.0
     assert sigma["hover"] < 1.5
-
-
-def test_ground_effect_is_told_from_gain_near_the_ground(few: tuple[list[Candidate], Bench]) -> None:
-    """Only the low pass comes near the floor."""
+    # Only the low pass comes near the floor.
     sigma = rank(few, GROUND, GAIN)
     assert sigma["low_pass"] > 3.0
     assert all(sigma["low_pass"] > 2.0 * sigma[name] for name in FEW if name != "low_pass")
-
-
-def test_a_tilted_rail_is_a_constant_force(few: tuple[list[Candidate], Bench]) -> None:
-    """Nothing that is flown tells them apart, and several rivals are weighed one by one."""
+    # Nothing that is flown tells them apart, and several rivals are weighed one by one.
     sigma = rank(few, BIAS, TILT, VISCOUS)
     assert all(tilt < 0.5 and viscous > 3.0 for tilt, viscous in sigma.values())
 

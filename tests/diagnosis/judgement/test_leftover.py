@@ -40,17 +40,11 @@ def test_noise_is_not_predicted() -> None:
     assert predicted_share(QUANTITY, noise, FOLD) < 0.02
     assert predicted_share(QUANTITY, np.zeros(COUNT), FOLD) == 0.0
     assert predicted_share(np.ones(COUNT), noise, FOLD) == 0.0
-
-
-def test_a_part_is_predicted_in_part() -> None:
-    """A signal of variance 1 in noise of variance 3: a quarter, which 1200 values know to a few percent."""
+    # A signal of variance 1 in noise of variance 3: a quarter, which 1200 values know to a few percent.
     noise = np.random.default_rng(0).standard_normal(COUNT)
     share = predicted_share(QUANTITY, np.sign(QUANTITY) + np.sqrt(3.0) * noise, FOLD)
     assert share == pytest.approx(0.25, abs=0.06)
-
-
-def test_what_lasts_for_a_stretch_is_not_learnt_from_itself() -> None:
-    """A force drawn anew for every stretch seems to follow time, until whole stretches are left out."""
+    # A force drawn anew for every stretch seems to follow time, until whole stretches are left out.
     rng = np.random.default_rng(3)
     force = rng.standard_normal(40)[BLOCKS] + 0.1 * rng.standard_normal(COUNT)
     time = np.arange(COUNT, dtype=float)

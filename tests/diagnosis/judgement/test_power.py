@@ -29,17 +29,14 @@ def verdict(moving: Search) -> tuple[list[Cleared], list[Unseen]]:
     return judge_power(moving, moving.start, frozenset())
 
 
-def test_every_suspect_is_either_cleared_or_unseen(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
-    """Each once, in one of both lists; the accused in neither."""
+def test_what_a_good_flight_clears(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
+    """Each suspect once, in one of both lists, the accused in neither; off values lie inside what is cleared."""
     cleared, unseen = verdict
     effects = {u.effect.id for u in moving.unknowns}
     assert sorted([s.effect for s in cleared] + [s.effect for s in unseen]) == sorted(effects)
     cleared, unseen = judge_power(moving, moving.start, frozenset({"slide.coulomb"}))
     assert {s.effect for s in cleared} | {s.effect for s in unseen} == effects - {"slide.coulomb"}
-
-
-def test_cleared_intervals_hold_the_truth(moving: Search, verdict: tuple[list[Cleared], list[Unseen]]) -> None:
-    """What a cart without any effect shows: off values inside, to 90 % each; all narrower than a typical size."""
+    # What a cart without any effect shows: off values inside, to 90 % each; all narrower than a typical size.
     cleared, _ = verdict
     parameters = {u.key: u.parameter for u in moving.unknowns}
     limits = {u.effect.id for u in moving.unknowns if u.is_limit}
@@ -52,12 +49,7 @@ def test_cleared_intervals_hold_the_truth(moving: Search, verdict: tuple[list[Cl
         assert suspect.high - suspect.low < parameter.size
         assert suspect.unit == parameter.unit
         assert parameter.low <= suspect.low <= suspect.high <= parameter.high
-
-
-def test_limits_are_cleared_below_what_was_asked_for(
-    moving: Search, verdict: tuple[list[Cleared], list[Unseen]]
-) -> None:
-    """A motor that gave nearly the largest command saturates nowhere below that: a limit that cuts off 1/128 shows."""
+    # A motor that gave nearly the largest command saturates nowhere below that: a limit that cuts off 1/128 shows.
     (limit,) = [s for s in verdict[0] if s.effect == "motor.saturation"]
     commands = np.abs(moving.bench.windows.command)
     assert 0.97 * np.percentile(commands, 98.0) < limit.low < commands.max()

@@ -203,6 +203,12 @@ def test_evidence_against_a_rival() -> None:
         judges = Judges(0.0, favour=favour)
         assert evidence_against_rival(OTHER_RIG, judges, *pair) == pytest.approx(found)  # type: ignore[arg-type]
         assert evidence_against_rival(SEARCH, judges, *pair) == pytest.approx(30.0)  # type: ignore[arg-type]
+    # They are the last word where the error of the pose does not say otherwise.
+    one, other = fit(300.0, a_bias=1.0), fit(310.0, a_spring=1.0, a_coulomb=1.0)
+    judges = Judges(0.0, favour=-5.0)
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) == -25.0  # type: ignore[arg-type]
+    judges.left = {1: 1.7, 2: 7.9}
+    assert evidence_against_rival(OTHER_RIG, judges, one, other) > 0.0  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -429,15 +435,6 @@ def test_all_windows_together_choose_where_errors_have_the_last_word() -> None:
     assert find_near(SEARCH, step, "a.bias") == frozenset()  # type: ignore[arg-type]
 
 
-def test_errors_do_not_outvote_chi2() -> None:
-    """They are the last word where the error of the pose does not say otherwise."""
-    one, other = fit(300.0, a_bias=1.0), fit(310.0, a_spring=1.0, a_coulomb=1.0)
-    judges = Judges(0.0, favour=-5.0)
-    assert evidence_against_rival(OTHER_RIG, judges, one, other) == -25.0  # type: ignore[arg-type]
-    judges.left = {1: 1.7, 2: 7.9}
-    assert evidence_against_rival(OTHER_RIG, judges, one, other) > 0.0  # type: ignore[arg-type]
-
-
 def test_of_two_that_nothing_tells_apart_the_simpler_is_named() -> None:
     """A spring with a place of rest and a constant force, where far more is left than noise makes."""
     evidence, alike = {"a.spring": {"a.bias": 30.0, "a.stiction": -2.0}}, {"a.bias": np.inf, "a.stiction": np.inf}
@@ -466,7 +463,7 @@ def test_look_alikes_are_those_of_the_catalogue_and_frictions_of_one_joint() -> 
     assert not look_alike(SEARCH, "a.bias", "a.spring")
 
 
-def test_rivals_by_hand() -> None:
+def test_rivals_and_confidence_by_hand() -> None:
     """4 worse than the cause is exp(-2/T) as probable, 9 T or more is out, better is as good; they sum to one."""
     evidence = {"a.viscous": 4.0, "a.spring": -1.0, "a.bias": 1.01 * CRITERIA.rival_sigma**2 * CRITERIA.temper}
     first, second = weigh_rivals(evidence, CRITERIA)
@@ -476,22 +473,19 @@ def test_rivals_by_hand() -> None:
     assert second.confidence == pytest.approx(less / (2.0 + less))
     assert (first.sigma, second.sigma) == (0.0, pytest.approx(np.sqrt(4.0 / CRITERIA.temper)))
     assert weigh_rivals({}, CRITERIA) == []
-
-
-def select(evidence: float, *rivals: Rival) -> Selection:
-    """A single cause with its evidence and rivals."""
-    cause = fit(0.0, a_coulomb=1.0)
-    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
-
-
-def test_confidence_by_hand() -> None:
-    """What rivals leave, less half of the odds that nothing is there; never beyond 0.999, never below a half of it."""
+    # What rivals leave, less half of the odds that nothing is there; never beyond 0.999, never below a half of it.
     doubt = 0.5 * np.exp(-0.5 * 6.0 / CRITERIA.temper)
     rivals = Rival("a.viscous", 0.25), Rival("a.spring", 0.15)
     assert select(6.0).confidence("a.coulomb") == pytest.approx(1.0 - doubt)
     assert select(6.0, *rivals).confidence("a.coulomb") == pytest.approx(0.6 * (1.0 - doubt))
     assert select(1e9).confidence("a.coulomb") == 0.999
     assert select(-3.0, *rivals).confidence("a.coulomb") == pytest.approx(0.3)
+
+
+def select(evidence: float, *rivals: Rival) -> Selection:
+    """A single cause with its evidence and rivals."""
+    cause = fit(0.0, a_coulomb=1.0)
+    return Selection(cause, Step(cause, {}), {"a.coulomb": list(rivals)}, {"a.coulomb": []}, {"a.coulomb": evidence})
 
 
 def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
@@ -505,10 +499,7 @@ def test_a_rival_that_is_clearly_better_takes_the_place() -> None:
     assert find({"a.spring": little, "a.viscous": much}, {}) == ("a.coulomb", "a.viscous")
     assert find({"a.spring": much}, {"a.spring": little, "a.viscous": most}) == ("a.bias", "a.viscous")
     assert find_better(SEARCH, {}, {}) is None
-
-
-def test_of_two_laws_of_friction_the_simpler_is_named() -> None:
-    """Unless the other is better by more than such laws are inexact, 5 % of what was brought; of one joint only."""
+    # Unless the other is better by more than such laws are inexact, 5 % of what was brought; of one joint only.
     near = 0.98 * CRITERIA.kinship * 1000.0
 
     def find(effect: str, rival: str, evidence: float) -> tuple[str, str] | None:

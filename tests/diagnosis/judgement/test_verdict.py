@@ -24,7 +24,7 @@ def write_and_read(verdict: Verdict, folder: Path) -> dict:
     return json.loads((folder / "verdict.json").read_text(), parse_constant=refuse)
 
 
-def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
+def test_verdict_has_every_key(tmp_path: Path) -> None:
     """Every key where it belongs, with what was put in; the sentence stays out."""
     content = write_and_read(VERDICT, tmp_path)
     assert content["logs"] == ["a.mcap", "b.mcap"]
@@ -52,10 +52,7 @@ def test_verdict_has_the_keys_of_the_specification(tmp_path: Path) -> None:
     assert content["unexplained"] == left
     assert content["suggested_experiment"] is None
     assert content["warnings"] == ["late"]
-
-
-def test_power_and_the_next_experiment_are_written(tmp_path: Path) -> None:
-    """What was cleared, what could not be seen, what changed and what to fly next, key by key."""
+    # What was cleared, what could not be seen, what changed and what to fly next, key by key.
     experiment = Experiment("x_steps", {"size": 0.5}, ["rail_x.coulomb", "rail_x.viscous"], 9.3, "vpptwin fly")
     full = replace(
         VERDICT,

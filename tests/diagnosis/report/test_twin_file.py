@@ -41,10 +41,7 @@ def test_our_drone_comes_back(tmp_path: Path) -> None:
     assert again.effects == {"servo.lag": {"time_constant": 0.028}, "rail_x.coulomb": {"force": 0.308123}}
     assert again.vehicle == spec.vehicle
     np.testing.assert_array_equal(again.model.body_mass, spec.model.body_mass)
-
-
-def test_a_parameter_that_is_found_anew_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
-    """The twin had 0.2 N, the flights say 0.3 N: it is not 0.5 N."""
+    # The twin had 0.2 N, the flights say 0.3 N: it is not 0.5 N.
     spec = load_twin().with_effects({"rail_x.coulomb": {"force": 0.2}})
     save(spec, {("rail_x.coulomb", "force"): 0.3}, tmp_path / "out")
     assert load_twin(tmp_path / "out/twin.yaml").effects == {"rail_x.coulomb": {"force": 0.3}}

@@ -21,22 +21,13 @@ def test_a_third_of_the_flights_judge(flights: int, judges: int) -> None:
     assert found == set(range(flights - judges, flights))
 
 
-def test_the_only_flight_that_shows_an_effect_is_fitted() -> None:
+def test_judges_by_hand() -> None:
     """The second effect shows in the last of three flights alone: the second, which the first makes up for, judges."""
     assert choose_judges(np.array([[9.0, 0.0], [9.0, 0.0], [0.0, 9.0]]) * CRITERIA.half_seen, CRITERIA) == {1}
-
-
-def test_what_shows_nothing_does_not_judge() -> None:
-    """Of three flights that show all there is and one that shows nothing, a full one judges: the empty would be blind.
-
-    Without a full one 18/19 of the effect are seen, without the empty one 27/28, worth less than that a judge sees.
-    """
+    # Of three flights that show all there is and one that shows nothing, a full one judges: the empty would be blind.
     assert choose_judges(np.array([[9.0], [0.0], [9.0], [9.0]]) * CRITERIA.half_seen, CRITERIA) == {3}
     assert 0.9 * CRITERIA.judging_worth > 27.0 / 28.0 - 18.0 / 19.0
-
-
-def test_judges_are_chosen_one_by_one() -> None:
-    """Two pairs of flights that tell the same, of six: one of each pair judges, what is alone is fitted."""
+    # Two pairs of flights that tell the same, of six: one of each pair judges, what is alone is fitted.
     shows = [[9.0, 0.0, 0.0, 0.0], [9.0, 0.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0]]
     alone = [[0.0, 0.0, 9.0, 0.0], [0.0, 0.0, 0.0, 9.0]]
     assert choose_judges(np.array(shows + alone) * CRITERIA.half_seen, CRITERIA) == {1, 3}

@@ -238,10 +238,9 @@ def test_a_rival_starts_from_the_gusts_of_a_cause_too(rubbing: Search, step: Ste
     assert rubbing.judge_beside(wrong, found) is wrong
 
 
-def test_neighbours_of_a_wrong_set_hold_the_right_one(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_neighbours_of_a_wrong_set_hold_the_right_one(rubbing: Search) -> None:
     """Damping and inertia in the place of dry friction: sets that differ in two, the best of them with friction."""
-    flight = measure_cart(drive_cart(FRICTION, 3), 7)
-    search = open_search(load_cart(tmp_path_factory.mktemp("cart")), flight)
+    search = rubbing
     wrong = frozenset({"slide.viscous", "slide.inertia"})
     values = {u.key: 0.1 for u in search.unknowns if u.effect.id in wrong}
     fit = search.judge_alone(search.fit(wrong, values, search.start.about))

@@ -109,10 +109,7 @@ def test_bounds_hold_for_what_physics_forbids() -> None:
     fit = draw_problem([-1.0, 9.0, 0.0, 0.0, 0.3], seed=4)
     solution = solve_hypothesis(fit, UNKNOWNS, frozenset({"a.coulomb", "b.viscous"}))
     np.testing.assert_allclose((fit.at + solution.deviation)[:2], [0.0, 5.0], atol=1e-9)
-
-
-def test_what_is_not_freed_stays_within_three_tolerances() -> None:
-    """A constant force of 1 N is not explained away by one that may be 0.02 N."""
+    # A constant force of 1 N is not explained away by one that may be 0.02 N.
     fit = draw_problem([0.0, 0.5, 1.0, 0.0, 0.3], seed=5)
     held = solve_hypothesis(fit, UNKNOWNS, frozenset())
     freed = solve_hypothesis(fit, UNKNOWNS, frozenset({"c.bias"}))
@@ -206,18 +203,12 @@ def test_scatter_by_hand() -> None:
     twice = replace(fit, frame=replace(fit.frame, scale=2.0))
     moved = Solution(np.array([0.5]), 0.0, np.array([[8.0]]), np.ones(1), NOWHERE)
     np.testing.assert_allclose(scatter_by_stretch(twice, moved, bench), [np.hypot(2.5, 1.5) / 2.0 / 8.0])
-
-
-def test_windows_of_other_flights_are_other_stretches() -> None:
-    """Scores 1, 2 at the same time of two flights: √5, not 3."""
+    # Scores 1, 2 at the same time of two flights: √5, not 3.
     fit = linear(np.zeros(1), np.ones((1, 2)), np.array([1.0, 2.0]))
     solution = Solution(np.zeros(1), 0.0, np.ones((1, 1)), np.ones(1), NOWHERE)
     for flight, expected in (([0, 1], np.sqrt(5.0)), ([0, 0], 3.0)):
         np.testing.assert_allclose(scatter_by_stretch(fit, solution, lay_bench([0.5, 0.5], flight)), [expected])
-
-
-def test_scatter_notices_stretches_that_agree_with_themselves() -> None:
-    """200 stretches of 20 equal errors: the mean is known to 1/√200, not to 1/√4000."""
+    # 200 stretches of 20 equal errors: the mean is known to 1/√200, not to 1/√4000.
     error = np.repeat(np.random.default_rng(0).standard_normal(200), 20)
     error -= error.mean()
     fit = linear(np.zeros(1), np.ones((1, len(error))), error)
