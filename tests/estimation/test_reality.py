@@ -10,9 +10,10 @@ import pytest
 from proving.drone.flight import fly
 from proving.drone.recording import Recording, write_mcap
 from tests.estimation.synthetic import ANGLE_STD, POSITION_STD, expect_noise, expect_rate_noise
-from vpptwin.estimation.initial import DRIFT_STD, SLOPE_STD, estimate_states
+from vpptwin.estimation.initial import DRIFT_STD, estimate_states
 from vpptwin.estimation.measurements import Measurements, read_measurements
 from vpptwin.logs.read import read_flight
+from vpptwin.robots.planar_drone.topics import SLOPE_STD
 from vpptwin.twin import load_twin
 
 SPEC = load_twin()
