@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import sha256
 from pathlib import Path
 
 from vpptwin.logs.channels import CHANNELS, JOINT_STATE, JOINT_TOPICS, SPATIAL_COLUMNS, is_joint_state, is_spatial
 from vpptwin.logs.check import check_gyro
-from vpptwin.logs.flight import Flight, Stream
+from vpptwin.logs.flight import Flight
 from vpptwin.logs.formats.raw import Query, RawChannel
 from vpptwin.logs.formats.tables import is_packed
 from vpptwin.logs.recording import Recording, open_recording
@@ -149,20 +149,17 @@ def _assemble_flight(
     pose, imu = streams.get("/mocap/pose"), streams.get("/imu/data")
     if pose is not None and imu is not None:
         check_gyro(f"{path}: /imu/data", (pose.time, pose["theta"]), (imu.time, imu["rate"]))
-    warnings += [warning for warning in _list_gaps(streams, built) if warning not in warnings]
-    sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
-    placed = {topic: build_joint_stream(item, times[id(item.stamp)], path, warnings) for topic, item in spatial.items()}
-    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed, recorded)
-
-
-def _list_gaps(streams: Mapping[str, Stream], joints: Mapping[str, Mapping[str, Stream]]) -> list[str]:
     steady = [(topic, stream) for topic, stream in streams.items() if CHANNELS[topic].steady]
-    for topic, names in joints.items():
+    for topic, names in built.items():
         together: dict[bytes, list[str]] = {}  # joints that come in the same messages have the same gaps
         for name, stream in names.items():
             together.setdefault(sha256(stream.time.data).digest(), []).append(name)
         steady += [(escape_text(f"{topic} {', '.join(group)}"), names[group[0]]) for group in together.values()]
-    return [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
+    gaps = [warning for label, stream in steady for warning in describe_gaps(stream.time, label)]
+    warnings += [warning for warning in gaps if warning not in warnings]
+    sources = {canonical: route.topic for canonical, route in topics.routes.items() if route.topic != canonical}
+    placed = {topic: build_joint_stream(item, times[id(item.stamp)], path, warnings) for topic, item in spatial.items()}
+    return Flight(recording.path, start, streams, built, tuple(warnings), sources, clocks, placed, recorded)
 
 
 def _refuse_foreign(recording: Recording) -> InputError:

@@ -168,10 +168,21 @@ def read_arrays(path: Path, topic: str, query: Query, notes: list[str]) -> Itera
 
     The only one is called as the file, others as their variables.
     """
-    content: Mapping[str, Any] = load_file(split_test(path)[0], notes)
-    beside = list_tests(content) if split_test(path)[1] is None and holds_table(content) else []
-    notes += [f"{path.name}: {name} is a test beside: {path}#{k}" for k, (name, _) in enumerate(beside[:3])]
-    content = choose_test(path, content)
+    file, number = split_test(path)
+    content: Mapping[str, Any] = load_file(file, notes)
+    tests, is_table = list_tests(content), holds_table(content)
+    if number is None and is_table:
+        notes += [f"{path.name}: {name} is a test beside: {path}#{k}" for k, (name, _) in enumerate(tests[:3])]
+    elif number is not None or tests:
+        full = [place for place, (_, part) in enumerate(tests) if holds_table(part)]
+        if number is None and len(full) != 1:
+            raise refuse_tests(path, [name for name, _ in tests])
+        number = full[0] if number is None else number
+        if number >= len(tests):
+            found = f"{path}: {len(tests)} tests" if tests else f"{path}: a file of one test"
+            expected = f"#0 to #{len(tests) - 1}" if tests else f"{file}"
+            raise InputError(found, expected, "correct the number")
+        content = tests[number][1]
     groups = list(list_tables("", content, query))
     if not groups:
         held = ", ".join(f"{k} {describe(v)}" for k, v in content.items()) or "nothing"
@@ -193,22 +204,6 @@ def read_arrays(path: Path, topic: str, query: Query, notes: list[str]) -> Itera
             notes.append(f"{called}: {', '.join(long[:8])}: left out")
         counted = times.count(time, notes if times.stamp is None else [])
         yield Table(called, counted, given, units, choose_fields(query, called, given))
-
-
-def choose_test(path: Path, content: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The test that FILE#NUMBER names of a file, or the only one of a file that is an array of them."""
-    tests, number = list_tests(content), split_test(path)[1]
-    if number is None and (not tests or holds_table(content)):
-        return content
-    full = [place for place, (_, part) in enumerate(tests) if holds_table(part)]
-    if number is None and len(full) != 1:
-        raise refuse_tests(path, [name for name, _ in tests])
-    number = full[0] if number is None else number
-    if number >= len(tests):
-        found = f"{path}: {len(tests)} tests" if tests else f"{path}: a file of one test"
-        expected = f"#0 to #{len(tests) - 1}" if tests else f"{split_test(path)[0]}"
-        raise InputError(found, expected, "correct the number")
-    return tests[number][1]
 
 
 def refuse_tests(path: Path, names: list[str]) -> InputError:

@@ -179,7 +179,11 @@ def find_heads(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> tuple[int
     filled = sum(map(bool, rows[last]))
     if before is None or begin == len(rows) or sum(map(bool, rows[before])) < filled:
         return last + 1, last, None
-    if not is_units(rows[last], rows[begin]):
+    # a row of units has no number where the row after it has some, and short words
+    below = [i for i, cell in enumerate(rows[begin]) if cell and is_number(cell)]
+    words_above = [rows[last][i].strip("[]()") for i in below if i < len(rows[last])]
+    is_short = any(words_above) and len(words_above) == len(below) and max(map(len, rows[last])) <= _MAX_UNIT
+    if not is_short or any(word not in ("1", *NULLS) and is_number(word) for word in words_above):
         return last + 1, last, None
     known = sum(clean_unit(word) in UNITS for word in rows[last])
     united: dict[str, str] = {}
@@ -257,12 +261,3 @@ def is_number(cell: str) -> bool:
     if cell.isdigit() or cell in NULLS or NUMBER.fullmatch(cell) or cell.startswith(LISTS):
         return True
     return bool(COMMA_NUMBER.fullmatch(cell) or GROUPED.fullmatch(cell))
-
-
-def is_units(row: Sequence[str], after: Sequence[str]) -> bool:
-    """Whether a row holds units: no number where the row after it has some, and short words."""
-    numbers = [i for i, cell in enumerate(after) if cell and is_number(cell)]
-    words = [row[i].strip("[]()") for i in numbers if i < len(row)]
-    if not any(words) or len(words) < len(numbers) or max(map(len, row)) > _MAX_UNIT:
-        return False
-    return not any(word not in ("1", *NULLS) and is_number(word) for word in words)

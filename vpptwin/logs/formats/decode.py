@@ -64,19 +64,15 @@ def decode_channel(channel: RawChannel, paths: Sequence[str], texts: Sequence[st
         definitions = parse_definition(channel.message_type, channel.definition)
     except LayoutError:
         definitions = None
-    for block in _merge_blocks(channel.blocks):
-        yield from _decode_block(channel.message_type, definitions, block, paths, texts, reference)
-
-
-def _merge_blocks(blocks: Sequence[Block]) -> Iterator[Block]:
-    """Join the blocks of chunks by length of message, so that they are few but none is much beyond MAX_MERGED."""
-    for length in sorted({block.payload.shape[1] for block in blocks}):
-        same = [block for block in blocks if block.payload.shape[1] == length]
+    # blocks of chunks are joined by length of message, so that they are few but none is much beyond MAX_MERGED
+    for length in sorted({block.payload.shape[1] for block in channel.blocks}):
+        same = [block for block in channel.blocks if block.payload.shape[1] == length]
         sizes = np.cumsum([block.payload.nbytes for block in same]) // MAX_MERGED
         for group in np.unique(sizes):
             members = [block for block, size in zip(same, sizes) if size == group]
             columns = zip(*((block.number, block.log_time, block.payload) for block in members))
-            yield Block(*(np.concatenate(parts) for parts in columns))
+            merged = Block(*(np.concatenate(parts) for parts in columns))
+            yield from _decode_block(channel.message_type, definitions, merged, paths, texts, reference)
 
 
 def _decode_block(

@@ -38,7 +38,8 @@ class Table:
 
 def choose_fields(query: Query, topic: str, columns: Iterable[str]) -> dict[str, str]:
     """Which of all columns of a topic are wanted -> what messages call them."""
-    paths, names = query.fields.get(topic), name_fields(columns)
+    columns, paths = list(columns), query.fields.get(topic)
+    names = dict(zip(columns, make_unique(list_names(column)[2] for column in columns)))
     if paths is None:
         return names
     named = find_named(query, topic, names)
@@ -118,12 +119,6 @@ def find_elsewhere(channels: Iterable[RawChannel], channel: RawChannel, paths: I
                 missing.setdefault(other.topic, []).append(path)
     verbs = {topic: "is" if len(names) == 1 else "are" for topic, names in missing.items()}
     return "; ".join(f"no {', '.join(names)}, which {verbs[topic]} in {topic}" for topic, names in missing.items())
-
-
-def name_fields(columns: Iterable[str]) -> dict[str, str]:
-    """Column -> a field's name of its own."""
-    columns = list(columns)
-    return dict(zip(columns, make_unique(list_names(column)[2] for column in columns)))
 
 
 def make_unique(names: Iterable[str]) -> list[str]:
