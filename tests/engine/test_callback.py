@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -160,19 +161,19 @@ def run_together(*functions: Callable[[], None]) -> None:
         raise errors[0]
 
 
-def test_twins_in_two_threads(twins: dict[str, Twin], rigs: dict[str, Rig]) -> None:
-    """Stepped from two Python threads at once, drone and cart fly bit for bit as each does alone."""
-    alone = {name: fly(rigs[name], twin, 60) for name, twin in twins.items()}
-    found: dict[str, list[TwinState]] = {name: [] for name in twins}
+@pytest.mark.parametrize("names", [("flown", "cart"), ("flown", "flown")], ids=["of two rigs", "one and the same"])
+def test_twins_in_two_threads(twins: dict[str, Twin], rigs: dict[str, Rig], names: tuple[str, str]) -> None:
+    """Stepped from two Python threads at once, two twins, or one and the same, fly bit for bit as each does alone."""
+    alone = {name: fly(rigs[name], twins[name], 60) for name in names}
+    flown: list[tuple[str, TwinState]] = []
 
     def work(name: str) -> None:
-        for _ in range(5):
-            found[name].append(fly(rigs[name], twins[name], 60))
+        flown.extend((name, fly(rigs[name], twins[name], 60)) for _ in range(5))
 
-    run_together(*(lambda name=name: work(name) for name in twins))
-    for name, states in found.items():
-        for state in states:
-            assert_states(state, alone[name])
+    run_together(*(partial(work, name) for name in names))
+    assert len(flown) == 10
+    for name, state in flown:
+        assert_states(state, alone[name])
     assert mujoco.get_mjcb_control() is None
 
 
@@ -217,19 +218,3 @@ def test_twins_come_and_go(rigs: dict[str, Rig]) -> None:
             expected = expected or state
             assert_states(state, expected)
         del twin, state
-
-
-def test_one_twin_in_two_threads(rigs: dict[str, Rig]) -> None:
-    """One and the same twin stepped from two threads, from states of their own, serves one after the other."""
-    rig = rigs["flown"]
-    twin = rig.twin(4, {"rail_x.coulomb": {"force": 0.3}})
-    alone = fly(rig, twin, 60)
-    found: list[TwinState] = []
-
-    def work() -> None:
-        found.extend(fly(rig, twin, 60) for _ in range(5))
-
-    run_together(work, work)
-    assert len(found) == 10
-    for state in found:
-        assert_states(state, alone)

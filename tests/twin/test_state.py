@@ -370,14 +370,6 @@ def test_values_outside_the_bounds_are_refused(twin: Twin, value: float) -> None
     np.testing.assert_array_equal(twin.parameter("rail_x.coulomb", "force"), [0.0, 0.1, 0.2, 0.3])
 
 
-def test_constants_are_to_read(twin: Twin) -> None:
-    """The records of constants follow parameters and can't be written."""
-    twin.set_parameter("command.delay", "delay", 0.003)
-    np.testing.assert_array_equal(twin.constants["actuator.delay"], np.full((4, 2), 0.003))
-    with pytest.raises(ValueError, match="read-only"):
-        twin.constants["rate.bias"][:] = 1.0
-
-
 WRONG_TAPES = {
     "one simulation too few": lambda twin, state: twin.replay_commands(state, np.zeros((3, 5, 2))),
     "one actuator too many": lambda twin, state: twin.replay_commands(state, np.zeros((4, 5, 3))),

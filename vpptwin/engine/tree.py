@@ -107,6 +107,7 @@ def turn_about(turn: np.ndarray, axis: np.ndarray, sine: float, cosine: float) -
 @compilable(forceinline=True, keep=True)
 def shift_pull(spin: np.ndarray, twist: np.ndarray, pull: np.ndarray, x: float, y: float, z: float) -> None:
     """Acceleration of another point of a body, (3,), from that of one from which it is so far away."""
+    # a_P = a_O + α × r + ω × (ω × r)
     t_x, t_y, t_z = cross(twist[0], twist[1], twist[2], x, y, z)
     s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], x, y, z)
     s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
@@ -178,7 +179,7 @@ def weigh_body(shape: Shape, at: Pose, b: int) -> None:
     """Write mass, its first and second moment, force and torque of one body by itself into its row of `at.whole`."""
     m, own, turn, local = shape.body_mass[b], shape.body_inertia[b], at.turn[b], shape.body_imat[b]
     x, y, z = rotate(turn, shape.body_ipos[b, 0], shape.body_ipos[b, 1], shape.body_ipos[b, 2])
-    # Principal axes in the world, and with them the inertia's six numbers.
+    # Principal axes in the world, u v w, and with them the inertia's six numbers: I = I_1 u uᵀ + I_2 v vᵀ + I_3 w wᵀ.
     u_x, u_y, u_z = rotate(turn, local[0], local[3], local[6])
     v_x, v_y, v_z = rotate(turn, local[1], local[4], local[7])
     w_x, w_y, w_z = rotate(turn, local[2], local[5], local[8])
@@ -193,12 +194,14 @@ def weigh_body(shape: Shape, at: Pose, b: int) -> None:
     s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], x, y, z)
     s_x, s_y, s_z = cross(spin[0], spin[1], spin[2], s_x, s_y, s_z)
     f_x, f_y, f_z = m * (pull[0] + t_x + s_x), m * (pull[1] + t_y + s_y), m * (pull[2] + t_z + s_z)
+    # Newton and Euler: f = m a_C, n = r × f + I α + ω × I ω (Featherstone 2008, chapter 2).
     h_x = xx * spin[0] + xy * spin[1] + xz * spin[2]
     h_y = xy * spin[0] + yy * spin[1] + yz * spin[2]
     h_z = xz * spin[0] + yz * spin[1] + zz * spin[2]
     n_x, n_y, n_z = cross(spin[0], spin[1], spin[2], h_x, h_y, h_z)
     o_x, o_y, o_z = cross(x, y, z, f_x, f_y, f_z)
     whole[0], whole[1], whole[2], whole[3] = m, m * x, m * y, m * z
+    # Parallel axes: I_O = I_C + m (r² 1 - r rᵀ).
     whole[4], whole[5], whole[6] = xx + m * (y * y + z * z), yy + m * (x * x + z * z), zz + m * (x * x + y * y)
     whole[7], whole[8], whole[9] = xy - m * x * y, xz - m * x * z, yz - m * y * z
     whole[10], whole[11], whole[12] = f_x, f_y, f_z
@@ -269,7 +272,7 @@ def weigh_bodies(tree: Tree, shape: Shape, at: Pose, mass: np.ndarray, bias: np.
                 l_x, l_y, l_z = cross(whole[1], whole[2], whole[3], x, y, z)
                 bias[i] = x * whole[10] + y * whole[11] + z * whole[12]
             j = i
-            while j >= 0:
+            while j >= 0:  # M_ij = S_jᵀ I^c S_i for every joint j that carries i
                 a, o = at.axis[j], at.anchor[j]
                 if tree.hinge[j]:
                     t_x, t_y, t_z = cross(place[0] - o[0], place[1] - o[1], place[2] - o[2], p_x, p_y, p_z)
@@ -307,7 +310,10 @@ def gear_actuators(tree: Tree, shape: Shape, at: Pose, moment: np.ndarray) -> No
 
 @compilable(forceinline=True, keep=True)
 def eliminate(dense: np.ndarray) -> None:
-    """Factors of a symmetric positive definite matrix in the place of its upper half, D Lᵀ, on the diagonal 1/D."""
+    """Factors of a symmetric positive definite matrix in the place of its upper half, D Lᵀ, on the diagonal 1/D.
+
+    A = L D Lᵀ, by rows (Golub, Van Loan, Matrix Computations, 2013, section 4.1).
+    """
     n = len(dense)
     for k in range(n):
         pivot = 1.0 / dense[k, k]
