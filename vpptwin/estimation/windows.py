@@ -159,7 +159,7 @@ def join_windows(parts: list[Windows]) -> Windows:
     return replace(parts[0], driven=driven, warm=np.concatenate([part.warm for part in parts]), **known)
 
 
-class Motion(NamedTuple):
+class WindowMotion(NamedTuple):
     """What a twin does in K windows, at the start and after every step.
 
     Attributes:
@@ -172,7 +172,7 @@ class Motion(NamedTuple):
     velocity: np.ndarray
     rotor_speed: np.ndarray | None
 
-    def put(self, rows: tuple[Any, ...], part: Motion) -> None:
+    def put(self, rows: tuple[Any, ...], part: WindowMotion) -> None:
         """Write another motion into some of the rows of this very one, which has more axes in front."""
         for whole, given in zip(self, part):
             if whole is not None:
@@ -215,7 +215,7 @@ def trace(
 
 def fly_windows(
     twin: Twin, windows: Windows, disturbance: np.ndarray | None = None, past: np.ndarray | None = None
-) -> Motion:
+) -> WindowMotion:
     """Drive a twin of len(windows) simulations through the windows.
 
     Thrust goes by the measured rotor speed. Where the throttle is known, the motors run beside, from the measured
@@ -245,7 +245,7 @@ def enter_windows(twin: Twin, windows: Windows, past: np.ndarray | None = None) 
 
 def fly_on(
     twin: Twin, start: TwinState, windows: Windows, disturbance: np.ndarray | None = None
-) -> tuple[TwinState, Motion]:
+) -> tuple[TwinState, WindowMotion]:
     """Drive a twin through the windows from a state; the state after them, and what `fly_windows` returns."""
     after, qpos, qvel, rotor_speed = twin.trace_commands(
         start, windows.command, windows.rotor_speed, windows.throttle, disturbance, windows.driven
@@ -258,4 +258,4 @@ def fly_on(
     pose[:, 0] = windows.pose  # joints that follow the log do so from there on
     if rotor_speed is not None:
         rotor_speed = np.concatenate([start.rotor_speed[:, None], rotor_speed], axis=1)
-    return after, Motion(pose, velocity, rotor_speed)
+    return after, WindowMotion(pose, velocity, rotor_speed)

@@ -229,7 +229,10 @@ def compose_line(guess: Guess) -> str:
     signals = [*guess.fields.values(), *(signal for vector in guess.vectors.values() for signal in vector)]
     (topic,) = {signal.topic for signal in signals}
     named = not guess.vectors and all(s.name == guess.target and s.field == q for q, s in guess.fields.items())
-    plain = not guess.units and not guess.more and all(map(is_known, guess.vectors.values()))
+    # Components that are read of messages of poses, of odometry and of an IMU, in that order.
+    known = (all(s.field in ROS_VECTORS for s in vector) and "wxyz".endswith("".join(s.field[-1] for s in vector))
+             for vector in guess.vectors.values())  # fmt: skip
+    plain = not guess.units and not guess.more and all(known)
     if named or (guess.vectors and plain):
         return f"    {name}: {yaml.safe_dump(topic).splitlines()[0]}  # {one_line(said)}"
     if any(signal.name for signal in signals):
@@ -244,11 +247,6 @@ def compose_line(guess: Guess) -> str:
         entry["stamp"] = LOG_TIME
     text = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=10_000, allow_unicode=True).strip()
     return f"    {name}: {text}  # {one_line(said)}"
-
-
-def is_known(vector: Sequence[Signal]) -> bool:
-    """Whether components are those that are read of messages of poses, of odometry and of an IMU, in that order."""
-    return all(s.field in ROS_VECTORS for s in vector) and "wxyz".endswith("".join(s.field[-1] for s in vector))
 
 
 def one_line(text: str) -> str:

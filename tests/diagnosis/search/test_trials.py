@@ -24,7 +24,7 @@ from vpptwin.diagnosis.search.suspects import (
 from vpptwin.effects import Effect, Parameter, Prior
 from vpptwin.effects.actuator import FORCE_LIMIT, attach
 from vpptwin.effects.joint import Place, bias, spring, viscous
-from vpptwin.estimation.windows import Motion
+from vpptwin.estimation.windows import WindowMotion
 from vpptwin.robots.planar_drone.effects.catalogue import RATE_LIMIT
 from vpptwin.twin.spec import load_twin
 
@@ -201,7 +201,7 @@ def test_force_limits_are_tried_where_a_servo_runs_into_them(
     )
     bench = lay_bench([0.0], spec=spec, command=0.2 + 0.5 * UNIFORM.windows.command)
     rest = np.full((1, 1, bench.windows.steps + 1, 1), 0.2)
-    monkeypatch.setattr(bench, "simulate", lambda variations, sensors: Motion(rest, 0.0 * rest, None))
+    monkeypatch.setattr(bench, "simulate", lambda variations, sensors: WindowMotion(rest, 0.0 * rest, None))
     limit = attach(FORCE_LIMIT, "servo")
     unknown = Unknown(limit, limit.parameters[0], nominal)
     assert list_force_limits([unknown], bench)[limit.id] == pytest.approx(found, abs=5e-3)

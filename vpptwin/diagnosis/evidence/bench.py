@@ -14,7 +14,7 @@ from vpptwin.diagnosis.evidence.motor import CURRENT, SPEED, predict_motor
 from vpptwin.diagnosis.evidence.runs import ROWS, Key, MakeTwin, Runs, Track, Variation, keep_last, pick
 from vpptwin.effects import Stage, find_effect
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.windows import Motion, Windows
+from vpptwin.estimation.windows import WindowMotion, Windows
 from vpptwin.twin.robot.manifold import find_place
 from vpptwin.twin.sensors import Constants, body_force
 from vpptwin.twin.spec import TwinSpec
@@ -54,7 +54,7 @@ class Bench(Runs):
     ) -> None:  # fmt: skip
         super().__init__(spec, windows, segments, flights, causal, progress, make_twin)
         self.channels, self.criteria = list(channels), criteria
-        self._motions: dict[Hashable, tuple[Track | None, Motion]] = {}  # with its track, whose id is in the key
+        self._motions: dict[Hashable, tuple[Track | None, WindowMotion]] = {}  # with its track, whose id is in the key
         self._gravity = -float(spec.model.opt.gravity[2])
 
     def about(self, track: Track | None) -> Bench:
@@ -178,19 +178,19 @@ class Bench(Runs):
         sizes = [(abs(known[e.id, n] - self.spec.value(e, n)), e.parameter(n).size) for e, n in effects]
         return all(abs(values[key] - known[key]) <= NEARLY * max(size) for key, size in zip(known, sizes))
 
-    def _observe(self, variation: Variation, motion: Motion) -> np.ndarray:
+    def _observe(self, variation: Variation, motion: WindowMotion) -> np.ndarray:
         """All channels of one variation, (K, M)."""
         constants, force = self.sensors(variation.values), None
         if any(channel.kind == "specific force" for channel in self.channels):
             force = self._feel(motion)
         return np.concatenate([self.observe_channel(c, motion, constants, force) for c in self.channels], axis=1)
 
-    def _feel(self, motion: Motion) -> np.ndarray:
+    def _feel(self, motion: WindowMotion) -> np.ndarray:
         with np.errstate(invalid="ignore", over="ignore"):
             return body_force(motion.pose, motion.velocity, self.windows.dt, self._gravity)
 
     def observe_channel(
-        self, channel: Channel, motion: Motion, constants: Constants, force: np.ndarray | None = None
+        self, channel: Channel, motion: WindowMotion, constants: Constants, force: np.ndarray | None = None
     ) -> np.ndarray:
         """A channel as a simulation shows it, (K, B); arrays of `motion` (K, steps + 1, ...), `force` where known."""
         if channel.kind in (SPEED, CURRENT):

@@ -16,7 +16,7 @@ from vpptwin.effects import Stage
 from vpptwin.estimation.correct import correct_measurements, is_perfect
 from vpptwin.estimation.initial import estimate_states
 from vpptwin.estimation.measurements import Measurements
-from vpptwin.estimation.windows import Motion, Windows, enter_windows, fly_on, fly_windows, trace_past
+from vpptwin.estimation.windows import WindowMotion, Windows, enter_windows, fly_on, fly_windows, trace_past
 from vpptwin.twin.robot.manifold import conjugate, turn_to_world
 from vpptwin.twin.sensors import PERFECT, Constants
 from vpptwin.twin.spec import TwinSpec
@@ -98,10 +98,10 @@ def keep_last(known: dict[Name, Found], name: Name, found: Found, most: int) -> 
     return found
 
 
-def pick(motion: Motion, run: int) -> Motion:
+def pick(motion: WindowMotion, run: int) -> WindowMotion:
     """One run of many, arrays (K, steps + 1, ...)."""
     speed = motion.rotor_speed
-    return Motion(motion.pose[run], motion.velocity[run], None if speed is None else speed[run])
+    return WindowMotion(motion.pose[run], motion.velocity[run], None if speed is None else speed[run])
 
 
 class Call(NamedTuple):
@@ -188,7 +188,7 @@ class Runs:
     def simulate(
         self, variations: Sequence[Variation], sensors_of: Mapping[Key, float] | None = None,
         active: frozenset[str] | None = None,
-    ) -> Motion:  # fmt: skip
+    ) -> WindowMotion:  # fmt: skip
         """What happens in every variation, arrays (V, K, steps + 1, ...).
 
         Args:
@@ -224,7 +224,7 @@ class Runs:
         return pulses if parts and alike and len(pulses) > 1 and self.make_twin is Twin else {}
 
     def _fly_pulses(
-        self, variations: Sequence[Variation], pulses: Mapping[int, Sequence[int]], call: Call, motion: Motion
+        self, variations: Sequence[Variation], pulses: Mapping[int, Sequence[int]], call: Call, motion: WindowMotion
     ) -> None:
         """Write what happens in variations that differ in a pulse alone: each is simulated from where that begins."""
         number, span = len(self.windows), self.windows.steps // self.segments
@@ -252,11 +252,11 @@ class Runs:
             motion.put((np.array(some)[which], run.window, slice(first, None)), part)
             self._tell(len(which) * stretch.steps)
 
-    def _allot(self, count: int) -> Motion:
+    def _allot(self, count: int) -> WindowMotion:
         """Room for so many runs."""
         times, model = (count, len(self.windows), self.windows.steps + 1), self.spec.model
         speed = None if self.windows.throttle is None else np.empty((*times, 2))
-        return Motion(np.empty((*times, model.nq)), np.empty((*times, model.nv)), speed)
+        return WindowMotion(np.empty((*times, model.nq)), np.empty((*times, model.nv)), speed)
 
     def _tell(self, steps: int) -> None:
         if self._progress is not None:
