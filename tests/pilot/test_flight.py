@@ -15,26 +15,20 @@ from vpptwin.robots.planar_drone.pilot.library import LIBRARY
 from vpptwin.robots.planar_drone.pilot.manoeuvre import find_manoeuvre
 from vpptwin.robots.planar_drone.pilot.recording import record_streams
 from vpptwin.robots.planar_drone.pilot.scripted import ScriptedPilot
-from vpptwin.robots.planar_drone.vehicle import Vehicle
 from vpptwin.system.errors import InputError
 from vpptwin.twin import Twin, load_twin
 from vpptwin.twin.spec import EffectValues
 from vpptwin.twin.state import TwinState
 
 SPEC = load_twin()
+DRONE = SPEC.vehicle
 DURATION = 5.0
-
-
-def drone() -> Vehicle:
-    """The nominal vehicle."""
-    assert SPEC.vehicle is not None
-    return SPEC.vehicle
 
 
 def steps(duration: float = DURATION) -> ScriptedPilot:
     """A pilot that jumps along x."""
     manoeuvre = find_manoeuvre(LIBRARY, "x_steps")
-    return ScriptedPilot(drone(), [manoeuvre.plan(drone(), {"period": 1.2}, duration)])
+    return ScriptedPilot(DRONE, [manoeuvre.plan(DRONE, {"period": 1.2}, duration)])
 
 
 def fly_steps(effects: EffectValues, seed: int = 1, gusts: bool = False) -> SimulatedFlights:
@@ -82,7 +76,7 @@ def test_readings_are_the_truth_with_the_sensors_noise(nominal: SimulatedFlights
     """Poses, rates and rotor speeds scatter about the truth by what the vehicle's file says."""
     streams, lead = record_streams(nominal), nominal.lead[0]
     pose, rate, speed = nominal.pose[0, lead:], nominal.velocity[0, lead:-1, 2], nominal.speed[0, lead:-1]
-    sensors = drone().sensors
+    sensors = DRONE.sensors
     mocap = streams["/mocap/pose"]
     for i, (name, std) in enumerate((("x", 4e-4), ("z", 4e-4), ("theta", 3e-3))):
         assert (mocap[name] - pose[::10, i]).std() == pytest.approx(std, rel=0.15)
@@ -159,9 +153,9 @@ def test_the_same_seed_gives_the_same_flight(nominal: SimulatedFlights) -> None:
 
 def test_a_flight_does_not_depend_on_those_beside_it(nominal: SimulatedFlights) -> None:
     """Row 0 of two flights is the flight alone."""
-    reference = find_manoeuvre(LIBRARY, "x_steps").plan(drone(), {"period": 1.2}, DURATION)
-    other = find_manoeuvre(LIBRARY, "flip").plan(drone(), {}, DURATION)
-    tracks = fly(Twin(SPEC, 2, num_threads=1), ScriptedPilot(drone(), [reference, other]), seed=1)
+    reference = find_manoeuvre(LIBRARY, "x_steps").plan(DRONE, {"period": 1.2}, DURATION)
+    other = find_manoeuvre(LIBRARY, "flip").plan(DRONE, {}, DURATION)
+    tracks = fly(Twin(SPEC, 2, num_threads=1), ScriptedPilot(DRONE, [reference, other]), seed=1)
     np.testing.assert_array_equal(tracks.pose[0], nominal.pose[0])
     np.testing.assert_array_equal(tracks.noise.fast[0], nominal.noise.fast[0])
 

@@ -10,7 +10,7 @@ import pytest
 
 from vpptwin.effects import find_effect
 from vpptwin.twin.spec import load_twin
-from vpptwin.viz.scene.sketch import Part, find_part, sketch_rig
+from vpptwin.viz.scene.sketch import ModelPart, find_part, sketch_rig
 
 RIGS = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*/*.yaml"))
 
@@ -30,7 +30,7 @@ RIGS = sorted((Path(__file__).resolve().parents[2] / "examples").glob("*/*.yaml"
 def test_an_effect_lights_what_it_acts_on(effect: str, part: tuple[set[str], set[str], set[str]]) -> None:
     """A joint with its body, actuators, or a body."""
     spec = load_twin()
-    found: Part = find_part(spec.robot, find_effect(spec.catalogue, effect))
+    found: ModelPart = find_part(spec.robot, find_effect(spec.catalogue, effect))
     model = spec.model
     assert {model.body(i).name for i in found.bodies} == part[0]
     assert {model.joint(i).name for i in found.joints} == part[1]

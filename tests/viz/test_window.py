@@ -16,13 +16,13 @@ from vpptwin.estimation.replay import Prediction
 from vpptwin.logs.flight import Flight
 from vpptwin.twin.spec import load_twin
 from vpptwin.viz.pages import window
-from vpptwin.viz.pages.window import DOWN, GHOST, LEFT, RIGHT, SPACE, UP, Clock, add_sky, place, play_window
+from vpptwin.viz.pages.window import DOWN, GHOST, LEFT, RIGHT, SPACE, UP, PlaybackClock, add_sky, place, play_window
 from vpptwin.viz.scene.show import prepare_show
 
 
 def test_time_goes_round() -> None:
     """At its pace, in a loop, not while paused; keys steer it."""
-    clock = Clock(4.0)
+    clock = PlaybackClock(4.0)
     clock.advance(3.0)
     clock.advance(1.5)
     assert clock.time == pytest.approx(0.5)
@@ -102,7 +102,7 @@ def test_it_plays_until_the_window_is_closed(
     """The flight goes on from picture to picture, seen from the side; then the viewer ends."""
     opened: list[Handle] = []
 
-    def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: Clock) -> Handle:
+    def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: PlaybackClock) -> Handle:
         opened.append(Handle(model, data))
         return opened[0]
 

@@ -35,7 +35,7 @@ KEYS = "space: pause, left and right: a frame, up and down: faster and slower"
 
 
 @dataclass
-class Clock:
+class PlaybackClock:
     """Time of the flight [s], in a loop over its duration; keys steer it."""
 
     duration: float  # of the flight [s]
@@ -86,7 +86,7 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
     """
     show = prepare_show(flight, prediction, add_sky(spec))
     data, ghost = mujoco.MjData(show.model), mujoco.MjData(show.model)
-    clock = Clock(float(show.time[-1]))
+    clock = PlaybackClock(float(show.time[-1]))
     handle = open_viewer(show.model, data, clock)
     with until_interrupted(), closing(handle):
         with handle.lock():
@@ -105,7 +105,7 @@ def play_window(flight: Flight, prediction: Prediction | None, spec: TwinSpec) -
             time.sleep(max(PERIOD - (time.perf_counter() - now), 0.0))
 
 
-def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: Clock) -> Any:  # noqa: ANN401
+def open_viewer(model: mujoco.MjModel, data: mujoco.MjData, clock: PlaybackClock) -> Any:  # noqa: ANN401
     """MuJoCo's viewer, in a thread of its own."""
     try:
         from mujoco import viewer

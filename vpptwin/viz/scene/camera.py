@@ -24,6 +24,7 @@ class CameraView:
     @property
     def distance(self) -> float:
         """From the camera to the centre [m]."""
+        # h = d tan(fov/2)
         return self.half_height / float(np.tan(np.radians(FIELD_OF_VIEW) / 2.0))
 
 

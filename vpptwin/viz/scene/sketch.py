@@ -29,7 +29,7 @@ LIT, LINE = 'fill="var(--lit)"', 'fill="none" stroke="var(--lit)" stroke-width="
 
 
 @dataclass(frozen=True)
-class Part:
+class ModelPart:
     """Indices into the MuJoCo model of what an effect acts on."""
 
     bodies: frozenset[int] = frozenset()
@@ -37,19 +37,19 @@ class Part:
     actuators: frozenset[int] = frozenset()
 
 
-def find_part(robot: Robot, effect: Effect) -> Part:
+def find_part(robot: Robot, effect: Effect) -> ModelPart:
     """The part of a rig that an effect acts on: a joint, an actuator, or a body."""
     model, site, sites = robot.model, robot.locate(effect), robot.list_sites(effect)
     joints = {int(model.dof_jntid[each.dof]) for each in sites if each.dof >= 0}
     if joints:
-        return Part(frozenset(int(model.jnt_bodyid[joint]) for joint in joints), frozenset(joints))
+        return ModelPart(frozenset(int(model.jnt_bodyid[joint]) for joint in joints), frozenset(joints))
     actuators = frozenset(each.actuator for each in sites) - {-1}
     if actuators:
-        return Part(actuators=actuators)
+        return ModelPart(actuators=actuators)
     driven = effect.writes and not set(effect.writes) & {*PERFECT, *dir(model), "opt.gravity"}
     if not effect.target and (effect.stage is Stage.THRUST or driven):
-        return Part(actuators=frozenset(range(model.nu)))
-    return Part(
+        return ModelPart(actuators=frozenset(range(model.nu)))
+    return ModelPart(
         bodies=frozenset({site.body} - {-1}) or frozenset({int(model.jnt_bodyid[0])})
     )  # or what the mount holds
 

@@ -27,35 +27,29 @@ CUBE, SPHERE, CYLINDER = 1, 2, 3
 
 
 def describe_flight(spec: TwinSpec, streams: Mapping[str, Stream]) -> list[Message]:
-    """Messages that show the streams of a flight of our craft on its rig; none for logs without poses."""
+    """Messages that show the streams of a flight of our craft on its rig, by time; none for logs without poses."""
     if "/mocap/pose" not in streams:
         return []
-    model = copy.copy(spec.model)
+    model, pose, target = copy.copy(spec.model), streams["/mocap/pose"], streams.get("/setpoint/pose")
     fit_craft(model, spec.vehicle)
-    return describe_scene(model, streams["/mocap/pose"], streams.get("/setpoint/pose"))
-
-
-def describe_scene(model: mujoco.MjModel, pose: Stream, target: Stream | None) -> list[Message]:
-    """Messages that show a flight of our craft, in order of time.
-
-    Args:
-        model: the rig, fitted to the vehicle.
-        pose: x, z [m], theta [rad] over time.
-        target: the setpoint, likewise; None for none.
-    """
     times = np.arange(pose.time[0], pose.time[-1], 1.0 / RATE)
-    x, z, theta = (np.interp(times, pose.time, pose[column]) for column in ("x", "z", "theta"))
-    poses = joint_poses(model, x, z, theta)
+    qpos = np.tile(mujoco.MjData(model).qpos, (len(times), 1))
+    columns = [np.interp(times, pose.time, pose[column]) for column in ("x", "z", "theta")]
+    qpos[:, [model.joint(joint).qposadr[0] for joint in CRAFT_JOINTS]] = np.stack(columns, axis=-1)
+    places, turns = pose_bodies(model, qpos)
+    turns = np.roll(turns, 1, axis=-1)  # w first
+    moving = {name_frame(model, int(b)): b for b in np.flatnonzero(model.body_weldid != 0)}
     rows = None if target is None else np.searchsorted(target.time, times, side="right") - 1
     markers = list_markers(model, target is not None)
     messages, shown = [], -np.inf
     for k, time in enumerate(times):
-        stamp = make_stamp(time)
+        nanoseconds = START_NS + round(float(time) * 1e9)
+        stamp = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
         if time - shown > EVERY - 1e-9:
             shown = time
             stamped = [{**marker, "header": {"stamp": stamp, "frame_id": marker["frame"]}} for marker in markers]
             messages.append(Message(MARKERS, "visualization_msgs/msg/MarkerArray", time, {"markers": stamped}))
-        frames = {name: (place[k], turn[k]) for name, (place, turn) in poses.items()}
+        frames = {name: (places[k, b], turns[k, b]) for name, b in moving.items()}
         if target is not None and rows is not None and rows[k] >= 0:
             place = np.array([target["x"][rows[k]], 0.0, target["z"][rows[k]]])
             half = -0.5 * target["theta"][rows[k]]  # θ turns about -y
@@ -70,16 +64,11 @@ def describe_scene(model: mujoco.MjModel, pose: Stream, target: Stream | None) -
     return messages
 
 
-def joint_poses(
-    model: mujoco.MjModel, x: np.ndarray, z: np.ndarray, theta: np.ndarray
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Position (T, 3) [m] and quaternion (T, 4), w first, of every moving body, the craft's under the name `body`."""
-    qpos = np.tile(mujoco.MjData(model).qpos, (len(x), 1))
-    qpos[:, [model.joint(joint).qposadr[0] for joint in CRAFT_JOINTS]] = np.stack([x, z, theta], axis=-1)
-    place, turn = pose_bodies(model, qpos)
-    turn, craft = np.roll(turn, 1, axis=-1), find_craft(model)
-    moving = np.flatnonzero(model.body_weldid != 0)
-    return {BODY if b == craft else model.body(b).name: (place[:, b], turn[:, b]) for b in moving}
+def name_frame(model: mujoco.MjModel, body: int) -> str:
+    """The frame of a body: its name, `body` for the craft's, `world` for what does not move."""
+    if body == find_craft(model):
+        return BODY
+    return model.body(body).name if model.body_weldid[body] != 0 else WORLD
 
 
 def list_markers(model: mujoco.MjModel, ghost: bool) -> list[dict[str, object]]:
@@ -90,7 +79,7 @@ def list_markers(model: mujoco.MjModel, ghost: bool) -> list[dict[str, object]]:
     for geom, paint in list_drawn(model).items():
         body = int(model.geom_bodyid[geom])
         moves = model.body_weldid[body] != 0
-        frame = BODY if body == craft else model.body(body).name if moves else WORLD
+        frame = name_frame(model, body)
         place, turn = model.geom_pos[geom], model.geom_quat[geom]
         if not moves:
             place, turn = data.geom_xpos[geom], np.zeros(4)
@@ -123,12 +112,6 @@ def make_marker(
         "pose": {"position": name_axes(place), "orientation": name_turn(turn)}, "scale": name_axes(scale),
         "color": {"r": red, "g": green, "b": blue, "a": paint.opacity},
     }  # fmt: skip
-
-
-def make_stamp(time: float) -> dict[str, int]:
-    """A header's stamp."""
-    stamp = START_NS + round(float(time) * 1e9)
-    return {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
 
 
 def name_axes(values: np.ndarray) -> Mapping[str, float]:

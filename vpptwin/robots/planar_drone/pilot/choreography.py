@@ -95,7 +95,7 @@ def sweep(plan: Plan, axis: int, acceleration: float, slow: float, fast: float) 
     def swing(time: np.ndarray) -> np.ndarray:
         t = np.clip(time, 0.0, SWEEP_TIME)
         rate = 2.0 * np.pi * slow * np.exp(growth * t)
-        phase = 2.0 * np.pi * slow * np.expm1(growth * t) / growth
+        phase = 2.0 * np.pi * slow * np.expm1(growth * t) / growth  # exponential chirp, f = f_0 exp(k t)
         begun = np.clip(t, 0.0, 1.0)
         place = np.tile(centre, (len(t), 1))
         place[:, axis] += begun**2 * (3.0 - 2.0 * begun) * acceleration / rate**2 * np.sin(phase)

@@ -36,6 +36,7 @@ class Gusts:
         decay = np.exp(-1.0 / (spec.vehicle.control.policy_rate * wind.memory))
         kicks = np.stack([np.random.default_rng([seed, i, 1]).standard_normal((ticks, 3)) for i in range(count)])
         force = kicks.copy()
+        # Ornstein-Uhlenbeck: x_k = a x_(k-1) + sqrt(1 - a²) w_k, a = exp(-Δt/τ) (Särkkä and Solin, 6)
         for k in range(1, ticks):
             force[:, k] = decay * force[:, k - 1] + np.sqrt(1.0 - decay**2) * kicks[:, k]
         self.force = force * wind.std

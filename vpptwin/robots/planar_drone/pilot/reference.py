@@ -29,6 +29,7 @@ class Reference:
 
 def minimum_jerk(u: np.ndarray) -> np.ndarray:
     """The way covered at a share u of the time, both 0 to 1, with velocity and acceleration zero at both ends."""
+    # s = 10 u³ - 15 u⁴ + 6 u⁵ (Flash and Hogan 1985)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
 
@@ -135,5 +136,6 @@ class Plan:
         self.wait(duration)
         u = (np.arange(self.now - begin) + 1.0) * self.period / duration
         self.pose[begin : self.now, 2] = start + angle * minimum_jerk(np.minimum(u, 1.0))
+        # ds/dt = 30 u² (1 - u)² / T
         self.velocity[begin : self.now, 2] = angle * 30.0 * u**2 * (1.0 - u) ** 2 / duration * (u < 1.0)
         self.pose[self.now :, 2] = start + angle

@@ -106,12 +106,14 @@ def pilot_commands(
     control, airframe, rig = vehicle.control, vehicle.airframe, vehicle.rig
     off, slip = target - pose, target_velocity - velocity
     lifted = airframe.mass + rig.slider_mass
+    # a = k (r - p) + d (ṙ - v) + r̈; F_x = (m + m_slider + m_carriage) a_x, F_z = (m + m_slider) (a_z + g)
     asked = STIFFNESS * off[:, :2] + DAMPING * slip[:, :2] + acceleration
     force_x = (lifted + rig.carriage_mass) * asked[:, 0]
     force_z = lifted * (asked[:, 1] + vehicle.gravity)
     upward = np.where(np.cos(target[..., 2]) > 0.0, 1.0, -1.0)
     lean = np.clip(np.arctan2(-force_x, np.maximum(force_z, 0.3 * lifted * vehicle.gravity)), -LEAN, LEAN)
     wanted = target[..., 2] + np.where(is_level(target[..., 2]), lean + nudge, 0.0)
+    # along body z: T = F_z cos θ - F_x sin θ
     thrust = force_z * np.cos(pose[:, 2]) - force_x * np.sin(pose[:, 2])
     turning = np.cos(pose[:, 2]) * upward < 0.3  # far from the wanted attitude thrust would throw the craft aside
     thrust = np.where(turning, 0.0, thrust)

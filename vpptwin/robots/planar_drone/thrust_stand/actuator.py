@@ -153,6 +153,7 @@ def lag_pitch(run: BenchRun, time_constant: float, delay: float) -> np.ndarray:
     """Blade pitch behind delay and first-order lag of a run's commands, (n, r) rad (paper, System Identification)."""
     time = run.time
     late = interpolate(time - delay, time, run.pitch)
+    # y_k = a y_(k-1) + (1 - a) u_k, a = exp(-Δt/τ): a first-order lag under a held input
     keep = float(np.exp(-run.dt / max(time_constant, 1e-6)))
     filtered, _ = lfilter([1.0 - keep], [1.0, -keep], late, axis=0, zi=late[:1] * keep)
     return np.concatenate([late[:1], filtered[:-1]])  # a command acts from its stamp on
@@ -203,6 +204,7 @@ def fit_servo(runs: Sequence[BenchRun], thrust: ThrustMap) -> tuple[tuple[Consta
 
     found, jacobian, cost = solve(None)
     freedom = max(len(jacobian) / 20.0, 3.0)  # neighbouring samples are alike
+    # cov = (Jᵀ J)⁻¹ s², s² the residual variance over the independent samples (Ljung, 9.4)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * (2.0 * cost / len(jacobian)) * len(jacobian) / freedom
     std = np.sqrt(np.diag(covariance))
     other = residual(solve(0)[0], 1)

@@ -119,6 +119,7 @@ def fit_map(
         missed[out] = predict(solve(every[~out])[0], every[out]) - thrust[out]
     residual = predict(found, every) - thrust
     freedom = max(len(thrust) - len(found), 1)
+    # cov = (Jᵀ J)⁻¹ s² (Ljung, 9.4)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(((residual / most) ** 2).sum()) / freedom
     std = np.sqrt(np.diag(covariance))
     squares = np.array([float((missed[group == g] ** 2).mean()) for g in np.unique(group)])
