@@ -12,7 +12,7 @@ import numpy as np
 from vpptwin.diagnosis.evidence.bench import Bench
 from vpptwin.diagnosis.evidence.runs import Key, Variation
 from vpptwin.effects import Effect
-from vpptwin.viz.plots.figure import thin
+from vpptwin.viz.plots.figure import find_loudest, thin
 
 WINDOWS = 3
 """Held-out windows that are shown, those in which most moves."""
@@ -65,9 +65,8 @@ def draw(bench: Bench, effect: Effect, departure: np.ndarray) -> str:
     """The departure (K, C B) in the channel that shows it best, "" where none does."""
     known = bench.valid & np.isfinite(departure)
     times = np.where(known, departure / bench.std, 0.0)
-    loud = [float(np.sqrt(np.mean(times[:, columns] ** 2))) for columns in bench.columns]
-    best = int(np.argmax(loud))
-    if loud[best] < SEEN:
+    best, loudness = find_loudest(times[:, columns] for columns in bench.columns)
+    if loudness < SEEN:
         return ""
     channel, columns = bench.channels[best], bench.columns[best]
     shown = np.where(known, departure, np.nan)[:, columns]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -77,6 +77,13 @@ def name_axes(axes: Axes, x_label: str, y_label: str, title: str = "") -> None:
     axes.set_ylabel(y_label)
     if title:
         axes.set_title(title)
+
+
+def find_loudest(departures: Iterable[np.ndarray]) -> tuple[int, float]:
+    """Which of some departures, each in noises of its channel, stands out most, and by how many noises (RMS)."""
+    loudness = [float(np.sqrt(np.mean(departure**2))) for departure in departures]
+    best = int(np.argmax(loudness))
+    return best, loudness[best]
 
 
 def thin(count: int, most: int) -> np.ndarray:

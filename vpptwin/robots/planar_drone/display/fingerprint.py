@@ -18,6 +18,7 @@ from vpptwin.robots.planar_drone.pilot import Script, pilot_commands
 from vpptwin.system.files import check_own, check_target, write_files
 from vpptwin.twin import Twin, TwinSpec, TwinState
 from vpptwin.twin.sensors import age_of_pose, measure_pose, measure_rate
+from vpptwin.viz.plots.figure import find_loudest
 from vpptwin.viz.plots.palette import BLUE, VERMILION
 
 STRETCH = 0.05
@@ -82,7 +83,7 @@ def take_fingerprint(spec: TwinSpec, effect: Effect) -> Fingerprint:
         ends.append(state)
         twins.append(twin)
     traces = list(compare(twins[1], *ends))
-    best = max(traces, key=lambda trace: float(np.sqrt(np.mean((trace.departure / trace.noise) ** 2))))
+    best = traces[find_loudest(trace.departure / trace.noise for trace in traces)[0]]
     cause, name = follow(effect, best.axis, states, ends[0], commands)
     values = {p.name: float(twins[1].parameter(effect.id, p.name)[0]) for p in effect.parameters}
     return Fingerprint(effect, values, states.time, best, cause, name)
