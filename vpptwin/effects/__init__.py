@@ -1,7 +1,7 @@
 """The laws of physical effects: what the world may do that a simulation leaves out.
 
-One list of them serves the model, the identification's unknowns, the randomization's axes, the suspects of a diagnosis
-and the makers of hidden test data. This package imports nothing else of vpptwin, but for the drone's list and what its
+One list of them serves the model, the identification's unknowns, the randomization's axes, the candidates of a
+diagnosis and the makers of hidden test data. This package imports nothing else of vpptwin, but for the drone's list and what its
 laws are given, which are looked up where they lie when somebody asks for them here.
 """
 

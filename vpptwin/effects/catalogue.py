@@ -6,7 +6,7 @@ The drone on its rail has a list of its own, `vpptwin.robots.planar_drone.effect
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from vpptwin.effects import actuator, friction, joint, link, sensing
@@ -90,7 +90,7 @@ def effects_for_rig(
         whole: names of all actuators that are logged.
         drives: names of joints whose drives are of one make → of their actuators.
     """
-    effects, groups, joints = [], list(groups), list(joints)
+    effects, groups, joints, links = [], list(groups), list(joints), list(links)
     for group in drives or {}:
         effects += effects_for_drives([place for place in joints if place.joint in group], len(joints))
     for place in joints:
@@ -109,25 +109,23 @@ def effects_for_rig(
     for group, members in (drives or {}).items():
         servos = tuple(name for joint, name in zip(group, members) if joint in simulated and name in actuators)
         if len(servos) > 2:
-            loop = (loops or {}).get(servos[0], ())
-            effects += effects_for_servos(servos, loop, name_together(servos, whole, actuators))
+            loop = [effect for effect in (loops or {}).get(servos[0], ()) if effect.id != actuator.SAG.id]
+            together = name_together(servos, whole, actuators)
+            alike = [actuator.attach(effect, together, members=servos) for effect in keep_alike(loop)]
+            effects += map(tolerate_nothing, alike)
     for name, size in actuators.items():
-        own = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
+        kinds = (*GENERIC_ACTUATOR, *(loops or {}).get(name, ()))
         if any(name in group for group in groups):  # whose battery is one
-            own = tuple(effect for effect in own if effect.id != actuator.SAG.id)
-        kinds = {effect.id for effect in own}
-        for effect in own:
-            alike = tuple(kind for kind in effect.look_alikes if kind in kinds)
-            effects.append(actuator.attach(replace(effect, look_alikes=alike), name, size, room))
-    links = list(links)
+            kinds = tuple(effect for effect in kinds if effect.id != actuator.SAG.id)
+        effects += [actuator.attach(effect, name, size, room) for effect in keep_alike(kinds)]
     weights = link.effects_for_links(links)
-    found = tie_alike([*effects, *weights], [f"{name}.gain" for name in called], [effect.id for effect in weights])
-    known = {effect.id for effect in found}
+    effects = tie_alike([*effects, *weights], [f"{name}.gain" for name in called], [effect.id for effect in weights])
+    known = {effect.id for effect in effects}
     for each in links:
         hinged = [f"{each.hinge}.{kind}" for kind in link.LOOK_ALIKES if f"{each.hinge}.{kind}" in known]
         if each.ways:
-            found = tie_alike(found, [f"{each.name}.com"], hinged)
-    return (*found, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
+            effects = tie_alike(effects, [f"{each.name}.com"], hinged)
+    return (*effects, *((link.MOUNT_TILT,) if mounted else ()), *contacts)
 
 
 def name_together(names: tuple[str, ...], whole: tuple[str, ...], actuators: Iterable[str]) -> str:
@@ -150,12 +148,10 @@ def effects_for_drives(places: Sequence[Place], count: int) -> list[Effect]:
     return [tolerate_nothing(replace(effect, target="", members=names)) for effect in made]
 
 
-def effects_for_servos(names: tuple[str, ...], loop: Iterable[Effect], called: str) -> list[Effect]:
-    """What servos of one make, called so together, may have alike of their loop; see `effects_for_drives`."""
-    own = [effect for effect in loop if effect.id != actuator.SAG.id]
-    kinds = {effect.id for effect in own}
-    alike = [replace(e, look_alikes=tuple(kind for kind in e.look_alikes if kind in kinds)) for e in own]
-    return [tolerate_nothing(actuator.attach(effect, called, members=names)) for effect in alike]
+def keep_alike(effects: Collection[Effect]) -> list[Effect]:
+    """The effects with those look-alikes alone that are among them."""
+    kinds = {effect.id for effect in effects}
+    return [replace(e, look_alikes=tuple(kind for kind in e.look_alikes if kind in kinds)) for e in effects]
 
 
 def tolerate_nothing(effect: Effect) -> Effect:

@@ -29,11 +29,11 @@ def apply_compliance(constants: Constants, site: Site, /, stiffness: np.ndarray,
     """
     for name in ("geom_solref", "pair_solref"):
         if name in constants:
-            own = constants[name]
-            direct, tough, damped = own[..., 0] <= 0.0, stiffness[:, None], damping[:, None]
-            first = own[..., 0] * np.where(direct, tough, 1.0 / damped)
-            own[..., 1] *= np.where(direct, damped, damped / np.sqrt(tough))
-            own[..., 0] = first
+            solref = constants[name]
+            direct, tough, damped = solref[..., 0] <= 0.0, stiffness[:, None], damping[:, None]
+            first = solref[..., 0] * np.where(direct, tough, 1.0 / damped)
+            solref[..., 1] *= np.where(direct, damped, damped / np.sqrt(tough))
+            solref[..., 0] = first
 
 
 def factor(name: str, low: float, high: float, size: float, source: str) -> Parameter:

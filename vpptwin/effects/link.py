@@ -36,9 +36,10 @@ class Link:
 
 def apply_mass(constants: Constants, site: Site, /, mass: np.ndarray) -> None:
     """Mass added to that of a link, spread as its own is [kg]."""
-    own = constants["body_mass"][:, site.body]
-    constants["body_inertia"][:, site.body] *= (1.0 + mass / own)[:, None]
-    own += mass
+    # I' = I (m + Δm)/m: density grows, shape stays.
+    nominal = constants["body_mass"][:, site.body]
+    constants["body_inertia"][:, site.body] *= (1.0 + mass / nominal)[:, None]
+    nominal += mass
 
 
 def apply_payload(
@@ -48,15 +49,15 @@ def apply_payload(
     # c' = c + m_p/(m + m_p) r, I' = I + m m_p/(m + m_p) (|r|² 1 - r rᵀ), r from the old centre to the point (Steiner).
     rows, body = np.flatnonzero(mass), site.body
     fields = [constants[name] for name in ("body_mass", "body_ipos", "body_iquat", "body_inertia")]
-    own, centre, turn, moments = (field[rows, body] for field in fields)
-    away, share = np.stack([place_x, place_y, place_z], axis=1)[rows] - centre, mass[rows] / (own + mass[rows])
+    nominal, centre, turn, moments = (field[rows, body] for field in fields)
+    away, share = np.stack([place_x, place_y, place_z], axis=1)[rows] - centre, mass[rows] / (nominal + mass[rows])
     axes = to_matrix(turn)
     square = (away**2).sum(axis=1)[:, None, None] * np.eye(3) - away[:, :, None] * away[:, None, :]
-    found = (axes * moments[:, None, :]) @ axes.swapaxes(1, 2) + (own * share)[:, None, None] * square
-    principal, vectors = np.linalg.eigh(found)
+    inertia = (axes * moments[:, None, :]) @ axes.swapaxes(1, 2) + (nominal * share)[:, None, None] * square
+    principal, vectors = np.linalg.eigh(inertia)
     vectors[:, :, 2] *= np.sign(np.linalg.det(vectors))[:, None]
     for field, values in zip(
-        fields, (own + mass[rows], centre + share[:, None] * away, to_attitude(vectors), principal)
+        fields, (nominal + mass[rows], centre + share[:, None] * away, to_attitude(vectors), principal)
     ):
         field[rows, body] = values
 
@@ -73,14 +74,14 @@ def to_matrix(attitude: np.ndarray) -> np.ndarray:
 
 
 def to_attitude(matrix: np.ndarray) -> np.ndarray:
-    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3): an eigenvector of Bar-Itzhack's (2000) symmetric matrix."""
     m = matrix.transpose(1, 2, 0)
     x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
     a, b, c = m[0, 0], m[1, 1], m[2, 2]
     rows = ((a + b + c, x, y, z), (x, a - b - c, xy, xz), (y, xy, b - a - c, yz), (z, xz, yz, c - a - b))
-    found = np.linalg.eigh(np.array(rows).transpose(2, 0, 1))[1][:, :, -1]
-    return found * np.where(found[:, :1] < 0.0, -1.0, 1.0)
+    attitude = np.linalg.eigh(np.array(rows).transpose(2, 0, 1))[1][:, :, -1]
+    return attitude * np.where(attitude[:, :1] < 0.0, -1.0, 1.0)
 
 
 def apply_tilt(constants: Constants, site: Site, /, x: np.ndarray, y: np.ndarray) -> None:

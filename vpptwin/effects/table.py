@@ -54,11 +54,6 @@ def describe_parameter(effect: Effect, parameter: Parameter) -> dict[str, str]:
     }  # fmt: skip
 
 
-def show_picture(effect_id: str, folder: str) -> str:
-    """The image of an effect, by the folder that the page finds it in."""
-    return f'<img src="{folder}/{effect_id}.png" width="360" alt="what {effect_id} does">'
-
-
 def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, pictures: str = "") -> None:
     """Print the catalogue in aligned columns, or as a page of Markdown with everything known about each effect.
 
@@ -75,8 +70,10 @@ def print_catalogue(catalogue: Sequence[Effect], markdown: bool = False, picture
             header = (*header, FINGERPRINT)
             seen = {effect.id for effect in catalogue if effect.touching}
             for row in rows:
-                row[FINGERPRINT] = "" if row["id"] in seen else show_picture(row["id"], pictures)
-                seen.add(row["id"])
+                name = row["id"]
+                image = f'<img src="{pictures}/{name}.png" width="360" alt="what {name} does">'
+                row[FINGERPRINT] = "" if name in seen else image
+                seen.add(name)
         print("| " + " | ".join(header) + " |")
         print("|" + "---|" * len(header))
         for row in rows:

@@ -285,29 +285,36 @@ class Robot:
         """Every effect that it can have, off values bound to its nominal numbers."""
         model, loads = self.model, self.loads
         names = [model.actuator(i).name for i in range(model.nu)]
-        joints = [joint for joint in describe_joints(model) if joint[0] not in self.signals.driven]
+        stepped = None if loads is None else step_inertia(model)
+        places = []
+        for name, rotary, _ in describe_joints(model):
+            if name in self.signals.driven:
+                continue
+            dof, known = self.find_dof(name), dict[str, float]()
+            if loads is not None and stepped is not None:
+                known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "middle", "carried")}
+                known["stepped"] = float(stepped[dof])
+            places.append(generic_place(
+                name, rotary, float(self.forces[dof]), "the log" if loads else "", self.find_room(dof),
+                is_geared(model, name), dof, **known,
+            ))  # fmt: skip
         free = self.list_free()
-        apart = [effect for joint, body in free.items() for effect in self.list_of_body(joint, body)]
-        apart += self.list_misread()
-        about = {name: self.list_loop(i) for i, name in enumerate(names)}
-        whole = tuple(name for name in names if name in self.signals.actuators)
-        told = {body.name for body in free.values()}
-        links = list_links(model, self.forces, self.driven, told, MASSES if loads is None else 1.0)
-        more = about, group_rotors(model), links, tells_mount(model), self.list_contacts(), whole, group_drives(model)
-        if loads is None:
-            unit, places = {name: 1.0 for name in names if name}, []
-            for name, rotary, typical in joints:
-                dof, driven = self.find_dof(name), is_geared(model, name)
-                places.append(generic_place(name, rotary, typical, room=self.find_room(dof), driven=driven, dof=dof))
-            return self.tie_signals((*effects_for_rig(places, unit, INPUT_ROOM, *more), *apart))
-        places, stepped = [], step_inertia(model)
-        for name, rotary, _ in joints:
-            dof = self.find_dof(name)
-            known = {key: float(getattr(loads, key)[dof]) for key in ("speed", "travel", "middle", "carried")}
-            known["stepped"], driven = float(stepped[dof]), is_geared(model, name)
-            places.append(generic_place(name, rotary, float(loads.force[dof]), "the log", 1.0, driven, dof, **known))
-        controls = {name: float(loads.control[i]) for i, name in enumerate(names) if name}
-        return self.tie_signals((*effects_for_rig(places, controls, 1.0, *more), *apart))
+        apart = {body.name for body in free.values()}
+        gain, bias, limited = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcelimited
+        found = effects_for_rig(
+            places, {name: float(loads.control[i]) if loads else 1.0 for i, name in enumerate(names) if name},
+            1.0 if loads else INPUT_ROOM,
+            loops={
+                name: list_loop_effects(float(gain[i, 0]), float(bias[i, 1]), float(bias[i, 2]), bool(limited[i]))
+                for i, name in enumerate(names)
+            },
+            groups=group_rotors(model),
+            links=list_links(model, self.forces, self.driven, apart, 1.0 if loads else MASSES),
+            mounted=tells_mount(model), contacts=self.list_contacts(),
+            whole=tuple(name for name in names if name in self.signals.actuators), drives=group_drives(model),
+        )  # fmt: skip
+        of_bodies = [effect for joint, body in free.items() for effect in self.list_of_body(joint, body)]
+        return self.tie_signals((*found, *of_bodies, *self.list_misread()))
 
     def hides(self, effect: Effect) -> bool:
         """Whether an effect cannot show: nothing touches in what is compared, bodies that are `turned` turn anyhow.
@@ -386,12 +393,6 @@ class Robot:
             ):  # fmt: skip
                 tied = tie_alike(tied, some, others)
         return tuple(tied)
-
-    def list_loop(self, actuator: int) -> tuple[Effect, ...]:
-        """What an actuator may have of its loop."""
-        gain, bias = self.model.actuator_gainprm[actuator], self.model.actuator_biasprm[actuator]
-        limited = bool(self.model.actuator_forcelimited[actuator])
-        return list_loop_effects(float(gain[0]), float(bias[1]), float(bias[2]), limited)
 
     def list_contacts(self) -> tuple[Effect, ...]:
         """What contacts may have, of geoms that can touch and of pairs."""
