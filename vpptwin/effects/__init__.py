@@ -1,8 +1,8 @@
 """The laws of physical effects: what the world may do that a simulation leaves out.
 
 One list of them serves the model, the identification's unknowns, the randomization's axes, the candidates of a
-diagnosis and the makers of hidden test data. This package imports nothing else of vpptwin, but for the drone's list and what its
-laws are given, which are looked up where they lie when somebody asks for them here.
+diagnosis and the makers of hidden test data. This package imports nothing else of vpptwin; the drone's list, and what
+its laws are given, are looked up where they lie when somebody asks for them here.
 """
 
 from importlib import import_module

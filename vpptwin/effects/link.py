@@ -74,7 +74,7 @@ def to_matrix(attitude: np.ndarray) -> np.ndarray:
 
 
 def to_attitude(matrix: np.ndarray) -> np.ndarray:
-    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3): an eigenvector of Bar-Itzhack's (2000) symmetric matrix."""
+    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3): an eigenvector of Bar-Itzhack's matrix (2000)."""
     m = matrix.transpose(1, 2, 0)
     x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
