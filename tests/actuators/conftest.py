@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from vpptwin.robots.planar_drone.vehicle import Motor, Rotor, Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Motor, Propeller, Vehicle, load_vehicle
 
 
 @pytest.fixture
-def rotor() -> Rotor:
+def rotor() -> Propeller:
     """Thrust is 25 N/rad at the governed speed, so at most 5 N."""
-    return Rotor(speed=500.0, k_t=0.05, k_d1=1e-7, k_d2=4e-6, k_d3=1e-4, inertia=4e-5, pitch_max=0.2)
+    return Propeller(speed=500.0, k_t=0.05, k_d1=1e-7, k_d2=4e-6, k_d3=1e-4, inertia=4e-5, pitch_max=0.2)
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def motor() -> Motor:
 
 
 @pytest.fixture
-def vehicle(rotor: Rotor, motor: Motor) -> Vehicle:
+def vehicle(rotor: Propeller, motor: Motor) -> Vehicle:
     """The nominal vehicle with these rotors and arms of 0.25 m, so that 1 N m asks for a difference of 2 N."""
     nominal = load_vehicle()
     airframe = nominal.airframe.model_copy(update={"half_length": 0.25})

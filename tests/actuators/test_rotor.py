@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from vpptwin.actuators.blade import compute_drag_torque, compute_thrust, max_thrust, pitch_for_thrust
 from vpptwin.actuators.motor import accelerate_rotor, compute_current, hold_speed, step_speed
 from vpptwin.actuators.servo import step_lag
-from vpptwin.robots.planar_drone.vehicle import Motor, Rotor, Vehicle, load_vehicle
+from vpptwin.robots.planar_drone.vehicle import Motor, Propeller, Vehicle, load_vehicle
 
 DT = 0.001
 NOMINAL = load_vehicle()
@@ -25,7 +25,7 @@ NOMINAL = load_vehicle()
         (0.0, 0.2, 0.0),
     ],
 )
-def test_thrust_by_hand(rotor: Rotor, speed: float, pitch: float, expected: float) -> None:
+def test_thrust_by_hand(rotor: Propeller, speed: float, pitch: float, expected: float) -> None:
     """Thrust is k_T ω α with its sign (paper Eq. 4)."""
     assert compute_thrust(rotor, speed, pitch) == pytest.approx(expected, rel=1e-14)
 
@@ -39,7 +39,7 @@ def test_thrust_by_hand(rotor: Rotor, speed: float, pitch: float, expected: floa
         (500.0, 0.2, 0.075),  # 0.025 + 0.04 + 0.01
     ],
 )
-def test_drag_torque_by_hand(rotor: Rotor, speed: float, pitch: float, expected: float) -> None:
+def test_drag_torque_by_hand(rotor: Propeller, speed: float, pitch: float, expected: float) -> None:
     """Drag torque is k_D1 ω² + k_D2 ω² α² + k_D3 ω |α| (paper Eq. 5)."""
     assert compute_drag_torque(rotor, speed, pitch) == pytest.approx(expected, rel=1e-14)
 
@@ -53,12 +53,12 @@ def test_drag_torque_by_hand(rotor: Rotor, speed: float, pitch: float, expected:
         (-7.0, -0.2),
     ],
 )
-def test_pitch_for_thrust_by_hand(rotor: Rotor, thrust: float, expected: float) -> None:
+def test_pitch_for_thrust_by_hand(rotor: Propeller, thrust: float, expected: float) -> None:
     """The pitch for a thrust is thrust / (k_T ω), within the stops."""
     assert pitch_for_thrust(rotor, thrust) == pytest.approx(expected, rel=1e-14)
 
 
-def test_max_thrust_by_hand(rotor: Rotor) -> None:
+def test_max_thrust_by_hand(rotor: Propeller) -> None:
     """At its stop and governed speed a rotor gives 0.05 * 500 * 0.2 = 5 N."""
     assert max_thrust(rotor) == pytest.approx(5.0, rel=1e-14)
 
@@ -98,24 +98,24 @@ def test_current_by_hand(motor: Motor) -> None:
     np.testing.assert_allclose(current, [70.0, 0.0], atol=1e-12)
 
 
-def test_speed_step_by_hand(motor: Motor, rotor: Rotor) -> None:
+def test_speed_step_by_hand(motor: Motor, rotor: Propeller) -> None:
     """At 400 rad/s and pitch 0.1, 5 V speed a rotor up by 1.715 rad/s in 1 ms (paper Eq. 6)."""
     # (5 - 4)/0.1 = 10 A give (10 - 0.5)/100 = 0.095 N m against 0.0264 N m of drag: 0.0686/4e-5 = 1715 rad/s².
     assert accelerate_rotor(motor, rotor, 400.0, 0.1, 5.0, 1.0) == pytest.approx(1715.0, rel=1e-12)
 
 
-def test_drag_gain_by_hand(motor: Motor, rotor: Rotor) -> None:
+def test_drag_gain_by_hand(motor: Motor, rotor: Propeller) -> None:
     """At 1.5 times the drag, the same 5 V speed it up by (0.095 - 1.5 * 0.0264)/4e-5 = 1385 rad/s²."""
     assert accelerate_rotor(motor, rotor, 400.0, 0.1, 5.0, 1.5) == pytest.approx(1385.0, rel=1e-12)
 
 
-def test_rotor_does_not_turn_backwards(motor: Motor, rotor: Rotor) -> None:
+def test_rotor_does_not_turn_backwards(motor: Motor, rotor: Propeller) -> None:
     """Without voltage a slow rotor stops and stays there."""
     assert step_speed(motor, rotor, 0.01, 0.0, 0.0, 1.0, DT) == 0.0
     assert step_speed(motor, rotor, 0.0, 0.0, 0.0, 1.0, DT) == 0.0
 
 
-def test_feed_forward_holds_the_speed_exactly(motor: Motor, rotor: Rotor) -> None:
+def test_feed_forward_holds_the_speed_exactly(motor: Motor, rotor: Propeller) -> None:
     """At governed speed and steady pitch the feed-forward alone balances drag: 5 + 0.1 (0.5 + 100 * 0.075) = 5.8 V."""
     throttle, integral = hold_speed(motor, rotor, 500.0, 0.2, 0.0, DT)
     assert throttle * motor.battery == pytest.approx(5.8, rel=1e-14)
@@ -160,7 +160,7 @@ def test_governor_does_not_wind_up(start: float, saturated_at: float) -> None:
     assert ((throttle >= 0.0) & (throttle <= 1.0)).all()
 
 
-def test_integral_holds_while_saturated(motor: Motor, rotor: Rotor) -> None:
+def test_integral_holds_while_saturated(motor: Motor, rotor: Propeller) -> None:
     """A saturated rotor keeps its integral; beside it one that is 1 rad/s slow gains 1 rad/s * 1 ms."""
     throttle, integral = hold_speed(motor, rotor, 0.0, 0.0, 0.3, DT)
     assert (throttle, integral) == (1.0, 0.3)
@@ -168,7 +168,7 @@ def test_integral_holds_while_saturated(motor: Motor, rotor: Rotor) -> None:
     assert integral == pytest.approx(0.301, rel=1e-14)
 
 
-def test_speed_step_is_of_second_order(motor: Motor, rotor: Rotor) -> None:
+def test_speed_step_is_of_second_order(motor: Motor, rotor: Propeller) -> None:
     """Half the step leaves a quarter of the error after 20 ms of spinning up, against a thousandth of the step."""
 
     def spin(dt: float) -> float:

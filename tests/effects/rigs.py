@@ -171,7 +171,7 @@ class Track:
         return np.array([s.qvel for s in self.states])
 
     def show(self, topic: str) -> np.ndarray:
-        """What a topic of SPEC 3 shows, in standard deviations of its sensor, (T, N, k)."""
+        """What a topic shows, in standard deviations of its sensor, (T, N, k)."""
         if topic == "/joint_states":  # m, rad, m/s, rad/s: an ordinary encoder
             rate = [measure_rate(self.twin.constants, v, np.arange(v.shape[1])) for v in self.velocity]
             return np.concatenate([self.pose / 1e-3, np.array(rate) / 1e-2], axis=2)

@@ -18,7 +18,7 @@ from vpptwin.actuators.file import equip, load_actuator
 from vpptwin.cli.main import main
 from vpptwin.robots.planar_drone.thrust_stand.actuator import Actuator, identify
 from vpptwin.robots.planar_drone.thrust_stand.bench import find_levels, read_bench
-from vpptwin.robots.planar_drone.vehicle import Rotor, load_vehicle, strengthen_rotor
+from vpptwin.robots.planar_drone.vehicle import Propeller, load_vehicle, strengthen_rotor
 from vpptwin.twin import Twin, load_twin
 
 NOMINAL = load_vehicle()
@@ -157,7 +157,7 @@ INFLOW = NOMINAL.rotor.model_copy(update={"k_t": 0.09, "inflow": 0.08})
 
 
 @pytest.mark.parametrize("rotor", [NOMINAL.rotor, BENT, SQUARE, INFLOW], ids=["straight", "bent", "square", "inflow"])
-def test_maps_are_inverted(rotor: Rotor) -> None:
+def test_maps_are_inverted(rotor: Propeller) -> None:
     """The pitch for a thrust gives that thrust at the governed speed, both ways; beyond the stops the stop."""
     most = max_thrust(rotor)
     for thrust in np.linspace(-most, most, 31):

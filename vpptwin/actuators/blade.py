@@ -35,7 +35,7 @@ def shape_thrust(k_t: Number, k_t2: Number, k_t3: Number, inflow: Number, pitch:
 def compute_thrust(rotor: RotorNumbers, speed: Number, pitch: Number) -> Number:
     """Thrust [N] at speed [rad/s] and blade pitch [rad]; negative below zero pitch.
 
-    T = k_T ω α (paper Eq. 4), or one of the other maps of `vpptwin.robots.planar_drone.vehicle.Rotor`.
+    T = k_T ω α (paper Eq. 4), or one of the other maps of `vpptwin.robots.planar_drone.vehicle.Propeller`.
     """
     if is_straight(rotor):
         return rotor.k_t * speed * pitch

@@ -163,6 +163,7 @@ def move_actuator(state: Record, constants: Record, i: int, command: float, dt: 
 @compilable()
 def spin_rotor(vehicle: VehicleNumbers, state: Record, constants: Record, i: int, time: float, dt: float) -> None:
     """Advance the speed of rotor i under its throttle, from `time` [s] since the battery was full."""
+    # U = throttle U_0 (1 - rate t), at the middle of the step.
     voltage = state.throttle[i] * vehicle.motor.battery * supply(constants, time + 0.5 * dt)
     before, pitch = state.rotor_speed[i], state["mean"][i]
     after = step_speed(vehicle.motor, vehicle.rotor, before, pitch, voltage, constants["rotor.drag_gain"], dt)

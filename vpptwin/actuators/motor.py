@@ -61,6 +61,7 @@ def hold_speed(
     Returns:
         Throttle in 0..1 of the nominal battery voltage, and the new integral (held while saturated).
     """
+    # U = ω/k_V + R (i_0 + k_Q D), which holds ω̇ = 0 (paper Eq. 6 and 7), + k_p e + k_i ∫e.
     drag = drag_gain * compute_drag_torque(rotor, rotor.speed, pitch_command)
     feed_forward = rotor.speed / motor.k_v + motor.resistance * (motor.no_load_current + motor.k_q * drag)
     error = rotor.speed - speed

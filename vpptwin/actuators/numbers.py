@@ -9,11 +9,11 @@ import numpy as np
 from numba.extending import overload
 from pydantic import BaseModel
 
-from vpptwin.robots.planar_drone.vehicle import Control, Motor, Rotor, Vehicle
+from vpptwin.robots.planar_drone.vehicle import Control, Motor, Propeller, Vehicle
 
 Number = Any
 """A number or an array of numbers: the functions of this package take either."""
-RotorNumbers = Rotor | Any
+RotorNumbers = Propeller | Any
 MotorNumbers = Motor | Any
 ControlNumbers = Control | Any
 VehicleNumbers = Vehicle | Any

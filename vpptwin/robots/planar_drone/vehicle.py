@@ -75,7 +75,7 @@ class RotorConstants(Section):
     inertia: Positive
 
 
-class Rotor(RotorConstants):
+class Propeller(RotorConstants):
     """Propeller: its constants, governed speed [rad/s], pitch_max [rad]."""
 
     speed: Positive
@@ -156,7 +156,7 @@ class Vehicle(Section):
     gravity: Positive
     airframe: Airframe
     rig: Rig
-    rotor: Rotor
+    rotor: Propeller
     motor: Motor
     servo: Servo
     control: Control
@@ -196,7 +196,7 @@ def describe_problem(error: ValidationError) -> tuple[str, str]:
     return f"{key} = {shorten(repr(first['input']), 60)}", expected
 
 
-def strengthen_rotor(rotor: Rotor, factor: float) -> Rotor:
+def strengthen_rotor(rotor: Propeller, factor: float) -> Propeller:
     """The rotor with so many times the thrust at every pitch."""
     wider = rotor.inflow * factor**0.5
     changed = {"k_t": rotor.k_t * factor, "k_t2": rotor.k_t2 * factor, "k_t3": rotor.k_t3 * factor, "inflow": wider}

@@ -92,6 +92,7 @@ def step_inertia(model: mujoco.MjModel) -> np.ndarray:
 
     Half a step times the damping of joints and servos, which is taken at the end of the step (more), or at its start.
     """
+    # h/2 (b + Σ k_v r²): what an implicit step of M v̇ = -b v adds to M (h the step, r moment arms).
     servos = (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE) * np.abs(model.actuator_biasprm[:, 2])
     arms = measure_arms(model, mujoco.MjData(model))
     return np.asarray(0.5 * model.opt.timestep * (model.dof_damping + servos @ arms**2))

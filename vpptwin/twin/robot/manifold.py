@@ -20,6 +20,7 @@ SMALL = 1e-9
 
 def multiply_attitudes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """The product of quaternions, (..., 4) each: the second rotation in the axes that the first made."""
+    # (w, v)(s, u) = (w s - v·u, w u + s v + v × u) (Hamilton).
     w, v = first[..., :1], first[..., 1:]
     scalar, vector = second[..., :1], second[..., 1:]
     product = w * scalar - (v * vector).sum(axis=-1, keepdims=True)
@@ -33,6 +34,7 @@ def conjugate(attitude: np.ndarray) -> np.ndarray:
 
 def rotate(attitude: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Attitudes (..., 4) turned by rotation vectors in body axes, (..., 3) rad; unit quaternions."""
+    # q exp(φ/2) with exp(φ/2) = (cos |φ|/2, φ/|φ| sin |φ|/2) (Solà 2017, Quaternion kinematics).
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     scale = np.where(angle > SMALL, np.sin(0.5 * angle) / np.maximum(angle, SMALL), 0.5)
     moved = multiply_attitudes(attitude, np.concatenate([np.cos(0.5 * angle), scale * turn], axis=-1))
@@ -41,6 +43,7 @@ def rotate(attitude: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 def difference_attitudes(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Rotation vectors in the body axes of `before` that lead to `after`, (..., 3) rad, no longer than π."""
+    # φ = 2 log(q* p) = 2 atan2(|v|, w) v/|v|, the shorter way round.
     turned = multiply_attitudes(conjugate(before), after)
     turned = np.where(turned[..., :1] < 0.0, -turned, turned)
     sine = np.linalg.norm(turned[..., 1:], axis=-1, keepdims=True)
@@ -58,6 +61,7 @@ def follow_sign(attitude: np.ndarray) -> np.ndarray:
 def turn_to_world(attitude: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Vectors in body axes, (..., 3), in the world's."""
     w, v = attitude[..., :1], attitude[..., 1:]
+    # x + 2 w (v × x) + 2 v × (v × x), which is q x q*.
     across = 2.0 * np.cross(v, vector)
     return np.asarray(vector + w * across + np.cross(v, across))
 

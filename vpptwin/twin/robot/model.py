@@ -159,6 +159,7 @@ def check_inertia(model: mujoco.MjModel, path: Path) -> None:
 
 def inertia_at_rest(model: mujoco.MjModel) -> np.ndarray:
     """Joint-space inertia in the reference pose, (nv, nv) kg, kg m²."""
+    # M(q) of M q̈ + c = τ, by the composite-rigid-body algorithm (Featherstone 2008, chapter 6).
     data, inertia = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)

@@ -10,7 +10,7 @@ from vpptwin.actuators.blade import compute_thrust
 from vpptwin.estimation.series import interpolate
 from vpptwin.logs.flight import Flight, Stream
 from vpptwin.robots.planar_drone.craft import PlanarDrone
-from vpptwin.robots.planar_drone.vehicle import Rotor
+from vpptwin.robots.planar_drone.vehicle import Propeller
 from vpptwin.viz.plots.palette import ORANGE, PURPLE, SKY, TARGET
 from vpptwin.viz.plots.panels import Line, Panel, differentiate, measured, twin_line
 
@@ -66,7 +66,7 @@ def setpoint_line(target: Stream, column: str, pose: Stream) -> Line:
     return Line("setpoint", time, values, TARGET, ":", steps=True)
 
 
-def tell_rotors(flight: Flight, rotor: Rotor) -> list[Panel]:
+def tell_rotors(flight: Flight, rotor: Propeller) -> list[Panel]:
     """Thrust of each rotor by the twin's map, and their speeds."""
     command, state = flight.streams.get("/rotor/command"), flight.streams.get("/rotor/state")
     panels, looks = [], (ORANGE, SKY)
