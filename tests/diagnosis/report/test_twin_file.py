@@ -43,8 +43,8 @@ def test_our_drone_comes_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.model.body_mass, spec.model.body_mass)
     # The twin had 0.2 N, the flights say 0.3 N: it is not 0.5 N.
     spec = load_twin().with_effects({"rail_x.coulomb": {"force": 0.2}})
-    save(spec, {("rail_x.coulomb", "force"): 0.3}, tmp_path / "out")
-    assert load_twin(tmp_path / "out/twin.yaml").effects == {"rail_x.coulomb": {"force": 0.3}}
+    save(spec, {("rail_x.coulomb", "force"): 0.3}, tmp_path / "anew")
+    assert load_twin(tmp_path / "anew/twin.yaml").effects == {"rail_x.coulomb": {"force": 0.3}}
 
 
 @pytest.mark.parametrize("relative", [False, True])
