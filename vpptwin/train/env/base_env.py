@@ -358,16 +358,18 @@ class BaseEnv(EnvBase):
         there = (distance <= wanted.position) & (abs(wrap_angle(delta[:, 2])) <= wanted.angle) & ~episodes.missed
         numbers = {"position_error": distance, "success": there & truncated, "surprised": episodes.surprised,
                    "episode_return": episodes.total}  # fmt: skip
-        if reward is not None:
-            numbers["reward"] = reward
-        shown = {"observation": episodes.observation}
-        if self.config.memory:
-            shown["critic_observation"] = episodes.seen
         flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        values = {name: torch.as_tensor(value).to(torch.float32, copy=True) for name, value in shown.items()}
-        values |= {
-            name: torch.as_tensor(value).to(torch.float32, copy=True)[:, None] for name, value in numbers.items()
-        }
-        values |= {name: torch.as_tensor(value)[:, None].clone() for name, value in flags.items()}
+        values = {"observation": torch.as_tensor(episodes.observation).clone()}
+        values |= {name: copy_column(value, torch.float32) for name, value in numbers.items()}
+        values |= {name: copy_column(value, torch.bool) for name, value in flags.items()}
+        if self.config.memory:
+            values["critic_observation"] = torch.as_tensor(episodes.seen).clone()
+        if reward is not None:
+            values["reward"] = copy_column(reward, torch.float32)
         # TorchRL would copy it all once more if it did not say where it is.
         return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+
+def copy_column(values: Array, dtype: torch.dtype) -> torch.Tensor:
+    """(N,) values as a fresh (N, 1) tensor."""
+    return torch.as_tensor(values).to(dtype, copy=True)[:, None]
