@@ -30,7 +30,7 @@ INFO = ("position_error", "success")
 
 
 class TwinEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """One drone flying a task: the observation of SPEC 6, thrust and rate in [-1, 1] of the vehicle's limits.
+    """One drone flying a task: what docs/train.md says is observed, thrust and rate in [-1, 1] of the vehicle's limits.
 
     Args:
         task: one of `vpptwin.train.env.tasks.TASKS`.

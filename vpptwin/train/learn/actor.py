@@ -55,7 +55,10 @@ def build_actor(content: Mapping[str, Any], source: object) -> tuple[Actor, Trai
         config = to_config(content["config"])
     except InputError as error:
         raise InputError(f"{source}: {error.found}", error.expected, error.action) from error
-    shapes = list_shapes(config)
+    sizes = [len(config.observation.names), *config.hidden, 2]
+    shapes: dict[str, tuple[int, ...]] = {f"body.0.{name}": (sizes[0],) for name in ("scale", "fine", "share")}
+    for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:]):
+        shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
     try:
         if {name: tuple(values.shape) for name, values in content["policy"].items()} != shapes:
             raise ValueError
@@ -67,12 +70,3 @@ def build_actor(content: Mapping[str, Any], source: object) -> tuple[Actor, Trai
     if wrong:
         raise InputError(f"{source}: NaN or infinity in weights {wrong[0]}", "finite numbers", TRAIN_AGAIN)
     return actor, config
-
-
-def list_shapes(config: TrainConfig) -> dict[str, tuple[int, ...]]:
-    """Shapes of a policy's weights, by name."""
-    sizes = [len(config.observation.names), *config.hidden, 2]
-    shapes: dict[str, tuple[int, ...]] = {f"body.0.{name}": (sizes[0],) for name in ("scale", "fine", "share")}
-    for name, inputs, outputs in zip(LAYERS, sizes, sizes[1:]):
-        shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-    return shapes
