@@ -7,8 +7,11 @@ import re
 from collections.abc import Collection, Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
+
+from vpptwin.robots.planar_drone.craft import PlanarDrone
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "vpptwin"
@@ -121,3 +124,13 @@ def test_a_wrong_import_would_be_seen() -> None:
         "def f():\n from vpptwin.cli import main\n import vpptwin.viz.pages"
     )
     assert set(find_imports(ast.parse(text))) == {"vpptwin.cli", "vpptwin.cli.main", "vpptwin.viz.pages"}
+
+
+def test_hooks_of_the_drone_lead_somewhere() -> None:
+    """Each has the name of a function that asks robots, and names a function of the drone's room."""
+    text = "\n".join(file.read_text() for file in PACKAGE.rglob("*.py"))
+    asking = set(re.findall(r"@by_robot\ndef (\w+)\(", text))
+    assert set(PlanarDrone.hooks) == asking
+    for place in PlanarDrone.hooks.values():
+        assert place.startswith("vpptwin.robots.planar_drone.")
+        assert callable(resolve_name(place))

@@ -135,7 +135,7 @@ def make_unique(names: Iterable[str]) -> list[str]:
 
 
 def keep_tables(path: Path, tables: Iterable[Table], query: Query, notes: list[str]) -> RawFile:
-    """The tables of a log as channels, each with a definition of messages that would held its rows.
+    """The tables of a log as channels, each with a definition of messages that would hold its rows.
 
     Args:
         path: of the log.

@@ -49,7 +49,7 @@ class PlanarDrone(Robot):
     attitude: ClassVar[int | None] = PITCH
     followed: ClassVar[str] = "craft"
     pictures: ClassVar[str] = "effects"
-    instead: ClassVar[Mapping[str, str]] = MappingProxyType(
+    hooks: ClassVar[Mapping[str, str]] = MappingProxyType(
         {
             "read_signals": "vpptwin.robots.planar_drone.topics:read_drone",
             "propose": "vpptwin.robots.planar_drone.experiment:propose",
@@ -59,7 +59,7 @@ class PlanarDrone(Robot):
             "find_positions": "vpptwin.robots.planar_drone.display.overlay:read_pose",
             "make_overlay": "vpptwin.robots.planar_drone.display.overlay:overlay_craft",
             "tell_robot": "vpptwin.robots.planar_drone.display.panels:tell_craft",
-            "regress_drag": "vpptwin.robots.planar_drone.thrust_stand.drag:regress_thrust",
+            "regress_drag": "vpptwin.robots.planar_drone.thrust_stand.drag:regress_drag",
             "find_triggers": "vpptwin.robots.planar_drone.display.panels:find_flips",
         }
     )

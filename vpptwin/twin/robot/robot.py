@@ -112,14 +112,14 @@ class Loads:
 
 
 def by_robot(function: Callable[P, T]) -> Callable[P, T]:
-    """Let a robot replace a function whose first argument it is, by what `Robot.instead` names.
+    """Let a robot replace a function whose first argument it is, by what `Robot.hooks` names.
 
     Its room may import any other, as it is imported when it is needed. No other room imports it.
     """
 
     @wraps(function)
     def call(*given: P.args, **named: P.kwargs) -> T:
-        own = cast(Robot, given[0]).instead.get(function.__name__)
+        own = cast(Robot, given[0]).hooks.get(function.__name__)
         return (function if own is None else resolve_name(own))(*given, **named)
 
     return call
@@ -145,7 +145,7 @@ class Robot:
         attitude: degree of freedom by which it may be upside down; None where that means nothing.
         followed: name of the body that cameras and trails follow, "" for none.
         pictures: folder, as the docs' pages see it, of pictures of its effects; "" for none.
-        instead: what it does otherwise: name of a function that is `by_robot` -> `module:function` of its own.
+        hooks: what it does otherwise: name of a function that is `by_robot` -> `module:function` of its own.
     """
 
     name: str
@@ -163,7 +163,7 @@ class Robot:
     attitude: ClassVar[int | None] = None
     followed: ClassVar[str] = ""
     pictures: ClassVar[str] = ""
-    instead: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    hooks: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     @staticmethod
     def load(name: str, path: Path, signals: Signals | None) -> Robot:

@@ -15,7 +15,7 @@ STILL = 0.3
 """Drag is looked for at speeds beyond this [m/s]."""
 
 
-def regress_thrust(robot: PlanarDrone, flights: Sequence[Flight]) -> LeastSquares | None:
+def regress_drag(robot: PlanarDrone, flights: Sequence[Flight]) -> LeastSquares | None:
     """The drone's `regress_drag`: k_d from thrust commands and recorded accelerations, None where a log lacks them.
 
     Along z, where neither carriage nor horizontal rail come in: m (a + g) = f cos θ - k_d |v| v_z, with a + g from the
