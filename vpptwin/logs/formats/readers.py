@@ -1,7 +1,7 @@
 """All kinds of log files. A new format is a function that reads it, named in `FORMATS` here; nothing else changes.
 
 The function yields tables of named columns over time, as `read_arrays` does. They are kept as channels and, by
-`convert`, written as MCAP. Its columns are named by `vpptwin.logs.formats.headings`, which finds the timestamps among them too.
+`convert`, written as MCAP. Columns are named by `headings`, which finds the timestamps among them too.
 """
 
 from __future__ import annotations
