@@ -189,7 +189,9 @@ def write_summary(path: Path, items: Mapping[str, Any]) -> None:
     parts = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in describe_machine().items()]
     rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(known[name])}" for name in sorted(known))
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("{\n" + ",\n".join([*parts, f' "items": {{\n{rows}\n }}']) + "\n}\n")
+    draft = path.with_name(f".{path.name}.{os.getpid()}")  # others may be comparing with it
+    draft.write_text("{\n" + ",\n".join([*parts, f' "items": {{\n{rows}\n }}']) + "\n}\n")
+    draft.replace(path)
 
 
 def record_all(names: Sequence[str], folder: Path, jobs: int, also: Path | None) -> list[str]:

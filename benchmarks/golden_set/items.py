@@ -86,7 +86,7 @@ def list_examples() -> dict[str, Item]:
         "example/simple_pendulum_warp": Item(
             partial(diagnose, "pendulum.yaml", "log.mcap@0-5", "--device", "cpu"), pendulum
         ),
-        "example/double_pendulum": Item(partial(diagnose, "both.yaml", "log.mcap@0-8"), double),
+        "example/double_pendulum": Item(partial(diagnose, "both.yaml", "log.mcap@0-5"), double),
         "example/so101": Item(partial(diagnose, "rotation.yaml"), arm),
         "example/nanobench": Item(
             partial(diagnose, "crazyflie.yaml", f"{circle}@5-12"), copy_example("nanobench", circle)
