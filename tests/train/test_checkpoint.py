@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -126,6 +127,15 @@ def test_files_that_are_no_checkpoint(tmp_path: Path, content: bytes) -> None:
         load_policy(path)
 
 
+def test_truncated_checkpoint(tiny_run: Path, tmp_path: Path) -> None:
+    """Half a checkpoint is refused, for evaluation as for resuming."""
+    path = tmp_path / "checkpoint.pt"
+    whole = (tiny_run / "checkpoint.pt").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="not a checkpoint"):
+        read_checkpoint(tmp_path)
+
+
 def test_files_that_a_run_to_resume_names_do_not_run(
     tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +180,17 @@ LARGE = {
     "hidden": [10**7, 10**7], "critic_hidden": [10**7], "critic_lstm": 10**7, "gamma": float("nan"), "noise": 1e300,
     "setup": "${oc.env:HOME}", "sim_threads": 10**7, "loggers": "csv", "effects": {"a": 1},
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("key", LARGE)
+def test_absurd_configurations_are_refused(tmp_path: Path, key: str) -> None:
+    """In one line, before anything of that size is made or anything is looked up."""
+    content = read_checkpoint("flip")
+    torch.save({**content, "config": {**content["config"], key: LARGE[key]}}, tmp_path / "large.pt")
+    with pytest.raises(InputError, match=r"large\.pt: ") as caught:
+        load_policy(tmp_path / "large.pt")
+    assert "\n" not in str(caught.value)
+    assert os.environ["HOME"] not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["config", "steps", "policy", "commit", "training"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vpptwin.system.errors import InputError
-from vpptwin.train.config import Ramp, TrainConfig, to_plain
+from vpptwin.train.config import Ramp, TrainConfig, to_config, to_plain
 from vpptwin.train.env.environments import find_device
 from vpptwin.train.env.tasks import HOVER, Start
 from vpptwin.train.env.vpp_env import make_env
@@ -78,6 +78,25 @@ def test_bad_overrides(overrides: str, expected: str) -> None:
     assert expected in f"{caught.value.expected} {caught.value.action}"
 
 
+def test_few_simulations_need_no_other_minibatch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`num_envs=16` trains: 128 steps are one minibatch, where 1024 were asked for; it says what to do next."""
+    folder = tmp_path / "run"
+    given = [
+        "task=hover",
+        "num_envs=16",
+        "rollout=8",
+        "total_steps=128",
+        "exam_every=0",
+        "loggers=csv",
+        "sim_threads=1",
+    ]
+    assert (run_train([*given, "progress=false", f"out={folder}"]) / "checkpoint.pt").is_file()
+    assert compose_config(given).minibatch == 1024
+    said = capsys.readouterr().err
+    assert f"next: vpptwin evaluate {folder}\n" in said
+    assert f"vpptwin play --live {folder}\n" in said
+
+
 def test_a_configuration_without_a_task_hovers() -> None:
     """`make_env(TrainConfig())` gives the environment of the command without options, of a task of its own."""
     env = make_env(TrainConfig(num_envs=2, sim_threads=1))
@@ -123,3 +142,9 @@ def test_start_is_drawn_around_the_target_angle() -> None:
     assert (np.abs(pose[:, 2] - np.pi) <= 0.2).all()
     assert ((velocity[:, 2] >= 1.0) & (velocity[:, 2] <= 2.0)).all()
     assert np.ptp(pose[:, 2]) > 0.35
+
+
+def test_a_list_within_a_list_of_strings_is_refused() -> None:
+    """As a checkpoint with a flipped bit had it: a line."""
+    with pytest.raises(InputError, match=r"effects\.0=\[\]: input should be a valid string"):
+        to_config({"effects": [[]]})

@@ -9,6 +9,7 @@ import torch
 from tests.train.conftest import HOVER, plain_schedule, reset_rows, step, tiny_env
 from vpptwin.train.config import LSTM_STEPS
 from vpptwin.train.env.observe import FORESIGHT, OBSERVATION, PRIVILEGED
+from vpptwin.train.env.randomize import Priors
 from vpptwin.train.env.reward import ANGLE, POSITION
 from vpptwin.train.env.vpp_env import VppEnv
 from vpptwin.train.learn.networks import Critic
@@ -93,6 +94,19 @@ def test_a_critic_sees_what_was_drawn(flown: VppEnv) -> None:
     assert len(kinds) >= 2
 
 
+def test_standardized_draws_are_of_order_one() -> None:
+    """Over the whole catalogue, draws have mean 0 and deviation 1 but where a bound cuts a tail off."""
+    env = tiny_env("randomize=all")
+    priors = Priors.of(env.twin.effects.values())
+    values = priors.draw(np.random.default_rng(0), 4000)
+    inside = ((values > priors.low) & (values < priors.high)).mean(axis=0) > 0.999
+    standard = priors.standardize(values)[:, inside]
+    assert inside.sum() > 20
+    # 4000 draws: means are known to 0.016, deviations to 1.1 % (1.9 % for half-normals); four and more of these.
+    assert np.abs(standard.mean(axis=0)).max() < 0.07
+    assert np.abs(standard.std(axis=0) - 1.0).max() < 0.08
+
+
 def test_a_critic_may_be_shown_the_observation() -> None:
     """With `privileged=false` critic and policy see the same, noise and setup included."""
     env = tiny_env("privileged=false", "noise=1", "setup=PI", WORLD)
@@ -147,3 +161,17 @@ def test_values_of_any_batch(lstm: int) -> None:
         other = seen.clone()
         other[:, :, k] += 1.0
         assert bool((critic(other) != value).all()) == (lstm > 0 or k == 4)
+
+
+def test_an_lstm_reads_from_old_to_new() -> None:
+    """The value is that of torch's cell, fed with the scaled steps one after the other from a blank memory."""
+    torch.manual_seed(0)
+    critic = Critic(OBSERVATION, 13, (8,), 6)
+    assert critic.lstm is not None
+    cell = torch.nn.LSTMCell(13, 6)
+    cell.load_state_dict({name.removesuffix("_l0"): value for name, value in critic.lstm.state_dict().items()})
+    seen = torch.randn(7, 5, 13)
+    memory = (torch.zeros(7, 6), torch.zeros(7, 6))
+    for k in range(5):
+        memory = cell(critic.scale(seen[:, k]), memory)
+    torch.testing.assert_close(critic(seen), critic.body(memory[0]), rtol=1e-4, atol=1e-6)

@@ -33,6 +33,12 @@ def env_at(progress: float, *overrides: str) -> VppEnv:
     return env
 
 
+def test_difficulty_by_hand() -> None:
+    """0 for the first 10 % of training, half at 30 %, 1 from 50 % on."""
+    levels = [SCHEDULE.difficulty_at(steps) for steps in (0, 3999, 4000, 12_000, 20_000, 40_000, 80_000)]
+    np.testing.assert_allclose(levels, [0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0])
+
+
 def test_difficulty_goes_by_the_steps_of_all_simulations() -> None:
     """Four drones that fly 25 steps have flown 100; without a curriculum difficulty is full."""
     env = tiny_env(schedule=plain_schedule(200))
@@ -71,6 +77,18 @@ def test_position_episodes_start_near_and_keep_their_target() -> None:
     assert ((episodes.switch[angle] >= 0.8) & (episodes.switch[angle] <= 3.0)).all()
 
 
+def test_triggers_pass_position_episodes_by() -> None:
+    """In flight the targets of position episodes never change, those of angle episodes do."""
+    overrides = ("task=flip", "task.target.dwell=[0.05,0.1]", "task.target.turns=0.5", "desynchronize=true")
+    env = env_at(0.0, *overrides, "task.target.quiet=0")
+    target, place = env.episodes.target.copy(), env.episodes.criterion == POSITION
+    for _ in range(12):
+        step(env)
+    assert (env.episodes.target[place] == target[place]).all()
+    assert not env.episodes.stage[place].any()
+    assert env.episodes.stage[~place].mean() > 0.9
+
+
 def test_every_row_is_paid_by_its_criterion() -> None:
     """The environment's reward is that of the criterion each episode drew."""
     env = env_at(0.0)
@@ -82,6 +100,17 @@ def test_every_row_is_paid_by_its_criterion() -> None:
         expected = compute_reward(*state, np.full(400, criterion))[rows]
         np.testing.assert_allclose(reward[rows], expected, rtol=1e-6)  # float32
         assert (np.abs(compute_reward(*state)[rows] - expected) > 1e-3).mean() > 0.9
+
+
+def test_the_first_lesson_is_the_nominal_twin() -> None:
+    """At difficulty 0 sensors are perfect and every parameter is at its off value, though all is switched on."""
+    env = env_at(0.05, "noise=1", "randomize=all")
+    keys = [(effect.id, p) for effect in env.twin.effects.values() for p in effect.parameters]
+    assert len(keys) > 40
+    for effect, parameter in keys:
+        np.testing.assert_array_equal(env.twin.parameter(effect, parameter.name), parameter.off)
+    step(env)
+    np.testing.assert_allclose(see(env), truth(env), atol=2e-6)  # the observation is float32
 
 
 @pytest.mark.parametrize(("progress", "difficulty"), [(0.3, 0.5), (0.5, 1.0)])
@@ -222,3 +251,14 @@ def test_episodes_begin_where_others_failed() -> None:
     env.failed_starts.add(np.ones(1, bool), np.column_stack(failed))
     env.reset()
     assert not np.allclose(env.state.qpos[:, 2], 2.0)
+
+
+def test_a_snapshot_holds_them() -> None:
+    """A resumed run flies the same starts again."""
+    schedule = Schedule(Curriculum(again=0.5), 1000, repeats=0.1)
+    env, other = tiny_env(schedule=schedule), tiny_env(schedule=schedule)
+    env.reset()
+    fail(env.failed_starts, 0, 3)
+    other.restore_snapshot(env.take_snapshot())
+    for name, value in vars(env.failed_starts).items():
+        np.testing.assert_array_equal(getattr(other.failed_starts, name), value)

@@ -103,6 +103,17 @@ def test_new_episodes_begin_where_they_are_over() -> None:
     assert (env.state.time == 0.0).all()
 
 
+def test_a_seed_gives_one_flight() -> None:
+    """Draws on the device and in the bank come from it."""
+    flights = []
+    for seed in (0, 0, 1):
+        env = device_env(f"seed={seed}", "noise=1", "task=flip")
+        env.reset()
+        flights.append(fly(env))
+    assert torch.equal(flights[0], flights[1])
+    assert not torch.equal(flights[0], flights[2])
+
+
 def fly(env: DeviceEnv, steps: int = 30) -> torch.Tensor:
     """Observations of some steps at full thrust, new episodes and all."""
     seen, shown = [], env.reset()
@@ -111,6 +122,20 @@ def fly(env: DeviceEnv, steps: int = 30) -> torch.Tensor:
         done, shown = env.step_and_maybe_reset(shown)
         seen.append(done["next", "observation"].clone())
     return torch.stack(seen)
+
+
+def test_triggers_come() -> None:
+    """Targets change when it is time, by a turn or to the other angle, and the flight is told."""
+    env = device_env("task=flip", "task.target.turns=0.5", "task.training_episode=null")
+    env.reset()
+    env.episodes.switch[:8] = 0.005
+    angle = env.episodes.target[:, 2].clone()
+    shown = env.step(TensorDict({"action": torch.zeros(16, 2)}, [16]))["next"]
+    assert shown["surprised"][:, 0].tolist() == [1.0] * 8 + [0.0] * 8
+    moved, turning = (env.episodes.target[:, 2] - angle).cos() < 0.0, env.episodes.turn != 0.0
+    assert (moved ^ turning)[:8].all()
+    assert not (moved | turning)[8:].any()
+    assert (env.episodes.switch[:8] > 0.5).all()
 
 
 def test_lesson() -> None:

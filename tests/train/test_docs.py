@@ -1,4 +1,4 @@
-"""docs/train.md: its commands compose, its files exist, its Python runs."""
+"""docs/train.md: its commands and those of docs/cluster.md compose, its files exist, its Python runs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from vpptwin.train.main import compose_config
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "train.md").read_text(encoding="utf-8")
+CLUSTER = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("line", re.findall(r"^    vpptwin train (.+)$", PAGE, flags=re.MULTILINE))
+@pytest.mark.parametrize(
+    "line", re.findall(r"^    (?:\w+=\S+ )?vpptwin train (.+)$", PAGE + CLUSTER, flags=re.MULTILINE)
+)
 def test_documented_overrides_compose(line: str) -> None:
-    """Every `vpptwin train` line of the page is a valid set of overrides."""
+    """Every `vpptwin train` line of the pages is a valid set of overrides."""
     compose_config(shlex.split(line))
 
 

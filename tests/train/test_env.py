@@ -54,6 +54,16 @@ def test_partial_reset_touches_only_its_rows() -> None:
     torch.testing.assert_close(fresh["observation"][[1, 3], 7:9], fresh["observation"][[1, 3], 0:2])
 
 
+def test_integral_follows_the_recursion_in_flight() -> None:
+    """The observed Γ obeys Γ_t = 0.9 Γ_{t-1} + Δp_t at every step."""
+    env = tiny_env()
+    previous = env.reset()["observation"][:, 7:9]
+    for _ in range(10):
+        now = step(env, HOVER)["observation"]
+        torch.testing.assert_close(now[:, 7:9], 0.9 * previous + now[:, 0:2], rtol=1e-5, atol=1e-6)  # float32
+        previous = now[:, 7:9]
+
+
 def test_time_limit_truncates() -> None:
     """An episode that runs out of time is truncated, not terminated, at its length and not before."""
     env = tiny_env("task.episode=1", "task.success.window=0.5", "task.start.theta=[0,0]")
@@ -140,6 +150,16 @@ def test_row_equals_single() -> None:
         single = one.step(TensorDict({"action": action[2:3]}, batch_size=[1]))["next"]
         for key in ("observation", "reward", "terminated", "truncated"):
             assert torch.equal(row[key], single[key]), key
+
+
+def test_clocks_are_desynchronized() -> None:
+    """With the option on, first episodes end at different times; without it all together."""
+    together, spread = tiny_env(), tiny_env("desynchronize=true")
+    together.reset()
+    spread.reset()
+    assert np.ptp(together.episodes.elapsed) == 0.0
+    assert len(set(spread.episodes.elapsed)) == 4
+    assert (spread.episodes.elapsed < spread.task.episode).all()
 
 
 def test_a_snapshot_of_a_version_that_kept_less_is_refused() -> None:

@@ -74,6 +74,18 @@ def test_conditions_decide_what_is_flown(tiny_run: Path) -> None:
     assert configure_flights(replace(trained, estimator="kalman"), Conditions()).estimator == "kalman"
 
 
+def test_the_command_passes_conditions_on(tiny_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`vpptwin evaluate` prints what was flown: no effects with `--randomize none`, names and groups otherwise."""
+    command = ["evaluate", str(tiny_run), "--tracks", "2", "--seed", "3", "--noise", "0.5"]
+    for given, expected in (("none", []), ("air.drag,servo.lag", ["air.drag", "servo.lag"])):
+        flown = ["--randomize", given, "--thrust-to-weight", "2", "--estimator", "kalman", "--json", "-"]
+        assert main([*command, *flown]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert sorted(result["randomized"]) == expected
+        assert (result["noise"], result["seed"], result["thrust_to_weight"]) == (0.5, 3, 2.0)
+        assert result["estimator"] == "kalman"
+
+
 def test_a_sentence_says_how_it_flew(tiny_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Flights, failures, errors, conditions; all figures go where `--json` says."""
     told = tmp_path / "all.json"

@@ -67,6 +67,16 @@ def test_training_is_the_same_with_and_without_exams(tiny_run: Path, tmp_path: P
     assert not list((plain / "log" / "scalars").glob("exam*"))
 
 
+def test_exams_come_when_they_are_due(tiny_run: Path) -> None:
+    """Every 256 of 1024 steps, and the share that is logged is of eight flights."""
+    steps, score = read_log(tiny_run, "exam_score_m").T
+    assert steps.tolist() == [256, 512, 768, 1024]
+    assert ((score > 0.0) & (score <= FAILED_ERROR)).all()
+    for name in ("exam_failures", "exam_success"):
+        share = read_log(tiny_run, name)[:, 1]
+        np.testing.assert_array_equal(8.0 * share, np.round(8.0 * share))
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
@@ -123,3 +133,21 @@ def test_the_error_is_of_flights_that_did_not_fail(
     assert logged is not None
     assert logged["exam_error_m"] == pytest.approx(error, nan_ok=True)
     assert logged["exam_score_m"] == pytest.approx(FAILED_ERROR if all(failed) else (0.1 + FAILED_ERROR) / 2.0)
+
+
+def test_the_best_of_a_run_is_the_one_with_the_lowest_score(tiny_run: Path) -> None:
+    """best.pt is from where the lowest score was logged; it flies, while training goes on from the last."""
+    steps, score = read_log(tiny_run, "exam_score_m").T
+    lowest = steps[len(score) - 1 - np.argmin(score[::-1])]
+    best, last = read_checkpoint(tiny_run / BEST_NAME), read_checkpoint(tiny_run, flying=False)
+    assert (best["steps"], last["steps"]) == (lowest, 1024)
+    assert read_checkpoint(tiny_run)["steps"] == lowest
+    again = sit(tiny_config(*SMALL), load(best), tiny_run.parent)
+    assert again["exam_score_m"] == pytest.approx(score.min(), rel=1e-6)  # the log has fewer digits
+
+
+def load(content: dict) -> Policy:
+    """The policy in a checkpoint."""
+    policy = Policy(ObservationTerms())
+    policy.load_state_dict(content["policy"])
+    return policy

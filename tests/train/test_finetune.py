@@ -10,6 +10,7 @@ import torch
 
 from tests.train.conftest import TINY, tiny_config
 from vpptwin.system.errors import InputError
+from vpptwin.train.config import Schedule
 from vpptwin.train.env.randomize import PAPER_EFFECTS, Priors, name_effects
 from vpptwin.train.env.vpp_env import make_env
 from vpptwin.train.evaluate.evaluate import load_policy
@@ -50,6 +51,14 @@ def test_draws_lie_within_what_was_identified(twin: Path) -> None:
     assert np.mean(inner) == pytest.approx(0.5, abs=0.015)
 
 
+def test_without_the_group_an_extended_twin_is_randomized_by_its_priors(twin: Path) -> None:
+    """Naming an effect means its prior, wide as ever; what is not drawn stays as the file says."""
+    wide = make_env(tiny_config(f"twin={twin}", "randomize=[rail_x.coulomb]", "num_envs=64"))
+    force = wide._priors.draw(np.random.default_rng(2), 1000)[:, 0]
+    assert force.std() > 0.1
+    assert wide.twin.spec.effects["command.delay"] == {"delay": 0.012}
+
+
 def test_without_difficulty_the_twin_is_flown_as_it_is(twin: Path) -> None:
     """Level 0 is the twin's own value, not that of a rig without the effect; a level between lies between."""
     spec = load_twin(twin)
@@ -62,6 +71,26 @@ def test_without_difficulty_the_twin_is_flown_as_it_is(twin: Path) -> None:
     np.testing.assert_allclose(easy[:, column["servo.lag", "time_constant"]], 0.020)
     half, whole = (priors.draw(np.random.default_rng(4), 50, level) for level in (0.5, 1.0))
     np.testing.assert_allclose(half, 0.5 * (easy + whole))
+
+
+def test_a_lesson_flies_the_extended_twin_too(twin: Path) -> None:
+    """The share of undisturbed episodes flies the values of the file."""
+    config = tiny_config(f"twin={twin}", "randomize=identified", "curriculum.nominal=1", "num_envs=16")
+    env = make_env(config, schedule=Schedule(config.curriculum, 1000))
+    env.reset()
+    assert np.ptp(env.episodes.drawn, axis=0).max() == 0.0
+    np.testing.assert_allclose(env.episodes.drawn, 0.0, atol=1e-6)  # 0.31 and 0.012 are the middles
+
+
+def test_an_interval_without_width_is_no_division_by_zero(tmp_path: Path) -> None:
+    """A parameter known exactly is told to the critic as 0."""
+    path = tmp_path / "sure.yaml"
+    path.write_text(TWIN.replace("[0.28, 0.34]", "[0.31, 0.31]"))
+    spec = load_twin(path)
+    priors = Priors.of([e for e in spec.catalogue if e.id == "rail_x.coulomb"], spec.effects, spec.intervals)
+    drawn = priors.draw(np.random.default_rng(5), 10)
+    np.testing.assert_allclose(drawn, 0.31)
+    np.testing.assert_allclose(priors.standardize(drawn), 0.0, atol=1e-12)
 
 
 def test_groups_are_named_together(twin: Path) -> None:

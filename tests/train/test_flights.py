@@ -69,6 +69,14 @@ def test_turns_of_many_tracks() -> None:
     assert count(cut, cut_turn) == (0, 0)
 
 
+def test_a_turn_right_at_the_end_is_judged_by_the_last_step() -> None:
+    """A target that arrives just before the end leaves less grace, not an error."""
+    angle, turn = ask_turn(1.0, steps=105)
+    assert turn[-2:].tolist() == [0.0, 0.0]
+    assert count(angle, turn) == (1, 1)
+    assert count(0.0 * angle, turn) == (1, 0)
+
+
 def test_score_counts_a_lost_craft_as_a_large_error() -> None:
     """The mean of 0.1, 0.5 for a failure or a missed angle however near it ended, 0.5 for a metre off, and 0.2 m."""
     error = np.array([0.1, 0.01, 0.01, 1.0, 0.2])

@@ -57,3 +57,11 @@ def test_those_that_end_begin_anew() -> None:
     assert told["_final_obs"].tolist() == terminated.tolist()
     assert not np.allclose(told["final_obs"][0], seen[0])
     assert all(last is None for last in told["final_obs"][~terminated])
+
+
+def test_a_seed_gives_the_same_flights() -> None:
+    """Another one others."""
+    env = gymnasium.make("vpptwin/flip-v0")
+    first, again, other = (env.reset(seed=seed)[0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)

@@ -50,6 +50,21 @@ def test_too_large_a_run_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+def estimate_run(*overrides: str) -> float:
+    """What a run is refused for when nothing is free, GiB."""
+    config, needed = compose_config([*overrides, "exam_every=0"]), []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(memory, "compare", lambda _, size: needed.append(size))
+        memory.check_run(config)
+    return needed[0] / memory.GIB
+
+
+def test_usual_runs_fit() -> None:
+    """The defaults need less than 0.1 GiB and the paper's networks less than 0.3 GiB besides the program itself."""
+    assert estimate_run("preset=fast") < 0.1
+    assert estimate_run("preset=paper") < 0.3
+
+
 @pytest.mark.parametrize("overrides", [(), ("randomize=all",), ("critic=lstm",), ("privileged=false",)])
 def test_record_is_what_a_collector_returns(overrides: tuple[str, ...]) -> None:
     """The bytes of a collected batch are those of the estimate, to the byte."""
@@ -59,6 +74,17 @@ def test_record_is_what_a_collector_returns(overrides: tuple[str, ...]) -> None:
     (batch,) = list(Collector(env, actor, frames_per_batch=128, total_frames=128, **OPTIONS))
     size = sum(values.numel() * values.element_size() for values in batch.values(True, True))
     assert size == 128 * memory.size_record(config)
+
+
+@pytest.mark.parametrize("overrides", [(), ("randomize=all",), ("critic=lstm",)])
+def test_simulation_is_more_than_its_state(overrides: tuple[str, ...]) -> None:
+    """The estimate of a simulation exceeds the arrays that are visibly there: states, sensors, episodes, parameters."""
+    config = tiny_config(*overrides)
+    env = make_env(config)
+    arrays = [*env.state.arrays().values(), *env._before.arrays().values(), *env.sensors.arrays().values()]
+    arrays += [*vars(env.episodes).values(), env.twin.constants]
+    size = sum(values.nbytes for values in arrays) / config.num_envs
+    assert size < memory.size_simulation(config) < 4.0 * size
 
 
 def test_worker_checks_its_own_share(monkeypatch: pytest.MonkeyPatch) -> None:

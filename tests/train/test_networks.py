@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 
 from tests.train.conftest import EXAMINED
+from vpptwin.train.config import to_config
 from vpptwin.train.env.observe import OBSERVATION, SETUPS, ObservationTerms
 from vpptwin.train.evaluate.evaluate import load_policy
 from vpptwin.train.learn.checkpoint import read_checkpoint
 from vpptwin.train.learn.networks import (
+    INPUT_SCALE,
     Exploration,
     Policy,
     bound_layers,
@@ -72,6 +74,16 @@ def test_paper_network(setup: str) -> None:
     assert policy(torch.zeros(3, inputs)).shape == (3, 2)
 
 
+def test_inputs_are_scaled_by_name() -> None:
+    """A policy of fewer inputs divides each by the size that it has among all of them; angles stay as they are."""
+    full = dict(zip(OBSERVATION, Policy(ObservationTerms()).body[0].scale.tolist()))
+    for setup in SETUPS:
+        names = ObservationTerms(setup).names
+        scale = dict(zip(names, Policy(ObservationTerms(setup)).body[0].scale.tolist()))
+        assert all(scale[name] == full[name] == INPUT_SCALE[name] for name in names if name in INPUT_SCALE)
+        assert {scale[name] for name in names if "theta" in name} == {1.0}
+
+
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 10_000), st.floats(1e-3, 1e3))
 @settings(max_examples=50)
 def test_spectral_norm_is_the_largest_singular_value(rows: int, columns: int, seed: int, size: float) -> None:
@@ -126,6 +138,23 @@ def test_small_distances_are_magnified() -> None:
     assert float(scaling.steepest.max()) == pytest.approx(14.5)
 
 
+def test_the_bound_is_not_loose() -> None:
+    """A chain of layers that pass one direction on, near their steepest points, comes within 1 % of its bound."""
+    policy = Policy(ObservationTerms())
+    with torch.no_grad():
+        for layer, gain in zip(policy.layers(), (2.0, 3.0, 0.5)):
+            layer.weight.zero_()
+            layer.bias.zero_()
+            layer.weight[0, 0] = gain
+        next(policy.layers()).bias.fill_(1e-3)  # where the ReLU is open
+        assert policy.lipschitz() == pytest.approx(3.0)
+        step = torch.zeros(1, 11)
+        step[0, 0] = 1e-4
+        change = (policy(step) - policy(torch.zeros(1, 11))).norm()
+    assert float(change / policy.body[0](step).norm()) == pytest.approx(3.0, rel=0.01)
+    assert float(change / step.norm()) == pytest.approx(policy.lipschitz_si(), rel=0.02)
+
+
 @pytest.mark.parametrize("bound", [0.5, 8.0, 100.0])
 def test_projection_scales_down_what_is_too_steep(bound: float) -> None:
     """Layers above the third root of the bound come down to it, in their direction; flatter ones stay to the bit."""
@@ -161,3 +190,11 @@ def test_training_keeps_the_bound(tight_run: Path) -> None:
         assert policy.lipschitz() <= TIGHT * (1.0 + 1e-5)
         assert policy.lipschitz() == pytest.approx(np.prod(norms), rel=1e-5)
     assert max(layer_norms(raw)) == pytest.approx(0.5, rel=1e-6)
+
+
+def test_without_a_bound_weights_are_free(tiny_run: Path, tmp_path: Path) -> None:
+    """`lipschitz=null` leaves layers that the bound would have scaled down."""
+    free = run_train([*EXAMINED, f"out={tmp_path}", "lipschitz=null", "total_steps=256", "exam_every=0"])
+    assert to_config(read_checkpoint(free)["config"]).lipschitz is None
+    assert layer_norms(load_policy(free))[0] > 2.0
+    assert max(layer_norms(load_policy(tiny_run))) <= 2.0 * (1.0 + 1e-6)  # the third root of 8, in float32

@@ -71,6 +71,31 @@ def test_targets_change_as_the_task_says(tiny_run: Path) -> None:
     assert (target[:, :2] == target[0, :2]).all()
 
 
+def test_turns_are_planned_as_they_are_trained() -> None:
+    """A full turn moves the planned angle by ±2π at its rate, step by step; in between the angle stands still."""
+    task = Task("turns", target=Target(angles=[0.0, np.pi], dwell=(1.0, 1.5), turns=1.0, turn_rate=10.0, quiet=1.0))
+    for seed in range(4):
+        angle = plan_targets(task, 600, 0.01, np.random.default_rng(seed))[:, 0, 2]
+        change = np.diff(angle)
+        assert np.abs(change).max() <= 0.1 + 1e-12
+        starts = np.flatnonzero((change[1:] != 0.0) & (change[:-1] == 0.0)) + 1
+        ends = np.flatnonzero((change[1:] == 0.0) & (change[:-1] != 0.0)) + 1
+        assert len(ends) >= 2
+        for start, end in zip(starts, ends):
+            assert abs(angle[end] - angle[start]) == pytest.approx(2.0 * np.pi, abs=1e-9)
+            assert end - start == 63  # 2π / 0.1 rad, rounded up
+
+
+def test_the_end_of_a_plan_is_quiet() -> None:
+    """No trigger comes in the last 2 s, however long the flight."""
+    task = Task("turns", target=Target(angles=[0.0, np.pi], dwell=(0.2, 0.4), quiet=2.0))
+    for ticks in (500, 900):
+        angle = plan_targets(task, ticks, 0.01, np.random.default_rng(0))[:, 0, 2]
+        changes = np.flatnonzero(np.diff(angle)) + 1
+        assert ticks - 200 - 41 <= changes[-1] < ticks - 200
+        assert (np.diff(changes) <= 41).all()
+
+
 def test_a_pilot_gets_the_rotors_that_its_task_wants(tiny_run: Path) -> None:
     """For wall-backtrack the twin and what is believed of it have a thrust-to-weight of 2.5; for hover it stays."""
     pilot, spec = load_pilot(tiny_run, "wall-backtrack", load_twin(), 6.0, 3)

@@ -6,13 +6,14 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 
 import pytest
 
 from vpptwin.train.config import PRESETS, Ramp, TrainConfig, to_config, to_plain
 from vpptwin.train.env.tasks import HOVER, TASKS
 from vpptwin.train.learn.checkpoint import make_policy
-from vpptwin.train.main import compose_config, describe_options, list_options
+from vpptwin.train.main import compose_config, describe_options, list_options, run_train
 
 
 def test_the_papers_preset() -> None:
@@ -74,6 +75,19 @@ def test_an_override_wins_over_a_preset(override: str) -> None:
         assert replace(before, **{name: getattr(paper, name)}) == paper
 
 
+def test_a_preset_goes_with_every_task() -> None:
+    """A task and a preset are chosen independently, and survive being saved."""
+    for task, preset in product(TASKS, PRESETS):
+        config = compose_config([f"task={task}", f"preset={preset}"])
+        assert (config.task.name, config.critic) == (task, "lstm" if preset == "paper" else "mlp")
+        assert to_config(to_plain(config)) == config
+
+
+def test_the_last_of_two_presets_counts() -> None:
+    """As with every option that is given twice."""
+    assert compose_config(["preset=paper", "preset=fast"]) == compose_config([])
+
+
 def test_help_covers_every_option() -> None:
     """Each option has its default and a line of help, on a line of readable width."""
     text = describe_options()
@@ -105,6 +119,15 @@ def test_a_card_takes_8192_rigs() -> None:
     small = compose_config(["preset=card", "device=cpu", "engine=warp", "num_envs=64", "total_steps=4096"])
     assert small.on_device
     assert small.num_envs * small.rollout == 1024
+
+
+@pytest.mark.parametrize("flag", ["--help", "-h"])
+def test_help_is_printed_wherever_it_is_asked_for(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beside options too, which are not looked at; nothing is trained."""
+    with pytest.raises(SystemExit) as caught:
+        run_train(["task=hover", flag, "nonsense"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.strip() == describe_options()
 
 
 @pytest.mark.parametrize(

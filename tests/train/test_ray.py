@@ -169,6 +169,13 @@ def test_simulations_that_cannot_be_shared(tmp_path: Path) -> None:
         run_train([*WORKED, "workers=3", f"out={tmp_path / 'run'}"])
 
 
+@pytest.mark.slow  # tests/test_jobs.py works with Ray in CI
+def test_resume_with_other_workers_is_checked(flown: Flown) -> None:
+    """Workers are the machine's matter and may change with a resume, if they can share the simulations."""
+    with pytest.raises(InputError, match="num_envs=16 for workers=3"):
+        run_train([f"resume={flown.run}", "workers=3", "total_steps=640"])
+
+
 @pytest.mark.parametrize(
     ("address", "found"), [("127.0.0.1:1", "no Ray at"), ("ray://127.0.0.1:1", "ray://"), ("nonsense", "nonsense")]
 )

@@ -109,6 +109,16 @@ def test_resume_refuses_another_run(tiny_run: Path, tmp_path: Path) -> None:
             run_train(overrides)
 
 
+def test_finished_run_can_be_extended(tmp_path: Path) -> None:
+    """More steps continue a finished run with its own configuration."""
+    run = run_train([*TINY, "total_steps=256", f"out={tmp_path / 'run'}", "gamma=0.9"])
+    run_train([f"resume={run}", "total_steps=512", "progress=false"])
+    content = read_checkpoint(run)
+    assert content["steps"] == 512
+    assert to_config(content["config"]).gamma == 0.9
+    np.testing.assert_array_equal(read_log(run, "reward")[:, 0], [128, 256, 384, 512])
+
+
 def test_existing_run_is_not_overwritten(tiny_run: Path) -> None:
     """A folder that holds a run is refused, naming how to continue it."""
     with pytest.raises(InputError, match="resume="):

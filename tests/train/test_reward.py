@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vpptwin.train.env.reward import ANGLE, BOTH, POSITION, RewardWeights, compute_reward
+from vpptwin.train.env.tasks import TASKS, Task
 from vpptwin.train.main import compose_config
 
 WEIGHTS = RewardWeights(position=0.8, orientation=0.7, velocity=0.2, rate=0.3, integral=0.1, near=0.4, width=0.1)
@@ -83,6 +84,36 @@ def test_the_best_is_rest_on_the_target(weights: RewardWeights) -> None:
         reward = judge(weights, criterion, *states)
         assert (reward >= 0.0).all()
         assert (reward <= weights.best * (1.0 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
+def test_criteria_are_worth_the_same_in_every_task(task: Task) -> None:
+    """An episode judged by one criterion pays as much at best as one judged by both."""
+    still = [np.zeros((3, k)) for k in (3, 3, 2)]
+    np.testing.assert_allclose(compute_reward(task.weights, *still, np.array(CRITERIA)), task.weights.best)
+
+
+def test_position_episodes_ignore_the_angle() -> None:
+    """Judged by position, the reward is the same at any angle; otherwise it is not."""
+    delta, velocity, integral = draw_states(100)
+    turned = delta + np.array([0.0, 0.0, 1.0])
+    here, there = (judge(WEIGHTS, POSITION, d, velocity, integral) for d in (delta, turned))
+    np.testing.assert_array_equal(here, there)
+    for criterion in (BOTH, ANGLE):
+        changed = judge(WEIGHTS, criterion, delta, velocity, integral) != judge(
+            WEIGHTS, criterion, turned, velocity, integral
+        )
+        assert changed.all()
+
+
+def test_angle_episodes_ignore_the_place() -> None:
+    """Judged by its angle, neither position nor linear velocity nor integral count, but the rate does."""
+    delta, velocity, integral = draw_states(100)
+    here = judge(WEIGHTS, ANGLE, delta, velocity, integral)
+    away, fast, spinning = (np.array(change) for change in ((1.0, -1.0, 0.0), (2.0, 2.0, 0.0), (0.0, 0.0, 1.0)))
+    moved = judge(WEIGHTS, ANGLE, delta + away, velocity + fast, integral + 3.0)
+    np.testing.assert_array_equal(here, moved)
+    assert (judge(WEIGHTS, ANGLE, delta, velocity + spinning, integral) != here).all()
 
 
 def test_episodes_are_judged_one_by_one() -> None:

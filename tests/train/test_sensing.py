@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDict
 
@@ -58,6 +59,20 @@ def test_noise_has_the_stds_of_the_sensors() -> None:
     # 2000 draws: the deviation is known to 1.6 %, the mean to 2.2 % of it; four of these are allowed.
     np.testing.assert_allclose(error.std(axis=0), expected, rtol=0.065)
     assert (np.abs(error.mean(axis=0)) < 0.09 * expected).all()
+
+
+def test_randomization_starts_from_nominal() -> None:
+    """Every draw comes from the prior around the nominal vehicle: a thousand resets do not wander off."""
+    env = tiny_env("randomize=[airframe.mass]", "num_envs=64", "minibatch=64")
+    parameter = env.twin.effects["airframe.mass"].parameters[0]
+    masses = []
+    for _ in range(16):
+        env.reset()
+        masses.append(env.twin.parameter("airframe.mass", "mass"))
+    drawn = np.concatenate(masses)
+    # 1024 draws: the mean is known to std/32, the deviation to 2 %; four and five of these are allowed.
+    assert abs(drawn.mean() - parameter.prior.a) < 4.0 * parameter.prior.b / 32.0
+    assert drawn.std() == pytest.approx(parameter.prior.b, rel=0.1)
 
 
 def test_partial_reset_randomizes_only_its_rows() -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.train.conftest import step, tiny_env
 from vpptwin.train.config import Curriculum, Schedule
 from vpptwin.train.env.observe import FORESIGHT, PRIVILEGED, wrap_angle
-from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK
+from vpptwin.train.env.tasks import FLIP, WALL_BACKTRACK, Target
 from vpptwin.train.env.vpp_env import VppEnv
 
 PERIOD = 0.01
@@ -132,6 +132,26 @@ def test_full_turns_come_at_their_rate(turns: Course) -> None:
     assert 0.1 < np.mean(ways) < 0.9  # either way as likely: one in 10⁵ draws of 24 is outside
 
 
+def test_share_of_turns() -> None:
+    """A fifth of the flip's triggers ask for a full turn, either way as likely."""
+    drawn = FLIP.target.draw_turn(np.random.default_rng(0), 10_000)
+    assert set(drawn) == {0.0, -2.0 * math.pi, 2.0 * math.pi}
+    # 10 000 draws: the shares are known to 0.4 %; four of these are allowed.
+    assert np.mean(drawn != 0.0) == pytest.approx(0.2, abs=0.016)
+    assert np.mean(drawn > 0.0) == pytest.approx(0.1, abs=0.012)
+
+
+def test_other_angle_is_always_another() -> None:
+    """A switch never draws the angle that is already asked for, however often that has turned, and reaches all."""
+    target = Target(angles=[0.0, 3.0, -3.0])
+    now, stage = np.repeat([0.0, 3.0, -3.0], 50), np.ones(150, int)
+    drawn = target.draw_other_angle(np.random.default_rng(0), now, stage)
+    assert (drawn != now).all()
+    assert len(set(zip(now, drawn))) == 6
+    turned = target.draw_other_angle(np.random.default_rng(0), now + 4.0 * math.pi, stage)
+    np.testing.assert_array_equal(turned, drawn)
+
+
 @pytest.mark.parametrize("expected", [False, True])
 def test_triggers_may_be_surprises(expected: bool) -> None:
     """A step in which a trigger comes says so, unless triggers are expected; no other step does."""
@@ -146,6 +166,13 @@ def test_triggers_may_be_surprises(expected: bool) -> None:
         np.testing.assert_array_equal(surprised, came & (not expected))
         count += came.sum()
     assert count >= 12
+
+
+def test_no_dwell_no_trigger() -> None:
+    """Hover asks for one angle from start to end."""
+    course = watch(tiny_env(), 1.0)
+    assert (course.target == course.target[0]).all()
+    assert not course.stage.any()
 
 
 def test_success_needs_the_vertical_to_be_reached() -> None:

@@ -56,11 +56,27 @@ def test_tasks_set_it() -> None:
     assert ratio_of(tiny_env("task.thrust_to_weight=3")) == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize("ratio", [1.6, 2.5, 3.2])
+def test_the_same_action_climbs_faster(ratio: float) -> None:
+    """Half of the largest command accelerates by (ratio/2 - 1) g: down at 1.6, up at 2.5 and 3.2."""
+    measured = climb(tiny_env(f"task.thrust_to_weight={ratio}", *LEVEL), 0.5)
+    # The governed rotors sag by some rad/s of 471 under the load: within 2 % of the thrust.
+    assert measured == pytest.approx((0.5 * ratio - 1.0) * 9.81, abs=0.02 * 0.5 * ratio * 9.81)
+
+
 def test_hovering_takes_the_inverse_of_the_ratio() -> None:
     """A normalized thrust of 1/2.5 carries the craft of wall-backtrack, one of 1/2.04 that of hover."""
     for task in ("wall-backtrack", "hover"):
         env = tiny_env(f"task={task}", *LEVEL)
         assert climb(env, 1.0 / ratio_of(env)) == pytest.approx(0.0, abs=0.02 * 9.81)
+
+
+def test_observation_and_weight_stay() -> None:
+    """Stronger rotors change neither what is seen at the start nor how a craft falls without thrust."""
+    plain, strong = tiny_env(*LEVEL), tiny_env(*LEVEL, "task.thrust_to_weight=3")
+    assert torch.equal(plain.reset()["observation"], strong.reset()["observation"])
+    np.testing.assert_allclose(climb(plain, 0.0), climb(strong, 0.0), rtol=1e-3)
+    assert climb(strong, 0.0) == pytest.approx(-9.81, rel=1e-3)
 
 
 def test_weaker_rotors_than_trained_saturate() -> None:

@@ -11,7 +11,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 
-from tests.train.conftest import EXAMINED, TINY, read_log
+from tests.train.conftest import BRIEF, EXAMINED, TINY, read_log
 from vpptwin.system.errors import InputError
 from vpptwin.train.config import LOGGERS
 from vpptwin.train.env.vpp_env import VppEnv, make_env
@@ -48,6 +48,20 @@ def test_run_leaves_what_the_docs_promise(tiny_run: Path) -> None:
         np.testing.assert_array_equal(read_log(tiny_run, name)[:, 0], np.arange(128, 1025, 128))
     kept = {path.name for path in tiny_run.iterdir()}
     assert kept == {"checkpoint.pt", "best.pt", "config.yaml", "log", "tensorboard"}
+
+
+def same_weights(one: Path, other: Path) -> bool:
+    """Whether two runs ended with bit-equal policies."""
+    policies = [read_checkpoint(run, flying=False)["policy"] for run in (one, other)]
+    return all(torch.equal(policies[0][key], policies[1][key]) for key in policies[0])
+
+
+def test_same_seed_same_run(tmp_path: Path) -> None:
+    """The same seed gives bit-equal weights, another seed does not; of longer runs test_resume says the former."""
+    brief = (*TINY, *BRIEF, "total_steps=256", "randomize=all", "lipschitz=8")
+    run, again, other = (run_train([*brief, f"out={tmp_path / str(k)}", f"seed={k // 2}"]) for k in range(3))
+    assert same_weights(run, again)
+    assert not same_weights(run, other)
 
 
 def test_training_survives_a_simulation_that_diverges(

@@ -128,6 +128,25 @@ def test_advantages_are_normalized_among_steps_of_like_value(groups: int) -> Non
         torch.testing.assert_close(after, (before - before.mean()) / before.std(), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("count", [1, 7])
+def test_few_or_equal_advantages_stay_finite(count: int) -> None:
+    """More groups than steps, or steps that are all alike: no advantage, not a division by zero."""
+    assert torch.equal(normalize(torch.full((count,), 3.0), torch.arange(count) * 1.0, 10), torch.zeros(count))
+
+
+def test_advantages_are_computed_once_per_batch() -> None:
+    """Asked again for the same batch, as before every epoch, the first answer comes back; another batch has its own."""
+    critic = Critic(OBSERVATION, 14, (16,))
+    advantages = Advantages(critic, GAMMA, LMBDA, SCALE)
+    one, other = draw_batch(0), draw_batch(1)
+    first = advantages(one)
+    with torch.no_grad():
+        critic.body[0].weight.add_(1.0)
+    assert advantages(one) is first
+    assert not torch.equal(advantages(other)["advantage"], first["advantage"])
+    assert not torch.equal(advantages(one)["value_target"], first["value_target"])
+
+
 def test_minibatches_use_every_sample_once() -> None:
     """An epoch hands out all samples in a new order, but for a remainder smaller than half a minibatch."""
     minibatches = Minibatches(32)
@@ -167,6 +186,19 @@ def test_average_by_hand() -> None:
         assert torch.equal(policy.state_dict()[key], w3)
 
 
+def test_no_average_is_the_policy_itself() -> None:
+    """With a share of 0 what flies is what is trained, to the bit."""
+    policy = Policy(ObservationTerms(), (4, 4))
+    averaging = Averaging(policy, 0.0)
+    for _ in range(3):
+        with torch.no_grad():
+            for weights in policy.parameters():
+                weights.copy_(torch.randn_like(weights))
+        averaging()
+        for mine, averaged in zip(policy.parameters(), averaging.averaged.parameters()):
+            assert torch.equal(mine, averaged)
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_weights_that_are_not_finite_end_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: float) -> None:
     """One line says so, and the checkpoint written before is as it was."""
@@ -187,6 +219,18 @@ def test_weights_that_are_not_finite_end_a_run(tmp_path: Path, monkeypatch: pyte
     assert "\n" not in str(caught.value)
     assert (tmp_path / FILE_NAME).read_bytes() == kept
     assert read_checkpoint(tmp_path, flying=False)["steps"] == 256
+
+
+@pytest.mark.parametrize("lipschitz", ["8", "null"])
+def test_a_learning_rate_that_explodes_ends_a_run(
+    tmp_path: Path, lipschitz: str, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """Whether or not layers are bound, weights that overflow while a batch is learned from are told in one line."""
+    monkeypatch.setattr("vpptwin.train.config.MAX_NUMBER", 1e31)  # what overflows at once is refused else
+    with pytest.raises(InputError, match="not finite") as caught:
+        run_train([*EXAMINED, f"out={tmp_path}", "learning_rate.start=1e30", f"lipschitz={lipschitz}"])
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / FILE_NAME).exists()
 
 
 @pytest.mark.slow

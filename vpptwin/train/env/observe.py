@@ -68,7 +68,7 @@ def wrap_angle(angle: Array) -> Array:
     return wrapped
 
 
-TERMS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
+OBSERVATION_TERMS: dict[str, Callable[[Array, Array, Array, Array], Array]] = {
     "delta_x": lambda delta, *_: delta[:, 0],
     "delta_z": lambda delta, *_: delta[:, 1],
     "delta_theta": lambda delta, *_: wrap_angle(delta[:, 2]),
@@ -103,7 +103,7 @@ def observe(
     """
     xp, delta = library(pose), target - pose
     names = OBSERVATION if observation is None else observation.names
-    seen: Array = xp.stack([TERMS[name](delta, velocity, target, integral) for name in names], -1)
+    seen: Array = xp.stack([OBSERVATION_TERMS[name](delta, velocity, target, integral) for name in names], -1)
     return seen.astype(np.float32) if xp is np else seen
 
 
