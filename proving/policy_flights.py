@@ -95,12 +95,12 @@ def load_flyer(checkpoint: Path | str, task: str | None = None) -> tuple[Policy,
         task: name; None, or that of training, for the task of training with its overrides.
 
     Raises:
-        InputError: if there is no such checkpoint, or it sees something else than SPEC 6 says.
+        InputError: if there is no such checkpoint, or it sees anything but the observation in docs/train.md.
     """
     module, trained = build_policy(read_checkpoint(checkpoint), checkpoint)
     if trained.observation.names != OBSERVATION:
         found = f"{checkpoint}: a policy that sees {', '.join(trained.observation.names)}"
-        raise InputError(found, "the observation of SPEC 6", "train with setup=All paper_inputs=false")
+        raise InputError(found, "the observation in docs/train.md", "train with setup=All paper_inputs=false")
 
     @torch.no_grad()
     def act(observation: np.ndarray) -> np.ndarray:

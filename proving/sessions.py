@@ -31,7 +31,7 @@ STRONG = 0.5  # of each span only the stronger half of what the catalogue lacks 
 CONFIDENT = 0.9  # a cause named with less is a suggestion and said to be one
 STDS, SHARE = 4.0, 0.15  # a fitted strength is right within 4 of its own std, or 15 % of what was hidden
 NO_WORSE = 1.02  # of held-out errors: what does not show in poses may move them a little
-HORIZON = 2  # index of 0.25 s among the horizons of SPEC 7
+HORIZON = 2  # index of 0.25 s among `horizons_s` of verdict.json (docs/diagnose.md)
 FITTED = 32.0  # s of flight
 STRONGEST = 1.5  # gusts in % of weight; stronger ones hide effects, and that is counted in rates, not tested here
 # Joint that constant gusts push like the effect, and force N or moment N m of one unit of it: weights 4.41 N (craft),

@@ -1,4 +1,7 @@
-"""Thrust-stand runs of the independent simulation as logs of SPEC 3: one rotor, steps of pitch at several speeds."""
+"""Thrust-stand runs of the independent simulation as logs (docs/logs.md).
+
+One rotor, steps of pitch at several speeds.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ PIVOT = ROOT / "examples/antx/pitch.yaml"
 INERTIA, GAIN, IMPULSE = 0.005, 400.0, 0.1
 """The lab's nominal numbers [kg m²], [rad/s² per M], and the moment [M] that pitch_free_decay commands."""
 HALF_SECOND, SECOND = 3, 4
-"""Indices among the horizons of SPEC 7."""
+"""Indices among `horizons_s` of verdict.json (docs/diagnose.md)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""The two MJCF models: they agree with vehicle.yaml, keep the frames of SPEC 1, and behave as a rig does."""
+"""The two MJCF models: they agree with vehicle.yaml, keep the frames, and behave as a rig does.
+
+Frames: x to the right, z up, pitch counter-clockwise seen so; thrust along the body's z.
+"""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from tests.diagnosis.rigs import (
 from vpptwin.cli.main import main
 
 SECOND = 4
-"""Index of 1 s among the horizons of SPEC 7."""
+"""Index of 1 s among `horizons_s` of verdict.json (docs/diagnose.md)."""
 
 
 def diagnose(log: Path, twin: Path, out: Path) -> dict:

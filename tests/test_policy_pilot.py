@@ -56,7 +56,7 @@ def plan(seed: int, **others: object) -> FlightPlan:
 
 
 def test_both_observations_are_equal() -> None:
-    """SPEC 6, written twice: the twin's and reality's observation agree in every column and in the integral."""
+    """Written twice: the twin's and reality's observation agree in every column and in the integral."""
     rng = np.random.default_rng(0)
     pose, velocity, target = (rng.uniform(-4.0, 4.0, (50, 3)) for _ in range(3))
     integral, error = rng.standard_normal((50, 2)), (target - pose)[:, :2]

@@ -1,4 +1,4 @@
-"""The independent simulation flies: commands reproduce a flight, and every effect of SPEC 5 is there and shows."""
+"""The independent simulation flies: commands reproduce a flight, and the catalogue's effects are there and show."""
 
 from __future__ import annotations
 
@@ -89,7 +89,10 @@ def replay(effects: Effects, recording: Recording, start: int, steps: int) -> li
 
 
 def test_recorded_commands_reproduce_the_flight() -> None:
-    """Stamps mean what SPEC 2 says: the logged commands, replayed by another integrator, give the same flight."""
+    """A command acts from its stamp until the next one.
+
+    The logged commands, replayed so by another integrator, give the same flight.
+    """
     effects = {
         "command.delay": {"delay": 0.0063},
         "servo.lag": {"time_constant": 0.03},

@@ -1,4 +1,4 @@
-"""The logs of the independent simulation are what SPEC 3 says, and hold what its sensors saw."""
+"""The logs of the independent simulation are what docs/logs.md says, and hold what its sensors saw."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """What the real rig may do that the twin does not know: ids, parameters, sizes to draw hidden tests from.
 
-Written from SPEC 5 alone, apart from the catalogue of vpptwin, so that a slip in one is not repeated in the other.
+Written from what ids and parameters mean, apart from the catalogue of vpptwin.
+So a slip in one is not repeated in the other.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ COMPANIONS: dict[str, dict[str, Size]] = {
 }
 
 
-# DIAGNOSIS.md's look-alikes, and dry friction of one rail: hardly told apart even alone, so never hidden together.
+# Look-alikes, and dry friction of one rail: hardly told apart even alone, so never hidden together.
 LOOK_ALIKES: tuple[frozenset[str], ...] = tuple(
     frozenset(group.split())
     for group in (

@@ -1,4 +1,4 @@
-"""ROS 2 message definitions of SPEC 3 and their CDR encoding, a whole topic at a time.
+"""ROS 2 definitions of the messages in docs/logs.md and their CDR encoding, a whole topic at a time.
 
 Written apart from vpptwin.logs: a reader that only understands its own writer would not be noticed otherwise.
 """

@@ -1,4 +1,4 @@
-"""What SPEC 5 has no law for: effects outside the catalogue, and effects of the catalogue whose law is another.
+"""What the catalogue has no law for: effects outside it, and effects of it whose law is another.
 
 Outside it a diagnosis must say "unexplained" rather than name the nearest thing that it knows. An effect of another
 form is to be named as what it is: the nearest effect of the catalogue.

@@ -1,4 +1,4 @@
-"""A learned policy as the pilot of a batch. What it sees is written from SPEC 6 alone."""
+"""A learned policy as the pilot of a batch. What it sees is written apart from vpptwin."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def observe(
         integral: Gamma, m. (2, flights).
 
     Returns:
-        Observation of SPEC 6. (flights, 11) float32.
+        The observation in docs/train.md. (flights, 11) float32.
     """
     left, wanted = target - pose, target[PITCH]
     rows = [

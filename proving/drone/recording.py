@@ -1,4 +1,4 @@
-"""What a flight leaves: the topics of SPEC 3 as arrays, the truth beside them, and the MCAP file."""
+"""What a flight leaves: the topics of docs/logs.md as arrays, the truth beside them, and the MCAP file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What is hidden in a rig: drawn as a share of what that joint or drive has to do, then given its size.
 
-Ids and meanings are those of the generic catalogue (SPEC 5); `outside:NAME` is what it lacks.
+Ids and meanings are those of the generic catalogue (docs/twin.md); `outside:NAME` is what it lacks.
 """
 
 from __future__ import annotations

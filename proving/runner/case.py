@@ -12,8 +12,8 @@ from proving.runner.mechanisms import MechanismPlan
 CONFIDENT = 0.9
 """A cause named with more than this is claimed, not suggested."""
 SEEN, APART = 4.0, 3.0
-"""Sigma from nothing and from the nearest rival beyond which flights show an effect and separate it from all others:
-about a family-wise 1 % over the catalogue, and DIAGNOSIS.md's bound for a group."""
+"""Sigma from nothing and from the nearest rival beyond which flights show an effect and separate it from all others.
+The first is about a family-wise 1 % over the catalogue. A rival nearer than the second is in the cause's group."""
 
 
 @dataclass(frozen=True)

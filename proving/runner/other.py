@@ -129,7 +129,7 @@ def is_silent(case: Case) -> bool:
 
 
 def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
-    """Every measure that issue 20 asks for; rates are over all sessions where nothing else is said."""
+    """Every measure of how often verdicts are right; rates are over all sessions where nothing else is said."""
     single, two, alien, none = ([c for c in cases if c.plan.kind == k] for k in ("single", "two", "alien", "none"))
     clear, clear_two, apart = ([c for c in some if c.plan.separable] for some in (single, two, alien))
     shown = [c for c in single if c.plan.detectable]

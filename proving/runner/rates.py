@@ -68,7 +68,7 @@ def count(name: str, outcomes: Iterable[bool], target: str = "") -> Rate:
 
 
 def summarise(cases: Sequence[Case]) -> list[Rate | Figure]:
-    """Every measure of issue 4, and those of laws that differ from ours."""
+    """Every measure of how often verdicts are right, and those of laws that differ from ours."""
     kinds = ("single", "form", "two", "three", "alien", "none")
     of_kind = {kind: [c for c in cases if c.plan.kind == kind] for kind in kinds}
     single, form, alien, none = (of_kind[kind] for kind in ("single", "form", "alien", "none"))

@@ -1,4 +1,4 @@
-"""What others would do with the same logs (DIAGNOSIS.md): each method names one effect, or none.
+"""What others would do with the same logs: each method names one effect, or none.
 
 `Method` takes the flights of a session and returns the id of the effect that it blames, "" for none.
 """
