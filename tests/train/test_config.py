@@ -144,6 +144,13 @@ def test_start_is_drawn_around_the_target_angle() -> None:
     assert np.ptp(pose[:, 2]) > 0.35
 
 
+def test_configuration_defaults_are_not_shared() -> None:
+    """Two configurations do not share their lists and ramps."""
+    one, other = TrainConfig(task=HOVER), TrainConfig(task=HOVER)
+    assert one.hidden is not other.hidden
+    assert one.learning_rate is not other.learning_rate
+
+
 def test_a_list_within_a_list_of_strings_is_refused() -> None:
     """As a checkpoint with a flipped bit had it: a line."""
     with pytest.raises(InputError, match=r"effects\.0=\[\]: input should be a valid string"):

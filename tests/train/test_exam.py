@@ -55,6 +55,16 @@ def test_the_same_policy_gets_the_same_score(tmp_path: Path) -> None:
     assert sit(tiny_config(*SMALL, "noise=0"), some_policy(0), tmp_path) != results[0]
 
 
+def test_exams_leave_random_numbers_alone(tmp_path: Path) -> None:
+    """Neither torch's nor numpy's global state moves."""
+    policy = some_policy(0)
+    torch.manual_seed(7)
+    before, numpy_before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    sit(tiny_config(*SMALL), policy, tmp_path)
+    assert torch.equal(torch.get_rng_state(), before)
+    np.testing.assert_array_equal(np.random.get_state()[1], numpy_before)  # noqa: NPY002
+
+
 def test_training_is_the_same_with_and_without_exams(tiny_run: Path, tmp_path: Path) -> None:
     """Raw and averaged weights and every other log end bit-equal; without exams there is no best policy."""
     plain = run_train([*EXAMINED, f"out={tmp_path / 'plain'}", "exam_every=0"])
