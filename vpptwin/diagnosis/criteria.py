@@ -24,7 +24,7 @@ def declare(kind: str) -> Callable[[float, str, str, str], Any]:
 assumed = declare("assumed")
 """A belief about rigs, before any data."""
 proposed = declare("proposed")
-"""By DIAGNOSIS.md, the study that the diagnosis was designed on."""
+"""By the study of this rig that the diagnosis was designed on; it does not ship."""
 calibrated = declare("calibrated")
 """On sessions that are named."""
 by_hand = declare("by hand")
@@ -49,11 +49,11 @@ class Criteria:
     start_velocity: float = assumed(0.3, "m/s", "prior of a window's starting velocity", "85fc87b")
     start_rate: float = assumed(1.0, "rad/s", "the same of angular rates", "85fc87b")
     gust: float = assumed(1.0, "", "force that nobody modelled, in multiples of what the robot says of it",
-        "1 % of the drone's weight as in DIAGNOSIS.md (85fc87b), 0.2 % of a typical force elsewhere (issue 20)")
+        "1 % of the drone's weight (85fc87b), 0.2 % of a typical force elsewhere (487b378)")
     least_gust: float = assumed(0.2, "", "bound of the gusts' strength, in multiples of what is assumed", "e1272d1")
     gust_doubt: float = assumed(2.0, "log", "standard deviation of the log of that strength", "e1272d1")
     tails: float = assumed(4.0, "", "degrees of freedom of Student's t, for every pulse, of the gusts of a window",
-        "68f7aa5 for their strength, issue 20 for stronger ones where it is assumed")
+        "68f7aa5 for their strength, 8838ea8 for stronger ones where it is assumed")
     usual_misfit: float = by_hand(3.0, "median", "misfit of a window from which it counts less, fitted or held out",
         "68f7aa5 (fitted), 668e32f (held out)")
     nonlinear: float = by_hand(0.1, "", "share of a miss that linearisation is not believed to follow", "7ea694a")
@@ -66,13 +66,14 @@ class Criteria:
     judging_worth: float = by_hand(0.5, "", "worth of an effect seen where it is judged, not fitted", "85407b0")
     half_seen: float = by_hand(50.0, "sigma²", "signal to noise at which an effect is half seen", "b8eee32")
     shown: float = by_hand(100.0, "", "how well the flight with most misfit shows it, in halves seen; others by share",
-        "issue 22, sessions 94414/17 and 13989/56")
+        "85dd805, sessions 94414/17 and 13989/56")
     shortlist: int = by_hand(5, "", "suspects refitted at every step", "4 at 85fc87b, 5 since e1272d1")
     starts: int = by_hand(2, "", "places of a shape or a limit from which a refit starts", "e1272d1")
-    few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not", "issue 20")
-    generous: int = assumed(10, "", "suspects refitted at every step of a rig of which little is known", "issue 20")
-    neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "issue 20")
-    more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "issue 22")
+    few: int = assumed(17, "", "suspects up to which every one is refitted at every step, promising or not",
+        "16 at 4de4b66, 17 since 55f8389")
+    generous: int = assumed(10, "", "suspects refitted at every step of a rig of which little is known", "4de4b66")
+    neighbours: int = assumed(4, "", "sets of causes refitted that differ in two", "4de4b66")
+    more_neighbours: int = assumed(8, "", "the same where sensors are assumed", "7d2f4f9")
     worth_a_refit: float = by_hand(8.0, "cost", "drop by linearisation from which a suspect is refitted",
         "2 at 85fc87b, 8 since e1272d1")
     rival_hope: float = by_hand(0.4, "", "share of a cause's drop from which a rival is refitted", "e1272d1")
@@ -89,7 +90,7 @@ class Criteria:
     bars_strong: float = by_hand(8.0, "bar", "evidence from which held-out windows need only not contradict",
         "10 at b3e12e5, 8 since e1272d1")
     sigmas_held_out: float = proposed(2.0, "sigma", "by which a cause must improve held-out windows",
-        "DIAGNOSIS.md, method 5, more than two standard errors (85fc87b)")
+        "more than two standard errors, as held-out flights scatter (85fc87b)")
     sigmas_against: float = by_hand(1.0, "sigma", "by which they may contradict strong evidence", "b3e12e5")
     powerless: float = by_hand(25.0, "sigma²", "change of prediction under which held-out windows cannot judge",
         "50 at 71b4e15, 25 since e1272d1")
@@ -97,14 +98,14 @@ class Criteria:
     clear_of_off: float = calibrated(3.0, "sigma", "by which the strength of a cause must leave its nominal, as stated",
         "sessions of other rigs, seeds 81580 and 94414 at cf753d8: of 33 causes that were nearer none was hidden")
     judges: int = assumed(6, "", "held-out windows below which they can only contradict: too few to scatter",
-        "issue 20, lone logs under some 20 s")
+        "73d3b90, lone logs under some 20 s")
     tolerances: float = by_hand(2.5, "tolerance", "by which a parameter must leave its nominal", "85fc87b")
     kinship: float = by_hand(0.05, "", "share of a cause's evidence that another of its kind must bring beside it",
         "b8eee32; taken for how inexact laws of friction are since 496fb2c")
     watched: float = by_hand(0.25, "s", "up to which no cause may make errors of the pose worse",
         "2fc0d73; one of `HORIZONS_S`")
     settled: float = assumed(0.25, "", "share of the held-out excess chi² left from which gusts need not be excluded",
-        "issue 22, rigs whose disturbances are assumed")
+        "5098076, rigs whose disturbances are assumed")
     worse: float = by_hand(0.1, "", "share by which such an error may grow: effects that are there cost no more",
         "2fc0d73")
     even: float = by_hand(0.02, "", "share by which held-out chi² may grow where a twin sticks: one slip makes more",
@@ -116,35 +117,35 @@ class Criteria:
     temper: float = by_hand(1.5, "", "divides evidence before it becomes a probability: no noise model is exact",
         "4 at 85fc87b, 1.5 since e1272d1")
     rival_sigma: float = proposed(3.0, "sigma", "within which a rival is reported with the cause",
-        "DIAGNOSIS.md, method 6, a rival that leaves less than 3 sigma (e1272d1)")
+        "a rival that leaves less than 3 sigma is of one group with the cause (e1272d1)")
     better: float = by_hand(2.0, "cost", "by which a rival must win to take a cause's place", "e1272d1")
     most_confident: float = assumed(0.999, "", "confidence at most", "85fc87b")
-    suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "issue 20")
+    suggested: float = assumed(0.89, "", "confidence at most while something material is unexplained", "aede6c2")
     explained: float = assumed(0.1, "", "share of the held-out excess chi² left from which a cause is but suggested",
-        "issue 20, rigs whose sensors and disturbances are assumed")
+        "73d3b90, rigs whose sensors and disturbances are assumed")
     far_off: float = assumed(25.0, "", "held-out chi² left from which a cause is but suggested: five times the noise",
-        "issue 20: whatever share of the error that is")
+        "8838ea8: whatever share of the error that is")
     felt: float = assumed(1.0, "", "held-out chi² that a cause must take away to be sure: as much as noise makes",
-        "issue 20, rigs whose sensors are assumed")
+        "8838ea8, rigs whose sensors are assumed")
     comes_again: float = calibrated(1.5, "", "waves along the way from which a force is cogging, not any of its place",
-        "issue 22, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
+        "6c1d7bc, five seeds of other rigs, 13989 to 96897: six that were there have 2.1 to 12, three 0.8 to 1.0")
     sober: float = by_hand(0.5, "", "confidence left where half is unexplained, or errors grow",
-        "e1272d1, b200008; issue 22: of 19 causes that did harm, in eight seeds of other rigs, 7 were right")
+        "e1272d1, b200008; 077fd87: of 19 causes that did harm, in eight seeds of other rigs, 7 were right")
     has_a_say: float = assumed(0.2, "", "standard error of the share of a force up to which inverse dynamics has a say",
-        "issue 20, rigs whose sensors are assumed; development seeds 701 to 720")
-    sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "issue 20")
-    least_seen: float = assumed(0.4, "", "share of a cause's force that inverse dynamics must see", "issue 20")
-    most_seen: float = assumed(2.5, "", "share of it that it may see at most", "issue 20")
+        "4608193, rigs whose sensors are assumed; development seeds 701 to 720")
+    sigmas_denied: float = assumed(3.0, "sigma", "by which a share must leave the next two to be denied", "4608193")
+    least_seen: float = assumed(0.4, "", "share of a cause's force that inverse dynamics must see", "4608193")
+    most_seen: float = assumed(2.5, "", "share of it that it may see at most", "4608193")
     obeyed: float = assumed(0.25, "", "share of what moves a joint below which inputs in the log do not explain it",
-        "issue 22, a quadrotor's PWM at a fifth of its controller's rate")
+        "98149db, a quadrotor's PWM at a fifth of its controller's rate")
     led: float = calibrated(0.6, "", "share of what turns a free body below which its attitude follows its log",
-        "issue 22: eight quadrotors of seed 37597 have 0.74 to 0.97, five flights of nanobench 0.17 to 0.34")
-    late: float = assumed(0.01, "s", "by which a log's accelerations may be late", "issue 20: a low pass at 16 Hz")
-    distorted: float = assumed(0.03, "", "share by which they may be too small or too large", "issue 20")
+        "8838ea8: eight quadrotors of seed 37597 have 0.74 to 0.97, five flights of nanobench 0.17 to 0.34")
+    late: float = assumed(0.01, "s", "by which a log's accelerations may be late", "4608193: a low pass at 16 Hz")
+    distorted: float = assumed(0.03, "", "share by which they may be too small or too large", "4608193")
     blurred: float = assumed(0.7, "", "share of a force's square left in its mean over 75 ms; below, it is blurred",
-        "issue 20")
+        "4608193")
     unbalanced: float = assumed(1.5, "", "times the largest force that inputs, inertia and weight balance, for a cause",
-        "issue 20")
+        "4608193")
     inexact: float = calibrated(0.02, "", "what the law of an effect may be wrong by, as a share of its strength",
         "sessions of seed 8001 at 99e2077: nine in ten 90 % intervals held the truth")
     inexact_friction: float = calibrated(0.05, "", "the same of laws of dry friction",
@@ -152,26 +153,26 @@ class Criteria:
 
     # Leftover, power, the next experiment.
     longest_gust: float = assumed(1.0, "s", "over which gusts stay alike at most: what outlasts that is no gust",
-        "issue 20")
-    storm: float = assumed(3.0, "gust", "strength at most by which a leftover is whitened", "issue 20: 3 % of weight")
+        "caaeec4")
+    storm: float = assumed(3.0, "gust", "strength at most by which a leftover is whitened", "681dcd4: 3 % of weight")
     gale: float = assumed(5.0, "gust", "strength from which a force that follows nothing is no weather indoors either",
-        "issue 20: 5 % of weight on one joint; gusts of proving/drone reach 6")
+        "681dcd4: 5 % of weight on one joint; gusts of proving/drone reach 6")
     followed: float = calibrated(5.5, "sigma", "by which a missing force must follow something to be no gust",
-        "sessions of seeds 8001, 8100 to 8105 and 8203, issue 20: 4.8 without, 6.2 with an effect")
+        "681dcd4, sessions of seeds 8001, 8100 to 8105 and 8203: 4.8 without, 6.2 with an effect")
     doubted: float = calibrated(3.5, "sigma", "the same from which a cause beside it is but suggested",
-        "sessions of seeds 8001, 8100 to 8105, issue 20")
+        "b6dc5e6, sessions of seeds 8001, 8100 to 8105")
     push: float = calibrated(0.25, "gust", "strength that must be foretold of it: tolerances make less",
-        "sessions of seeds 8001, 8100 to 8105, issue 20")
+        "caaeec4, sessions of seeds 8001, 8100 to 8105")
     channel_level: float = by_hand(1.6, "", "the same of a channel's whitened residual", "e1272d1")
     astray: float = by_hand(6.0, "median", "which a window's square counts at most there", "5844f9d")
     depends: float = by_hand(0.1, "", "share of a missing force that a quantity must predict to be named",
         "0.2 at 85fc87b, 0.1 since e1272d1")
     structure: float = by_hand(0.25, "", "the same for other rigs to have something unexplained", "85407b0")
     material: float = assumed(0.02, "", "share of what drives a joint from which a force that nobody explains matters",
-        "issue 20: gusts and bumps indoors are some 0.1 to 1 %")
-    noticed: float = assumed(0.005, "", "the same of a force that follows something", "issue 20")
+        "aede6c2: gusts and bumps indoors are some 0.1 to 1 %")
+    noticed: float = assumed(0.005, "", "the same of a force that follows something", "aede6c2")
     missed: float = assumed(4.0, "", "held-out chi² from which there is a gap, named cause or not: twice the noise",
-        "issue 20")
+        "aede6c2")
     matters: float = by_hand(0.05, "", "share of what was missing that must be left for it", "85407b0, 668e32f")
     missing_force: float = assumed(30.0, "gust", "prior of the force that is missing: any effect, bounded if unseen",
         "169bbb3")
@@ -182,12 +183,12 @@ class Criteria:
     worth_flying: float = by_hand(1.0, "sigma", "that an experiment must separate", "ff3d8cb")
 
     # Blows: what contacts do, which they alone show.
-    fewest_blows: int = assumed(6, "", "below which nothing is told", "issue 21")
-    by_chance: float = assumed(0.05, "", "odds at most against what is named foretelling blows better", "issue 21")
-    most_told: float = by_hand(3.0, "log odds", "that one blow gives at most: none decides alone", "issue 21")
-    eased: float = by_hand(0.2, "", "share of the error of blows that a cause must explain", "issue 21")
+    fewest_blows: int = assumed(6, "", "below which nothing is told", "c68b8f3")
+    by_chance: float = assumed(0.05, "", "odds at most against what is named foretelling blows better", "c68b8f3")
+    most_told: float = by_hand(3.0, "log odds", "that one blow gives at most: none decides alone", "aa5a677")
+    eased: float = by_hand(0.2, "", "share of the error of blows that a cause must explain", "c68b8f3")
     nothing_left: float = by_hand(1.5, "", "chi² of blows, geometric mean, below which nothing is looked for",
-        "issue 21")
+        "c68b8f3")
 
 
 # fmt: on

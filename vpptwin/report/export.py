@@ -30,7 +30,7 @@ class Topic:
 
     name: str  # its name
     time: np.ndarray  # (n,) s on the log's clock
-    values: Mapping[str, np.ndarray] | None = None  # column → (n,), of a topic in the form of SPEC 3
+    values: Mapping[str, np.ndarray] | None = None  # column → (n,), of one of our topics (docs/logs.md)
     joints: Mapping[str, Mapping[str, np.ndarray]] | None = None  # joint → column → (n,), of a JointState
 
     def write(self, writer: FlightWriter, row: int, offset: float) -> None:

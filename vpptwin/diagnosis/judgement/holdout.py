@@ -48,7 +48,7 @@ class Score:
     chi2: float
 
     def as_dict(self) -> dict[str, object]:
-        """The score in the form of SPEC 7, velocities added."""
+        """The score as `before` and `after` of verdict.json have it (docs/diagnose.md)."""
         return asdict(self)
 
 
@@ -244,7 +244,7 @@ class HeldOut:
         return self.response(self.short.loosen(values)).restore(*self.miss(values))
 
     def chi2(self, values: Mapping[Key, float]) -> float:
-        """Mean squared pose residual over sensor variance with each window's starting state fitted (SPEC 7)."""
+        """Mean squared pose residual over sensor variance, starting states fitted; 1 is the noise floor."""
         squares, count = self.chi2_by_window(values)
         return float(squares.sum() / max(count.sum(), 1))
 

@@ -1,4 +1,4 @@
-"""The verdict as data: verdict.json of SPEC 7, written whole or not at all."""
+"""The verdict as data: verdict.json (keys: docs/diagnose.md), written whole or not at all."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the twin gets wrong (SPEC 7); of a diagnosis that was stopped so far, or of `only` some candidates."""
+    """What the twin gets wrong; of a diagnosis that was stopped so far, or of `only` some candidates."""
 
     logs: list[str]
     twin: str
@@ -167,8 +167,8 @@ class Verdict:
         return self.stopped is not None or bool(self.only)
 
     def as_dict(self) -> dict[str, object]:
-        """The verdict in the form of SPEC 7."""
-        # `blows` only where there are some: SPEC 7 knows none.
+        """The verdict under the keys of verdict.json (docs/diagnose.md)."""
+        # `blows` only where there are some: what reads verdicts elsewhere may know no such key.
         causes = [{k: v for k, v in asdict(c).items() if k != "summary" and (k != "blows" or v)} for c in self.causes]
         content: dict[str, object] = {
             "logs": self.logs, "twin": self.twin,
