@@ -73,9 +73,7 @@ def test_what_is_no_number_is_told(wrong: float) -> None:
 def test_a_diagnosis_takes_no_factor_by_itself() -> None:
     """Every covariance goes through these functions, so that none fails elsewhere."""
     bare = re.compile(r"np\.linalg\.(cholesky|inv|slogdet)|cho_(factor|solve)")
-    files = [
-        *(PACKAGE / "diagnosis").rglob("*.py"),
-        *(PACKAGE / "drift").rglob("*.py"),
-        *(PACKAGE / "robots").rglob("*.py"),
-    ]
+    rooms = ("diagnosis", "drift", "robots/planar_drone/thrust_stand")
+    files = [file for room in rooms for file in (PACKAGE / room).rglob("*.py") if file.name != "covariance.py"]
+    assert len(files) > 30
     assert not [file.name for file in files if bare.search(file.read_text())]

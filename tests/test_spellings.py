@@ -83,8 +83,8 @@ def quick(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder, to work in; nothing is searched for, fitted or drawn there, all else is as it is."""
     monkeypatch.chdir(folder)
     monkeypatch.setattr("vpptwin.report.result.judge", find_nothing)
-    for place in ("history", "command"):
-        monkeypatch.setattr(f"vpptwin.robots.planar_drone.thrust_stand.{place}.fit_flights", fit_nothing)
+    for place in ("history", "identify"):
+        monkeypatch.setattr(f"vpptwin.drift.{place}.fit_flights", fit_nothing)
     return folder
 
 

@@ -100,8 +100,8 @@ def test_every_command_says_what_the_verdict_does(
 
     monkeypatch.setattr("vpptwin.report.result.judge", find_nothing)
     monkeypatch.setattr("vpptwin.report.compare.list_starts", list_first)
-    for place in ("history", "command"):
-        monkeypatch.setattr(f"vpptwin.robots.planar_drone.thrust_stand.{place}.fit_flights", fit_nothing)
+    for place in ("history", "identify"):
+        monkeypatch.setattr(f"vpptwin.drift.{place}.fit_flights", fit_nothing)
     log = str(break_log(tmp_path / "log.mcap", "stuck at the end", "dead rotor state", "doubled"))
     named = ["--parameters", "air.drag"]
     out = str(tmp_path / "out")

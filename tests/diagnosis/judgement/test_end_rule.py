@@ -96,7 +96,7 @@ def keep(chi2: Callable[[set[str]], float], errors: PredictionErrors, sticks: bo
     given = Selection(
         guess({KEY: 0.3, OTHER: 0.1}), [], told, instead, dict(zip(names, (99.0, 40.0))), unconfirmed=frozenset(names)
     )
-    return given, keep_better(Material([], Least(KNOWN, ()), Judges(), None), given)
+    return given, keep_better(Material([], [], Least(KNOWN, ()), Judges(), None), given)
 
 
 CALM = Given(np.full((8, len(HORIZONS_S)), 9.0), np.full((8, len(HORIZONS_S)), 4.0))
